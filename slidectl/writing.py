@@ -25,10 +25,12 @@ def write_whole(path: str | os.PathLike[str], text: str | bytes) -> None:
         OSError: it cannot be written.
     """
     target, content = os.path.realpath(path), text.encode() if isinstance(text, str) else text
-    there = os.stat(path) if os.path.exists(path) else None
-    if there is None:
+    if not os.path.exists(path):
         replace(target, content)
-    elif _is_replaceable(target, there):
+        return
+    there = os.stat(path)
+    is_ours_alone = stat.S_ISREG(there.st_mode) and there.st_uid == os.geteuid() and there.st_nlink == 1
+    if is_ours_alone and os.access(target, os.W_OK) and os.access(os.path.dirname(target), os.W_OK):
         replace(target, content, stat.S_IMODE(there.st_mode))
     else:
         with open(path, "wb") as file:
@@ -59,9 +61,3 @@ def replace(target: str | os.PathLike[str], content: bytes, mode: int | None = N
             with suppress(OSError):
                 os.unlink(draft)
             raise
-
-
-def _is_replaceable(target: str, there: os.stat_result) -> bool:
-    """A plain file of ours with this one name, in a folder that takes another one."""
-    is_ours_alone = stat.S_ISREG(there.st_mode) and there.st_uid == os.geteuid() and there.st_nlink == 1
-    return is_ours_alone and os.access(target, os.W_OK) and os.access(os.path.dirname(target), os.W_OK)

@@ -6,6 +6,6 @@ nothing and changes nothing; heavy modules are imported by the functions that ne
 
 from __future__ import annotations
 
-from slidectl.check.findings import VERDICTS, Findings
+from slidectl.check.findings import Findings
 
-__all__ = ["VERDICTS", "Findings"]
+__all__ = ["Findings"]

@@ -29,8 +29,9 @@ from slidectl.description.controllers_file import ROS_2, retarget
 from slidectl.description.gazebo_tags import TRANSMISSIONS, transmissions_named
 from slidectl.description.models import read_file
 from slidectl.description.parameter_trees import leaves, merge, nest
+from slidectl.description.report import did_you_mean
 from slidectl.description.robot import Notice, Robot, Verdict
-from slidectl.errors import BadFile, NotThere, Refused, UnknownName, closest, listing
+from slidectl.errors import BadFile, NotThere, Refused, UnknownName, listing
 
 Tree = dict[str, Any]
 Judgement = tuple[str, Verdict, str]
@@ -203,9 +204,8 @@ class ParameterFile:
         """A finding on a value that has nothing about it but its name and its type."""
         parameter = declared.find(name)
         if parameter is None:
-            near = closest("/".join(_parts(name)), declared.names)
-            hint = f"did you mean {near!r}?" if near else f"it knows {listing(declared.names)}"
-            self.unread(path, f"{unknown}; {hint}", value)
+            hint = did_you_mean("/".join(_parts(name)), declared.names) or f"; it knows {listing(declared.names)}"
+            self.unread(path, unknown + hint, value)
         elif parameter.kind.convert(value) is not None:
             self.add("used", path, f"{_shown(value)}{parameter.unit and ' '}{parameter.unit}; {parameter.meaning}")
         else:
@@ -293,9 +293,7 @@ def _expected(name: str, tree: Mapping[str, Any]) -> Iterator[str]:
         yield name
         return
     above, _, below = name.partition(sign)
-    branch: Any = tree
-    for part in above.strip("/").split("/"):
-        branch = branch.get(part) if isinstance(branch, Mapping) else None
+    branch = controllers_file.at(tree, above)
     if sign == "[]/" and isinstance(branch, list):
         yield from (f"{above}[{index}]/{below}" for index, entry in enumerate(branch) if isinstance(entry, Mapping))
     elif isinstance(branch, Mapping):
@@ -310,7 +308,7 @@ class ControllerCheck:
 
     Args:
         reader: which node reads a parameter that no controller reads.
-        hint: what was meant by one that nobody reads, or nothing.
+        hint: `; ...`, what was meant by one that nobody reads, or nothing.
     """
 
     def __init__(
@@ -355,8 +353,7 @@ class ControllerCheck:
                 self.source.add("wrong", below, text)
             else:
                 hint = self.hint(self.source.full(below))
-                text = "no controller reads it, nor does the simulated hardware" + (f"; {hint}" if hint else "")
-                self.source.unread(below, text, value)
+                self.source.unread(below, f"no controller reads it, nor does the simulated hardware{hint}", value)
 
     def _namespace(self, path: str, tree: Mapping[str, Any]) -> None:
         if likely := _likely_type(tree):
@@ -528,9 +525,8 @@ def _joints_in(parameter: Parameter | None, value: Any) -> list[str]:
 def _absence(robot: Robot, joint: str) -> str | None:
     if joint in robot.joints:
         return None
-    near = closest(joint, robot.joints)
-    hint = f"did you mean {near!r}? " if near else ""
-    return f"the robot has no joint {joint!r}; {hint}joints: {listing(robot.joints)}"
+    hint = did_you_mean(joint, robot.joints) or ";"
+    return f"the robot has no joint {joint!r}{hint} joints: {listing(robot.joints)}"
 
 
 def _trouble(model: Model, joint: str, cls: type[ControllerBase]) -> str | None:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import get_args
 
 from slidectl.description.missing import Missing
 from slidectl.description.report import one_line
@@ -17,8 +16,6 @@ from slidectl.errors import BadFile
 
 # How an error begins by naming the node or the tag that it is about.
 _NAMED = re.compile(r"(?P<subject>node \S+|<\w+>|/\S+)(?: \([^)]*\))?: ")
-
-VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
 
 
 class Findings:

@@ -24,6 +24,7 @@ from slidectl.description.gazebo_tags import TRANSMISSIONS
 from slidectl.description.models import read_file
 from slidectl.description.packages import Packages, is_file, shown
 from slidectl.description.parser import STARTS_OUTSIDE, place_of_limit
+from slidectl.description.report import did_you_mean
 from slidectl.description.robot import Notice, Robot, Verdict
 from slidectl.description.xml_tree import Element
 from slidectl.errors import BadFile, NotThere, closest, listing
@@ -111,6 +112,7 @@ class _LaunchCheck:
         self.is_complete = True
         """False when a value is not known: it cannot be had, or a program would have to be run for it."""
         self.tasks: list[Task] = []
+        self.has_programs = False
         self.robots: list[SpawnedOnPaper] = []
 
     # --- tags -----------------------------------------------------------------------------------------------------
@@ -124,7 +126,7 @@ class _LaunchCheck:
     def elements(self, tag: str) -> Iterator[Element]:
         """All elements of that tag that were read, and not for their condition alone."""
         for root in self.roots:
-            for element in _walk(root):
+            for element in root.walk():
                 read = self.trace.read_attributes.get(id(element), set())
                 if element.tag == tag and id(element) in self.trace.read and (not read or read - {"if", "unless"}):
                     yield element
@@ -142,8 +144,7 @@ class _LaunchCheck:
         """The text of the `<rosparam>` at a place, moved down so that its lines have the numbers of the file."""
         for element in self.elements("rosparam"):
             if (element.file, element.line) == (place.file, place.line):
-                pieces = (node for node in element.content if isinstance(node, str))
-                return "\n" * (element.line - 1) + "".join(p for p in pieces if not isinstance(p, xml_tree.Comment))
+                return "\n" * (element.line - 1) + element.text
         return ""
 
     def classify(self) -> None:
@@ -161,7 +162,7 @@ class _LaunchCheck:
         by_place: dict[tuple[str, int | None, str], list[Notice]] = {}
         for notice in notices:
             by_place.setdefault((notice.file, notice.line, notice.subject), []).append(notice)
-        for element in (element for root in self.roots for element in _walk(root)):
+        for element in (element for root in self.roots for element in root.walk()):
             for notice in by_place.get((element.file, element.line, element.title), ()):
                 match = _ATTRIBUTE.match(notice.text)
                 self.trace.said.setdefault(id(element), []).append((match[1] if match else None, notice))
@@ -270,6 +271,7 @@ class _LaunchCheck:
     def read_nodes(self) -> None:
         """Make the tasks, and read the robots among the parameters and those that a task spawns."""
         self.tasks = [task for node in self.plan.nodes if (task := self._task(node)) is not None]
+        self.has_programs = any(isinstance(task, Process) for task in self.tasks)
         for name, value in self.values.items():
             if isinstance(value, str) and _is_robot(value):
                 self._read_robot(name, value)
@@ -295,10 +297,6 @@ class _LaunchCheck:
                 continue
             if task.scene is not None:
                 scenes.tell_scene(task.scene, self.findings, self.strict)
-
-    @property
-    def has_programs(self) -> bool:
-        return any(isinstance(task, Process) for task in self.tasks)
 
     def _task(self, node: Node) -> Task | None:
         """What the node is here, with a finding that says so."""
@@ -340,26 +338,27 @@ class _LaunchCheck:
             return None
         name = task.node.resolve(task.words.one("-param"))
         if name not in self.values and self.is_complete:
-            near = closest(name, self.descriptions)
-            hint = f"; did you mean {near}?" if near else ""
+            hint = did_you_mean(name, self.descriptions, "{}")
             self._add("wrong", task.node, f"the launch does not set the parameter {name}{hint}")
         elif name not in self.descriptions and self.values.get(name) is not None:
             self._add("wrong", task.node, f"the parameter {name} holds no robot")
         return self.descriptions.get(name)
 
     def _withdraw_starts(self) -> None:
-        """A joint that every spawn of a robot puts between its limits (-J) does not start outside of them."""
-        spawns = self._spawns
-        put: dict[int, list[SpawnModel]] = {}
-        for spawned, task in zip(self.robots, spawns, strict=True):
-            if spawned.model is not None:
-                put.setdefault(id(spawned.model.robot), []).append(task)
-        for spawned in self.robots:
+        """A joint that every spawn puts between its limits (-J) does not start outside of them."""
+        outside: dict[tuple[str, str, int | None], bool] = {}
+        for spawned, task in zip(self.robots, self._spawns, strict=True):
             for joint in spawned.model.robot.joints.values() if spawned.model is not None else ():
-                starts = [task.start_of(joint.name) for task in put[id(spawned.model.robot)]]  # type: ignore[union-attr]
-                if joint.limit and all(joint.limit.lower <= start <= joint.limit.upper for start in starts):
-                    said = (notice for notice in self.findings.sorted() if notice.subject == place_of_limit(joint.name))
-                    self.findings.withdraw(notice for notice in said if notice.text.startswith(STARTS_OUTSIDE))
+                if joint.limit is not None:
+                    place = place_of_limit(joint.name), shown(joint.file or ""), joint.limit.line
+                    is_inside = joint.limit.lower <= task.start_of(joint.name) <= joint.limit.upper
+                    outside[place] = outside.get(place, False) or not is_inside
+        self.findings.withdraw(
+            notice
+            for notice in self.findings.sorted()
+            if notice.text.startswith(STARTS_OUTSIDE)
+            and not outside.get((notice.subject, shown(notice.file), notice.line), True)
+        )
 
     def reader(self, name: str) -> str | None:
         """Which node reads a parameter that no controller reads; None when none does."""
@@ -380,12 +379,12 @@ class _LaunchCheck:
         return "note: no controller reads it; a program of this launch may" if self.has_programs else None
 
     def hint(self, name: str) -> str:
-        """Which parameter of a node may have been meant by one that it does not read, or why that has no effect."""
+        """`; ...`: which parameter of a node may be meant by one that it does not read, or why that has no effect."""
         for task in self.tasks:
             if isinstance(task, RobotStatePublisher) and names.parent(name) == task.node.full_name:
                 own = name.rpartition("/")[2]
-                near = closest(own, (*HONOURED, *WITHOUT_EFFECT))
-                return WITHOUT_EFFECT.get(own) or (f"did you mean {near!r}?" if near else "")
+                known = (*HONOURED, *WITHOUT_EFFECT)
+                return f"; {WITHOUT_EFFECT[own]}" if own in WITHOUT_EFFECT else did_you_mean(own, known)
         return ""
 
     def tell(self, controllers: Mapping[str, str], claims: Mapping[str, set[str]]) -> None:
@@ -447,7 +446,9 @@ class _LaunchCheck:
         for word in task.words.rest:
             name = names.join(task.namespace, word)
             if name not in controllers and not is_file(Path(word)) and self.is_complete:
-                self._add("wrong", task.node, self._unknown_controller(name, task.namespace, controllers))
+                inside = [other for other in controllers if names.is_under(other, task.namespace)]
+                hint = did_you_mean(name, inside or controllers, "{}") or f"; controllers: {listing(controllers)}"
+                self._add("wrong", task.node, f"the launch sets no controller {name}{hint}")
 
     def _tell_same_joints(self, task: Spawner, claims: Mapping[str, set[str]]) -> None:
         """Controllers that one spawner starts, and that want the same joint."""
@@ -458,12 +459,6 @@ class _LaunchCheck:
                 if holder != name:
                     text = f"cannot start {name} beside {holder}: both want joint {joint!r} for themselves"
                     self._add("wrong", task.node, text)
-
-    def _unknown_controller(self, name: str, namespace: str, controllers: Mapping[str, str]) -> str:
-        inside = [other for other in controllers if names.is_under(other, namespace)]
-        near = closest(name, inside or controllers)
-        hint = f"; did you mean {near}?" if near else f"; controllers: {listing(controllers)}"
-        return f"the launch sets no controller {name}{hint}"
 
     def _tell_joint_states(self, task: RobotStatePublisher, controllers: Mapping[str, str]) -> None:
         """Find a robot_state_publisher that waits for joint states which nobody publishes."""
@@ -494,21 +489,14 @@ class _LaunchCheck:
         there = {remap for node in self.plan.nodes for remap in node.remaps}
         known = {name for task in self.tasks for name in _names_of(task)}
         for remap in there - used:
-            near = closest(remap.source, known)
-            suggestion = f"; did you mean {near!r}?" if near else ""
-            self.say_of_remap("ignored", remap, f"no node that it is for has the name {remap.source!r}{suggestion}")
+            hint = did_you_mean(remap.source, known)
+            self.say_of_remap("ignored", remap, f"no node that it is for has the name {remap.source!r}{hint}")
         places = {(remap.place.file, remap.place.line) for remap in there}
         for element in self.elements("remap"):
             if (element.file, element.line) not in places:
                 source = plain(element).get("from") or ""
                 lonely = Remap(source.strip(), "", Location(element.file, element.line))
                 self.say_of_remap("ignored", lonely, "no node comes after it")
-
-
-def _walk(element: Element) -> Iterator[Element]:
-    yield element
-    for child in plain(element).children:
-        yield from _walk(child)
 
 
 def _is_robot(text: str) -> bool:

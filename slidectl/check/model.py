@@ -17,7 +17,7 @@ from pathlib import Path
 from slidectl import description
 from slidectl.check import bodies
 from slidectl.check.findings import Findings
-from slidectl.check.tags import Tags, Trace, TracedElement, TracedReport, plain, walk
+from slidectl.check.tags import Tags, Trace, TracedElement, TracedReport, plain
 from slidectl.control import hardware_types
 from slidectl.control.transmission_interface import load
 from slidectl.description import interfaces, xml_tree
@@ -31,7 +31,6 @@ from slidectl.description.robot import (
     MOVING,
     ControlPlugin,
     Joint,
-    Link,
     Notice,
     Robot,
     TransmissionInfo,
@@ -39,7 +38,7 @@ from slidectl.description.robot import (
     WheelDrive,
 )
 from slidectl.description.transmissions import driving
-from slidectl.description.xml_tree import Comment, Element
+from slidectl.description.xml_tree import Element
 from slidectl.errors import BadFile, BadName, SlidectlError, UnknownName
 
 _PLUGIN = "libgazebo_ros_control.so"
@@ -155,14 +154,14 @@ def check_text(
         report.take(error)
     for fault in report.faults:
         findings.refuse(fault)
-    joints = _Joints(robot, trace) if robot is not None else None
-    if robot is not None:
-        _say(robot, traced, report)
-    Tags(trace, findings, joints.explain if joints else lambda *_: None, not has_stopped).classify(traced)
-    if robot is None or joints is None:
+    if robot is None:
+        Tags(trace, findings, lambda *_: None, not has_stopped).classify(traced)
         text = "note: limits, masses and transmissions are not judged together while a part is broken"
         findings.add("used", root.title, text, root.file, root.line)
         return None
+    _say(robot, traced, report)
+    joints = _Joints(robot, trace)
+    Tags(trace, findings, joints.explain).classify(traced)
     joints.tell(findings)
     says_transmissions = robot.plugin is not None and robot.plugin.transmissions is not None and not is_told
     model = Model(robot, _namespace(robot, root, findings), says_transmissions)
@@ -207,8 +206,7 @@ def _tell_unused(written: Written, findings: Findings) -> None:
             used.add(f"xacro:{element.get('macro')}")
         elif element.tag == "xacro:macro":
             used.update(_WORD.findall(element.get("params") or ""))
-        texts = (node for node in element.content if isinstance(node, str) and not isinstance(node, Comment))
-        for text in (*element.attributes.values(), *texts):
+        for text in (*element.attributes.values(), element.text):
             used.update(word for expression in _EXPRESSION.findall(text) for word in _WORD.findall(expression))
     for element in written.root.walk():
         name = (element.get("name") or "").removeprefix("xacro:")
@@ -300,7 +298,7 @@ class _Joints:
 def _say(robot: Robot, root: Element, report: Report) -> None:
     """What the world makes of single tags otherwise than written. Leaves no trace in the traced elements."""
     plugin = robot.plugin or ControlPlugin()
-    tags = {element.tag: element for element in reversed(list(walk(root)))}
+    tags = {element.tag: element for element in reversed(list(root.walk()))}
     if plugin.control_period is not None:
         steps = max(1, math.ceil(plugin.control_period / _TIMESTEP_S - 1e-6))
         if not math.isclose(steps * _TIMESTEP_S, plugin.control_period, rel_tol=1e-6):
@@ -311,8 +309,13 @@ def _say(robot: Robot, root: Element, report: Report) -> None:
         report.converted(tags["robotParam"], text)
     for transmission in robot.transmissions:
         _say_actuators(transmission, root, report)
-    for link in robot.links.values():
-        _say_friction(link, root, report)
+    for tag in _inside(root, "gazebo"):
+        link = robot.links.get(plain(tag).get("reference") or "")
+        if link is None or None in (link.surface.mu1, link.surface.mu2) or link.surface.mu1 == link.surface.mu2:
+            continue
+        for place in _inside(tag, "mu2"):
+            text = f"has no effect: friction is the same in all directions here, and mu1 counts, {link.surface.mu1:g}"
+            report.ignored(place, text, f"link {link.name!r}/<mu2>")
 
 
 def _say_actuators(transmission: TransmissionInfo, root: Element, report: Report) -> None:
@@ -339,17 +342,8 @@ def _is_of(tag: Element, transmission: TransmissionInfo) -> bool:
     )
 
 
-def _say_friction(link: Link, root: Element, report: Report) -> None:
-    first, second = link.surface.mu1, link.surface.mu2
-    if first is None or second is None or first == second:
-        return
-    tags = [tag for tag in _inside(root, "gazebo") if plain(tag).get("reference") == link.name]
-    for place in [tag for above in tags for tag in _inside(above, "mu2")]:
-        text = f"has no effect: friction is the same in all directions here, and mu1 counts, {first:g}"
-        report.ignored(place, text, f"link {link.name!r}/<mu2>")
-
-
 def _inside(element: Element, tag: str) -> list[Element]:
+    """The children called `tag`, which do not count as read for it."""
     return plain(element).find_all(tag)
 
 

@@ -65,7 +65,16 @@ def check(
         findings.is_drivable = scenes.check(sdf.find(source, packages), packages, findings, text, strict)
         findings.tell_missing()
     else:
-        _check_model(source, arguments, packages, parameter_files, text, findings, ask_others, strict, transmissions)
+        title = source if text is not None else None
+        read = text.decode("utf-8", "replace") if text is not None else source
+        if text is None and (path := models.shipped().get(source)) is not None:
+            read = shown(path)  # the shortest path that leads there
+        texts = {file: models.read_file(file) for file in parameter_files}
+        asked = _asked([tree for file, content in texts.items() if (tree := _tree(content, str(file))) is not None])
+        robot = model.check(read, arguments, packages, findings, ask_others, title, strict, transmissions, asked)
+        usable = [controllers.check(file, robot, findings, content) for file, content in texts.items()]
+        findings.is_drivable = robot is not None and (any(usable) or not usable)
+        findings.tell_missing()
     return findings
 
 
@@ -98,30 +107,6 @@ def _refuse_what_does_not_fit(
     if kind in takes_none:
         for name in arguments:
             raise UsageError(f"{name}:= has no meaning for {takes_none[kind]}")
-
-
-def _check_model(
-    source: str,
-    arguments: Mapping[str, str],
-    packages: Packages,
-    parameter_files: Sequence[Path],
-    text: bytes | None,
-    findings: Findings,
-    ask_others: bool,
-    strict: bool,
-    transmissions: str | None,
-) -> None:
-    """A model, and the files of its controllers."""
-    title = source if text is not None else None
-    read = text.decode("utf-8", "replace") if text is not None else source
-    if text is None and (path := models.shipped().get(source)) is not None:
-        read = shown(path)  # the shortest path that leads there
-    texts = {file: models.read_file(file) for file in parameter_files}
-    asked = _asked([tree for file, content in texts.items() if (tree := _tree(content, str(file))) is not None])
-    robot = model.check(read, arguments, packages, findings, ask_others, title, strict, transmissions, asked)
-    usable = [controllers.check(file, robot, findings, content) for file, content in texts.items()]
-    findings.is_drivable = robot is not None and (any(usable) or not usable)
-    findings.tell_missing()
 
 
 def _asked(trees: Sequence[Tree]) -> model.Asked:

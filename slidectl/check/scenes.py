@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
 from pathlib import Path
 
 from slidectl import description
@@ -25,19 +24,13 @@ def check(path: Path, packages: Packages, findings: Findings, text: bytes | None
         findings.fail("SDF", error)
         return False
     if world is not None:
-        tell_settings(world, findings)
+        findings.extend(world.notices)
+        for name, value in vars(world.settings).items():
+            if value is not None and name != "paused":  # no file says that
+                said = f"{value}" if name != "ground" else "a plane" if value else "none"
+                findings.add("used", f"{name} of the world", said, world.file, 1)
     tell_scene(scene, findings, strict)
     return bool(scene.models)
-
-
-def tell_settings(world: gazebo.WorldFile, findings: Findings) -> None:
-    """What a world asks of the daemon."""
-    findings.extend(world.notices)
-    asked = {field.name: getattr(world.settings, field.name) for field in fields(world.settings)}
-    for name, value in asked.items():
-        if value is not None and name != "paused":
-            text = f"{value}" if name != "ground" else "a plane" if value else "none"
-            findings.add("used", f"{name} of the world", text, world.file, 1)
 
 
 def tell_scene(scene: sdf.Scene, findings: Findings, strict: bool = False) -> None:

@@ -65,7 +65,7 @@ class TracedAttributes(dict[str, str]):
 
 
 class TracedElement(Element):
-    """An element that notes what is read of it."""
+    """An element that notes what is read of it. To go through all of them (`walk`) is no reading."""
 
     __slots__ = ("trace",)
 
@@ -159,7 +159,7 @@ class Tags:
         subject = f"{element.tag} {name!r}" if name is not None and not above else bare.title
         subject = f"{above}/{subject}" if above else subject
         if id(element) in self.trace.dead:
-            for below in walk(element):
+            for below in element.walk():
                 self.findings.extend(notice for _, notice in self.trace.said.get(id(below), []))
             return
         if id(element) not in self.trace.read:
@@ -191,13 +191,6 @@ class Tags:
 
     def _add(self, verdict: Verdict, element: Element, subject: str, text: str) -> None:
         self.findings.add(verdict, subject, text, element.file, element.line)
-
-
-def walk(element: Element) -> Iterator[Element]:
-    """An element and all below it; none of them counts as read for it."""
-    yield element
-    for child in plain(element).children:
-        yield from walk(child)
 
 
 def _content(bare: Element, spoken: Collection[str | None]) -> str:

@@ -79,7 +79,11 @@ def retarget(tree: Tree, namespace: str) -> tuple[Tree, str | None]:
         return tree, None
     if holds_controllers(tree):
         return nest(target, tree), None
-    written, controllers = _only_branch(tree)
+    # Down from the root as long as there is but one way and no controllers.
+    written, controllers = "", tree
+    while isinstance(controllers, dict) and len(controllers) == 1 and not holds_controllers(controllers):
+        ((name, controllers),) = controllers.items()
+        written += f"/{name}"
     if written == target:
         return tree, None
     if holds_controllers(controllers):
@@ -94,18 +98,9 @@ def holds_controllers(tree: object) -> bool:
     return any(isinstance(child, Mapping) and isinstance(child.get("type"), str) for child in tree.values())
 
 
-def at(tree: Tree, path: str) -> object:
-    """What is at the names of `path`, or None."""
-    branch: object = tree
+def at(tree: object, path: str) -> object:
+    """What is at the names of `path` in a tree, or None."""
+    branch = tree
     for name in path.strip("/").split("/"):
-        branch = branch.get(name) if isinstance(branch, dict) else None
+        branch = branch.get(name) if isinstance(branch, Mapping) else None
     return branch
-
-
-def _only_branch(tree: Tree) -> tuple[str, object]:
-    """Down from the root as long as there is but one way and no controllers: the path, and what is there."""
-    path, branch = "", tree
-    while isinstance(branch, dict) and len(branch) == 1 and not holds_controllers(branch):
-        ((name, branch),) = branch.items()
-        path += f"/{name}"
-    return path, branch

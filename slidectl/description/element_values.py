@@ -8,11 +8,10 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Collection
-from itertools import islice
 
 from slidectl.description.robot import Pose, Vector
-from slidectl.description.xml_tree import Element
-from slidectl.errors import BadFile, closest, listing
+from slidectl.description.xml_tree import Element, below
+from slidectl.errors import BadFile, UnknownName
 
 LONGEST_PERIOD_S = 2**31 - 1
 """Where durations of ROS end."""
@@ -22,10 +21,8 @@ _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 def unknown(element: Element, place: str, kind: str, name: str, known: Collection[str]) -> BadFile:
     """The error for a name that does not exist: says which do, and suggests the closest."""
-    # Comparing spellings takes its time; nobody has more names than this by hand.
-    near = closest(name, islice(known, 1000))
-    suggestion = f" Did you mean {near!r}?" if near else ""
-    return element.error(f"{place}: no {kind} {name!r}.{suggestion}", f"{kind}s: {listing(known)}")
+    error = UnknownName(kind, name, list(known))
+    return element.error(f"{place}: {error.message}", error.hint)
 
 
 def parse_number(text: str, element: Element, what: str, finite: bool = True) -> float:
@@ -82,7 +79,7 @@ def child_text(element: Element, tag: str, default: str) -> str:
 
 def child_number(element: Element | None, tag: str, default: float, place: str, finite: bool = True) -> float:
     """The number in a child; the default when there is no child, or it is empty."""
-    child = element.find(tag) if element is not None else None
+    child = below(element, tag)
     if child is None or not child.first_text:
         return default
     return parse_number(child.first_text, child, f"{place}/<{tag}>", finite)

@@ -9,7 +9,7 @@ import math
 from collections.abc import Collection, Mapping
 from dataclasses import replace
 from functools import cache
-from itertools import islice
+from itertools import chain
 from typing import TYPE_CHECKING, Any, cast, get_args
 
 from slidectl import names
@@ -19,7 +19,7 @@ from slidectl.description.report import Report
 from slidectl.description.robot import ControlPlugin, Surface, Transmissions
 from slidectl.description.sensors import OF_MODEL, SensorReader, library
 from slidectl.description.xml_tree import Element
-from slidectl.errors import NotThere, Refused, closest, listing, quoted
+from slidectl.errors import NotThere, Refused, listing, quoted
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -31,16 +31,9 @@ HARDWARE_ENTRY_POINTS = "slidectl.robot_hw"
 """The group in which an installed package names its simulated hardware: a type, and `module:Class`."""
 TRANSMISSIONS = "gazebo_ros_control/transmissions"
 """The parameter in a robot's namespace that says how transmissions count, where the model's plugin does not."""
-_MOST_COMPARED = 1000
-_PARAMETERS = {
-    "robotNamespace",
-    "robotParam",
-    "robotSimType",
-    "controlPeriod",
-    "eStopTopic",
-    "legacyModeNS",
-    "transmissions",
-}
+_PARAMETERS = (
+    "robotNamespace", "robotParam", "robotSimType", "controlPeriod", "eStopTopic", "legacyModeNS", "transmissions",
+)  # fmt: skip
 _OF_LINK = ("mu1", "mu2", "material", "selfCollide", "turnGravityOff")
 _YES = ("true", "yes", "1")
 _NO = ("false", "no", "0")
@@ -68,8 +61,7 @@ class GazeboReader:
         self.report.unknown(element, {"reference"}, [child.tag for child in element.children])
         reference = element.get("reference") or ""
         if reference and reference not in self.links and reference not in self.joints:
-            near = closest(reference, islice((*self.links, *self.joints), _MOST_COMPARED))
-            hint = f"; did you mean {near!r}?" if near else ""
+            hint = self.report.meant(reference, chain(self.links, self.joints))
             self.report.wrong(element, f"there is no link or joint {reference!r}; the tag has no effect{hint}")
             return
         for child in element.children:
@@ -94,7 +86,7 @@ class GazeboReader:
             self.drives.read_drive(element, library(element), place)
         elif library(element) in drives.MIMIC:
             self.drives.read_mimic(element, place)
-        elif not _is_control(element):
+        elif library(element) != _CONTROL_PLUGIN:
             from difflib import get_close_matches
 
             # All plugins of gazebo_ros are called alike, so this is stricter than usual suggestions.
@@ -136,12 +128,10 @@ class GazeboReader:
             self.sensors.of_link(link, child, place)
         elif child.tag == "material":
             self._set(link, material=_text(child) or None)
-        elif child.tag == "plugin" and _is_control(child):
+        elif child.tag == "plugin" and library(child) == _CONTROL_PLUGIN:
             self.report.wrong(child, "has no effect in here: it belongs into a <gazebo> without a reference", place)
         else:
-            near = closest(child.tag, _OF_LINK)
-            hint = f"; did you mean <{near}>?" if near else ""
-            self.report.ignored(child, f"has no effect here{hint}", place)
+            self.report.ignored(child, f"has no effect here{self.report.meant(child.tag, _OF_LINK, '<{}>')}", place)
         return True
 
     def _of_joint(self, child: Element, joint: str, element: Element) -> bool:
@@ -213,13 +203,7 @@ def _control_plugins(root: Element) -> list[Element]:
     """Those that count: not what stands in a `<gazebo>` of a link or joint."""
     models = (gazebo for gazebo in root.find_all("gazebo") if not gazebo.get("reference"))
     plugins = (plugin for gazebo in models for plugin in gazebo.find_all("plugin"))
-    return [plugin for plugin in plugins if _is_control(plugin)]
-
-
-def _is_control(plugin: Element) -> bool:
-    """Whether it is gazebo_ros_control's, with or without a folder and its suffix."""
-    filename = (plugin.get("filename") or "").strip()
-    return filename.rpartition("/")[2].removesuffix(".so") == _CONTROL_PLUGIN
+    return [plugin for plugin in plugins if library(plugin) == _CONTROL_PLUGIN]
 
 
 def _text(element: Element) -> str:
@@ -229,10 +213,7 @@ def _text(element: Element) -> str:
 
 def _namespace(plugin: Element, text: str | None) -> str | None:
     """The namespace as written; only a legal graph name will do. An empty one means the root."""
-    if text is None:
-        return None
-    absolute = "/" + text.strip("/")
-    if not names.is_legal(absolute):
+    if text is not None and not names.is_legal("/" + text.strip("/")):
         place = plugin.find("robotNamespace") or plugin
         raise place.error(f"robotNamespace {text!r} is not a legal name (letters, digits, '_' and '/')")
     return text

@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 import os
 import re
-import stat
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -23,8 +22,9 @@ import numpy as np
 from slidectl.description import xml_tree
 from slidectl.description.inertia import LEAST
 from slidectl.description.mesh_files import SUFFIXES
+from slidectl.description.models import read_regular
 from slidectl.description.robot import Vector
-from slidectl.description.xml_tree import Comment, Element
+from slidectl.description.xml_tree import Element, below
 from slidectl.errors import BadFile
 
 if TYPE_CHECKING:
@@ -85,7 +85,11 @@ def load(path: str | Path, scale: Vector = (1.0, 1.0, 1.0)) -> Triangles:
         raise BadMesh(f"is of no known kind of mesh; known: {', '.join(SUFFIXES)}", path)
     content = _content(path)
     try:
-        vertices, faces = _stl(content, path) if kind == ".stl" else _text_kind(kind, content, path)
+        if kind == ".stl":
+            vertices, faces = _stl(content, path)
+        else:
+            _check_size(len(content), _MOST_BYTES_OF_TEXT, path)
+            vertices, faces = _obj(content, path) if kind == ".obj" else _dae(content, path)
     except (ValueError, IndexError, ArithmeticError) as error:
         raise BadMesh(f"cannot read the mesh: {str(error).strip() or type(error).__name__}", path) from None
     except RecursionError:
@@ -136,33 +140,20 @@ def _check_faces(count: int, path: str | Path) -> None:
 def _content(path: Path) -> bytes:
     """All of a regular file of a size that may be. Never waits for one that is no file: a pipe, a device."""
     try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY)
+        size = os.stat(path).st_size
+        content = read_regular(path, _MOST_BYTES) if size <= _MOST_BYTES else b""
+    except (BadFile, IsADirectoryError):
+        raise BadMesh("is no file: a mesh is not read from a folder, a pipe or a device", path) from None
     except (OSError, ValueError) as error:
         raise BadMesh(f"cannot read the mesh: {getattr(error, 'strerror', None) or error}", path) from None
-    status = os.fstat(descriptor)
-    if not stat.S_ISREG(status.st_mode):
-        os.close(descriptor)
-        raise BadMesh("is no file: a mesh is not read from a folder, a pipe or a device", path)
-    with os.fdopen(descriptor, "rb") as stream:
-        _check_size(status.st_size, _MOST_BYTES, path)
-        try:
-            content = stream.read(_MOST_BYTES + 1)
-        except OSError as error:
-            raise BadMesh(f"cannot read the mesh: {error.strerror}", path) from None
-    _check_size(len(content), _MOST_BYTES, path)  # it may have grown, or lie about its size as those of /proc do
+    # It may have grown, or lie about its size as those of /proc do.
+    _check_size(max(size, len(content)), _MOST_BYTES, path)
     return content
 
 
 def _check_size(size: int, most: int, path: Path) -> None:
     if size > most:
         raise BadMesh(f"the file has {size / 2**20:.0f} MiB, and more than {most // 2**20} MiB are refused", path)
-
-
-def _text_kind(kind: str, content: bytes, path: Path) -> Triangles:
-    _check_size(len(content), _MOST_BYTES_OF_TEXT, path)
-    if kind == ".obj":
-        return _obj(content, path)
-    return _dae(content, path)
 
 
 def _stl(content: bytes, path: Path) -> Triangles:
@@ -244,7 +235,9 @@ def _dae(content: bytes, path: Path) -> Triangles:
         root = xml_tree.read(content, str(path), _MOST_BYTES_OF_TEXT)
     except BadFile as error:
         raise BadMesh(f"cannot read the mesh: {error.reason}", path) from None
-    if _kind(root) != "COLLADA":
+    for element in root.walk():
+        element.tag = element.tag.rpartition(":")[2]  # without the prefix of a namespace
+    if root.tag != "COLLADA":
         raise BadMesh(f"cannot read the mesh: the outermost element is <{root.tag}>, expected <COLLADA>", path)
     return _Scene(root, path).triangles()
 
@@ -280,8 +273,7 @@ class _Scene:
 
     def _metres(self) -> float:
         """What one unit of the file is in metres."""
-        asset = _child(self.root, "asset")
-        unit = _child(asset, "unit") if asset is not None else None
+        unit = below(self.root, "asset", "unit")
         metres = float((unit.get("meter") if unit is not None else None) or 1.0)
         if not 0.0 < metres < math.inf:
             raise BadMesh(f"cannot read the mesh: a unit of {metres:g} m", self.path)
@@ -298,38 +290,34 @@ class _Scene:
                 raise BadMesh(f"the scene has more than {_MOST_PARTS} nodes, instances included", self.path)
             if depth > _DEEPEST:
                 raise BadMesh(f"the nodes of the scene are nested deeper than {_DEEPEST}", self.path)
-            below: list[tuple[Element, NDArray[np.float64], int]] = []
+            inside: list[tuple[Element, NDArray[np.float64], int]] = []
             for child in node.children:
-                kind = _kind(child)
+                kind = child.tag
                 if (placed := _transform(child)) is not None:
                     place = place @ placed
                 elif kind == "node":
-                    below.append((child, place, depth + 1))
+                    inside.append((child, place, depth + 1))
                 elif kind == "instance_node":
-                    below.append((self._target(child, "url"), place, depth + 1))
+                    inside.append((self._target(child, "url"), place, depth + 1))
                 elif kind in ("instance_geometry", "instance_controller"):
                     yield self._geometry(child), place
-            waiting.extend(reversed(below))
+            waiting.extend(reversed(inside))
 
     def _top_nodes(self) -> list[Element]:
-        scene = _child(self.root, "scene")
-        instance = _child(scene, "instance_visual_scene") if scene is not None else None
-        if instance is not None:
-            shown: Element | None = self._target(instance, "url")
-        else:
-            library = _child(self.root, "library_visual_scenes")
-            shown = _child(library, "visual_scene") if library is not None else None
+        shown = below(self.root, "library_visual_scenes", "visual_scene")
+        if (instance := below(self.root, "scene", "instance_visual_scene")) is not None:
+            shown = self._target(instance, "url")
         if shown is None:
             raise BadMesh("cannot read the mesh: it has no <visual_scene>", self.path)
-        return _children(shown, "node")
+        return shown.find_all("node")
 
     def _geometry(self, instance: Element) -> Element:
         """The geometry that is instanced; that of a skin or a morph as it is drawn at rest."""
         target = self._target(instance, "url")
         for _ in range(_DEEPEST):
-            if _kind(target) == "geometry":
+            if target.tag == "geometry":
                 return target
-            skin = _child(target, "skin") or _child(target, "morph")
+            skin = target.find("skin") or target.find("morph")
             if skin is None:
                 break
             target = self._target(skin, "source")
@@ -344,13 +332,13 @@ class _Scene:
         return found
 
     def _read_surface(self, geometry: Element) -> Triangles:
-        mesh = _child(geometry, "mesh")
+        mesh = geometry.find("mesh")
         vertices: list[NDArray[np.float64]] = []
         faces: list[NDArray[np.int64]] = []
         starts: dict[int, int] = {}
         total = 0
         for primitive in mesh.children if mesh is not None else ():
-            if _kind(primitive) in _PRIMITIVES and (inputs := _children(primitive, "input")):
+            if primitive.tag in _PRIMITIVES and (inputs := primitive.find_all("input")):
                 source, offset = self._positions(primitive, inputs)
                 if id(source) not in starts:
                     starts[id(source)] = total
@@ -379,15 +367,14 @@ class _Scene:
         """The source of the positions of a primitive's corners, and where their indices are among those of a corner."""
         for entry in inputs:
             if entry.get("semantic") == "VERTEX":
-                for inner in _children(self._target(entry, "source"), "input"):
+                for inner in self._target(entry, "source").find_all("input"):
                     if inner.get("semantic") == "POSITION":
                         return self._target(inner, "source"), int(entry.get("offset") or 0)
         raise BadMesh(f"cannot read the mesh: line {primitive.line} has no positions", self.path)
 
     def _points(self, source: Element) -> NDArray[np.float64]:
-        array = _child(source, "float_array")
-        common = _child(source, "technique_common")
-        accessor = _child(common, "accessor") if common is not None else None
+        array = source.find("float_array")
+        accessor = below(source, "technique_common", "accessor")
         if accessor is not None and (accessor.get("source") or "").removeprefix("#") in self.by_id:
             array = self._target(accessor, "source")
         if array is None:
@@ -403,10 +390,10 @@ class _Scene:
 
 def _corners(primitive: Element, offset: int, stride: int) -> NDArray[np.int64]:
     """Triangles, as indices of positions; polygons are cut into fans, and their holes are filled."""
-    kind = _kind(primitive)
-    holed = [inner for outer in _children(primitive, "ph") for inner in _children(outer, "p")]
+    kind = primitive.tag
+    holed = [inner for outer in primitive.find_all("ph") for inner in outer.find_all("p")]
     rows = [np.zeros(0, np.int64)]
-    for text in _children(primitive, "p") + holed:
+    for text in primitive.find_all("p") + holed:
         numbers = _integers(text)
         rows.append(numbers[: len(numbers) // stride * stride].reshape(-1, stride)[:, offset])
     if kind == "triangles":
@@ -416,7 +403,7 @@ def _corners(primitive: Element, offset: int, stride: int) -> NDArray[np.int64]:
         for strip in strips:
             strip[1::2] = strip[1::2, ::-1]
         return np.concatenate([np.zeros((0, 3), np.int64), *strips])
-    counts = _child(primitive, "vcount")
+    counts = primitive.find("vcount")
     if kind != "polylist":
         sizes = np.array([len(row) for row in rows], np.int64)
     else:
@@ -434,34 +421,17 @@ def _fans(corners: NDArray[np.int64], sizes: NDArray[np.int64]) -> NDArray[np.in
     return np.stack([corners[starts], corners[starts + steps + 1], corners[starts + steps + 2]], axis=1)
 
 
-def _kind(element: Element) -> str:
-    """The tag without its namespace's prefix."""
-    return element.tag.rpartition(":")[2]
-
-
-def _children(element: Element, kind: str) -> list[Element]:
-    return [child for child in element.children if _kind(child) == kind]
-
-
-def _child(element: Element, kind: str) -> Element | None:
-    return next((child for child in element.children if _kind(child) == kind), None)
-
-
-def _text(element: Element) -> str:
-    return "".join(node for node in element.content if isinstance(node, str) and not isinstance(node, Comment))
-
-
 def _floats(element: Element) -> NDArray[np.float64]:
-    return np.array(_text(element).replace(",", " ").split(), dtype=np.float64)
+    return np.array(element.text.replace(",", " ").split(), dtype=np.float64)
 
 
 def _integers(element: Element) -> NDArray[np.int64]:
-    return np.array(_text(element).split(), dtype=np.int64)
+    return np.array(element.text.split(), dtype=np.int64)
 
 
 def _transform(element: Element) -> NDArray[np.float64] | None:
     """The 4 x 4 matrix of a node's transform; None of other elements. Raises ValueError for numbers too few or many."""
-    kind = _kind(element)
+    kind = element.tag
     if kind not in _TRANSFORMS:
         return None
     numbers = _floats(element)

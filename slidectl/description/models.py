@@ -5,6 +5,7 @@ A file, a shipped model's name, standard input, or the text itself. Nothing is e
 
 from __future__ import annotations
 
+import errno
 import os
 import stat
 import sys
@@ -65,7 +66,7 @@ def read_regular(path: Path, most_bytes: int, *, pipes: bool = False) -> bytes:
     read too, which is for files that the user names himself: a shell makes one of `<(xacro robot.xacro)`.
 
     Raises:
-        BadFile: it is none. OSError, ValueError: it cannot be read.
+        BadFile: it is none. OSError, ValueError: it is a folder, or cannot be read.
     """
     is_pipe = pipes and stat.S_ISFIFO(os.stat(path).st_mode)
     _check_kind(path, os.stat(path).st_mode, is_pipe)
@@ -77,9 +78,11 @@ def read_regular(path: Path, most_bytes: int, *, pipes: bool = False) -> bytes:
 
 
 def _check_kind(path: Path, mode: int, is_pipe: bool) -> None:
-    """Raises BadFile unless it is a regular file, a folder (which says so when it is read), or a pipe that may be."""
-    if stat.S_ISREG(mode) or stat.S_ISDIR(mode) or (is_pipe and stat.S_ISFIFO(mode)):
+    """Raises BadFile unless it is a regular file, or a pipe that may be; of a folder IsADirectoryError."""
+    if stat.S_ISREG(mode) or (is_pipe and stat.S_ISFIFO(mode)):
         return
+    if stat.S_ISDIR(mode):  # `open` would say so too, and leave the descriptor open
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     kind = "a pipe" if stat.S_ISFIFO(mode) else "a socket" if stat.S_ISSOCK(mode) else "a device"
     raise BadFile(f"is {kind}, and only regular files are read", str(path))
 

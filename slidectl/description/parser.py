@@ -20,6 +20,7 @@ from slidectl.description.packages import Packages
 from slidectl.description.report import Report, one_line
 from slidectl.description.rigid_bodies import WORLD, Weigher
 from slidectl.description.robot import (
+    MOVING,
     Box,
     Cylinder,
     Geometry,
@@ -55,7 +56,6 @@ _MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 _TYPES: tuple[str, ...] = get_args(JointType)
 _WITH_AXIS = ("revolute", "continuous", "prismatic", "planar")
 _WITH_RANGE = ("revolute", "prismatic")
-_IMMOBILE = ("fixed", "floating", "planar")
 _OF_JOINT = {"parent", "child", "origin", "axis", "limit", "dynamics", "safety_controller", "mimic", "calibration"}
 
 
@@ -109,7 +109,7 @@ def parse_tree(root: Element, meshes: MeshFiles, report: Report, strict: bool = 
         gazebo.read(element)
     if is_whole:
         for follower, (mimic, plugin) in gazebo.drives.mimics.items():
-            if (kind := joints[follower].type) in _IMMOBILE:
+            if (kind := joints[follower].type) not in MOVING:
                 report.wrong(plugin, f"joint {follower!r} is {kind} and cannot follow; the plugin has no effect")
                 continue
             if joints[follower].mimic not in (None, mimic):
@@ -410,7 +410,7 @@ class _JointReader:
         return x / length, y / length, z / length
 
     def _limit(self, limit: Element, kind: JointType, owner: str) -> Limit | None:
-        if kind not in (*_WITH_RANGE, "continuous"):
+        if kind not in MOVING:
             self._ignore(limit, owner, f"a {kind} joint has no limits")
             return None
         self.report.unknown(limit, {"lower", "upper", "effort", "velocity"}, (), f"{owner}/<limit>")
@@ -463,7 +463,7 @@ class _JointReader:
         return Safety(lower, upper, k_position, element_values.number(safety, "k_velocity", owner))
 
     def _mimic(self, mimic: Element, kind: JointType, owner: str) -> Mimic | None:
-        if kind not in (*_WITH_RANGE, "continuous"):
+        if kind not in MOVING:
             self._ignore(mimic, owner, f"a {kind} joint cannot follow another")
             return None
         self.report.unknown(mimic, {"joint", "multiplier", "offset"}, (), f"{owner}/<mimic>")
@@ -557,7 +557,7 @@ class _Structure:
             raise element_values.unknown(
                 element, f"joint {joint.name!r}: <mimic>", "joint", joint.mimic.joint, self.joints
             )
-        if master.type in _IMMOBILE:
+        if master.type not in MOVING:
             raise element.error(f"joint {joint.name!r} cannot mimic {master.name!r}, which is {master.type}")
         seen = [joint.name]
         while joint.mimic is not None and joint.mimic.joint in self.joints:

@@ -5,7 +5,8 @@ Parsers of elements write into a Report while they read. It only collects: what 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable
+from itertools import islice
 from typing import Any
 
 from slidectl.description.robot import Notice, Verdict
@@ -80,24 +81,20 @@ class Report:
         place = owner or element.title
         for name in element.attributes:
             if name not in attributes and not is_namespace(name):
-                near = self._near(name, attributes)
-                hint = f"; did you mean {near!r}?" if near else ""
+                hint = self.meant(name, attributes)
                 self.ignored(element, f"attribute {name!r} is unknown here and has no effect{hint}", place, name)
         for child in element.children:
             if child.tag not in children:
-                self._unknown_child(child, children, place)
+                hint = f"; {_FOREIGN[child.tag]}" if child.tag in _FOREIGN else self.meant(child.tag, children, "<{}>")
+                self.ignored(child, f"is unknown here and has no effect{hint}", f"{place}/{child.title}")
 
-    def _unknown_child(self, child: Element, children: Collection[str], place: str) -> None:
-        hint = _FOREIGN.get(child.tag)
-        if hint is None and (near := self._near(child.tag, children)):
-            hint = f"did you mean <{near}>?"
-        text = f"is unknown here and has no effect{f'; {hint}' if hint else ''}"
-        self.ignored(child, text, f"{place}/{child.title}")
+    def meant(self, name: str, known: Iterable[str], form: str = "{!r}") -> str:
+        """`; did you mean ...?` with the known name nearest to one, or nothing.
 
-    def _near(self, name: str, known: Collection[str]) -> str | None:
-        """The known name nearest to one; comparing spellings takes its time, and is not done for ever."""
+        Comparing spellings takes its time: it is done for so many names of one file, and with so many known ones.
+        """
         self._compared += 1
-        return closest(name, sorted(known)) if self._compared <= _MOST_COMPARED else None
+        return did_you_mean(name, islice(known, _MOST_COMPARED), form) if self._compared <= _MOST_COMPARED else ""
 
     def only(self, element: Element, tag: str) -> Element | None:
         """The first child called `tag`, or None; each further one is reported as ignored, as urdfdom reads it."""
@@ -112,6 +109,12 @@ class Report:
 def is_namespace(attribute: str) -> bool:
     """True for the attribute that only names an XML namespace."""
     return attribute == "xmlns" or attribute.startswith("xmlns:")
+
+
+def did_you_mean(name: str, known: Iterable[str], form: str = "{!r}") -> str:
+    """`; did you mean ...?` with the known name that is nearest in spelling, or nothing."""
+    near = closest(name, known)
+    return f"; did you mean {form.format(near)}?" if near else ""
 
 
 def one_line(text: str) -> str:

@@ -2,7 +2,7 @@
 
 Gazebo lumps such links before it judges their inertia, and so does this: a link on a fixed joint may weigh nothing, or
 have an inertia that no body has, as long as the whole can be simulated. A body that cannot is mended, with a notice.
-What a body can weigh is inertia.py's; joints between bodies are structure.py's.
+What a body can weigh is inertia.py's; how joints join bodies is parser.py's.
 """
 
 from __future__ import annotations

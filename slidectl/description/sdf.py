@@ -14,17 +14,18 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from urllib.parse import unquote
 
 from slidectl.description import models, xml_tree
-from slidectl.description.element_values import parse_number
+from slidectl.description.element_values import child_text, parse_number
 from slidectl.description.missing import Missing
 from slidectl.description.packages import Packages, UnknownPackage, is_file, shown
 from slidectl.description.robot import Notice, Verdict
-from slidectl.description.xml_tree import Element
+from slidectl.description.xml_tree import Element, below
 from slidectl.errors import NotThere, UsageError
 from slidectl.rotations import ORIGIN, Pose, compose, conjugate, from_rpy, relative, rotate, to_rpy
 
@@ -40,7 +41,6 @@ _HOME = "~/.gazebo/models"
 _JOINTS = ("revolute", "continuous", "prismatic", "fixed")
 """Kinds of joint that URDF has too."""
 _UNLIMITED = 1e16
-_MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 _QUIET = ("allow_auto_disable", "enable_wind", "kinematic", "velocity_decay", "must_be_base_link", "audio_source")
 """What changes nothing in a world of rigid bodies."""
 
@@ -206,6 +206,12 @@ class _SceneReader:
     def say(self, verdict: Verdict, element: Element, text: str) -> None:
         self.scene.notices.append(Notice(verdict, element.title, text, element.file, element.line))
 
+    def say_unknown(self, element: Element, known: Collection[str]) -> None:
+        """Report the children of an element that are read nowhere."""
+        for child in element.children:
+            if child.tag not in known:
+                self.say("ignored", child, f"has no effect in <{element.tag}>: there is nothing like it here")
+
     def absent(self, error: NotThere, loss: str) -> None:
         """Note what is not there, or raise it where nobody takes that in."""
         if self.missing is None:
@@ -220,44 +226,39 @@ class _SceneReader:
         places = [root] if root.tag != "world" else []
         states = _states(worlds[0]) if worlds else {}
         if root.tag == "model":
-            return self.model(root, ORIGIN, version)
+            return self.model(root, version)
         for holder in (*places, *worlds[:1]):
             for element in holder.children:
                 try:
                     if element.tag == "model":
-                        placed = states.get(element.get("name") or "")
-                        self.model(element, ORIGIN, version, at=placed)
+                        self.model(element, version, at=states.get(element.get("name") or ""))
                     elif element.tag == "include":
-                        self.include(element, ORIGIN, states)
+                        self.include(element, states)
                 except NotThere as error:
                     self.absent(error, "the model is left out")
         return None
 
-    def include(self, element: Element, frame: Pose, states: dict[str, Pose] | None = None) -> None:
+    def include(self, element: Element, states: dict[str, Pose]) -> None:
         """The model of an `<include>` with what the tag says over it."""
-        uri = _text(element, "uri")
-        if not uri:
-            raise element.error("<include> lacks <uri>")
-        short = _short(uri)
+        short = _short(child_text(element, "uri", ""))
         if short == SUN:
             return
         if short == GROUND_PLANE:
             self.scene.has_ground = True
             return
-        model, version = self.included(uri, element)
-        name = _text(element, "name") or model.get("name") or short
-        placed = (states or {}).get(name)
-        pose_element = element.find("pose")
-        at = placed or (_pose(pose_element) if pose_element is not None else None)
-        static = element.find("static")
-        self.depth += 1
-        try:
-            self.model(model, frame, version, name, at, _truth(static) if static is not None else None)
-        finally:
-            self.depth -= 1
+        pose, static = element.find("pose"), element.find("static")
+        self.say_unknown(element, ("uri", "name", "pose", "static"))
+        with self.included(element) as (model, version):
+            name = child_text(element, "name", model.get("name") or short)
+            at = states.get(name) or (_pose(pose) if pose is not None else None)
+            self.model(model, version, name, at, _truth(static) if static is not None else None)
 
-    def included(self, uri: str, element: Element) -> tuple[Element, str]:
+    @contextmanager
+    def included(self, element: Element) -> Iterator[tuple[Element, str]]:
         """The `<model>` that an `<include>` names, and its version of SDF. Raises BadFile, NotThere."""
+        uri = child_text(element, "uri", "")
+        if not uri:
+            raise element.error("<include> lacks <uri>")
         self.includes += 1
         if self.depth >= _DEEPEST_INCLUDE:
             raise element.error(f"<include> is nested deeper than {_DEEPEST_INCLUDE}")
@@ -268,12 +269,15 @@ class _SceneReader:
         model = root if root.tag == "model" else root.find("model")
         if model is None:
             raise root.error(f"there is no <model> in it; {element.file}:{element.line} includes it")
-        return model, root.get("version") or "1.6"
+        self.depth += 1
+        try:
+            yield model, root.get("version") or "1.6"
+        finally:
+            self.depth -= 1
 
     def model(
         self,
         element: Element,
-        frame: Pose,
         version: str,
         name: str | None = None,
         at: Pose | None = None,
@@ -285,8 +289,7 @@ class _SceneReader:
             self.scene.has_ground = True
             return
         part = _ModelReader(self, title, element, version)
-        own = at if at is not None else _pose_of(element)
-        place = compose(frame, own)
+        place = at if at is not None else _pose_of(element)
         is_static = static if static is not None else _truth(element.find("static"))
         part.read(element, ORIGIN, "")
         self.scene.models += list(part.parts(place, is_static))  # all of them, or none where something is not there
@@ -349,31 +352,22 @@ class _ModelReader:
                 inner = compose(frame, _pose_of(element))
                 self.read(element, inner, f"{prefix}{element.get('name') or 'model'}::")
             elif element.tag == "include":
-                self._included(element, frame, prefix)
+                self.scene.say_unknown(element, ("uri", "name", "pose"))
+                with self.scene.included(element) as (inside, _):
+                    placed = _pose_of(element if element.find("pose") is not None else inside)
+                    name = child_text(element, "name", inside.get("name") or "model")
+                    self.read(inside, compose(frame, placed), f"{prefix}{name}::")
             elif element.tag == "plugin":
                 self.scene.say("wrong", element, "plugins of Gazebo have no effect")
             elif element.tag not in ("pose", "static", "self_collide", *_QUIET):
                 self.scene.say("ignored", element, "has no effect: there is nothing like it here")
 
-    def _included(self, element: Element, frame: Pose, prefix: str) -> None:
-        uri = _text(element, "uri")
-        if not uri:
-            raise element.error("<include> lacks <uri>")
-        model, _ = self.scene.included(uri, element)
-        pose = element.find("pose")
-        inner = compose(frame, _pose(pose) if pose is not None else _pose_of(model))
-        name = _text(element, "name") or model.get("name") or "model"
-        self.scene.depth += 1
-        try:
-            self.read(model, inner, f"{prefix}{name}::")
-        finally:
-            self.scene.depth -= 1
-
     def _joint(self, element: Element, prefix: str) -> None:
         name = prefix + (element.get("name") or "joint")
+        self.scene.say_unknown(element, ("parent", "child", "pose", "axis"))
         ends = {}
         for end in ("parent", "child"):
-            written = _text(element, end)
+            written = child_text(element, end, "")
             if not written:
                 raise element.error(f"joint {name!r} lacks <{end}>")
             ends[end] = written if written == "world" else prefix + written
@@ -423,23 +417,20 @@ class _ModelReader:
     def _static(self, place: Pose) -> SdfModel:
         """All links fixed to the world; joints do not move in a static model."""
         urdf = self._urdf(self.name)
-        name = urdf.attributes["name"]
-        urdf.content.append(self._made("link", self.element, name="world"))
-        for link, sdf in self.links.items():
-            urdf.content.extend(self._link(link, sdf, ORIGIN))
-            joint = self._made("joint", sdf.element, name=f"world_to_{link}", type="fixed")
-            joint.content += [
-                self._origin(sdf.pose, sdf.element),
-                self._made("parent", sdf.element, link="world"),
-                self._made("child", sdf.element, link=link),
-            ]
-            urdf.content.append(joint)
-        return self._model(name, urdf, place, is_static=True)
+        urdf.content.append(_made("link", self.element, name="world"))
+        for name, link in self.links.items():
+            at = link.element
+            ends = _made("parent", at, link="world"), _made("child", at, link=name)
+            urdf.content.extend(self._link(name, link, ORIGIN))
+            urdf.content.append(
+                _made("joint", at, _origin(link.pose, at), *ends, name=f"world_to_{name}", type="fixed")
+            )
+        return self._model(urdf, place, is_static=True)
 
     def _part(self, name: str, root: str, members: list[str], above: dict[str, _SdfJoint], place: Pose) -> SdfModel:
         urdf = self._urdf(name)
         if root == "world":
-            urdf.content.append(self._made("link", self.element, name="world"))
+            urdf.content.append(_made("link", self.element, name="world"))
         frames = {"world": ORIGIN}
         for link in members:
             pose = self.links[link].pose
@@ -450,32 +441,22 @@ class _ModelReader:
         for link in members:
             if link in above:
                 urdf.content.append(self._urdf_joint(above[link], frames))
-        start = compose(place, frames[root])
-        return self._model(urdf.attributes["name"], urdf, start, is_static=False)
+        return self._model(urdf, compose(place, frames[root]), is_static=False)
 
-    def _model(self, name: str, urdf: Element, pose: Pose, *, is_static: bool) -> SdfModel:
+    def _model(self, urdf: Element, pose: Pose, *, is_static: bool) -> SdfModel:
+        name = urdf.attributes["name"]
         self.first = self.first or name
         return SdfModel(name, self.first, xml_tree.write(urdf), pose, is_static, self.element.file, self.element.line)
 
     def _urdf(self, name: str) -> Element:
-        return self._made("robot", self.element, name=self.scene.free_name(name))
+        return _made("robot", self.element, name=self.scene.free_name(name))
 
     # --- URDF --------------------------------------------------------------------------------------------------------
 
-    @staticmethod
-    def _made(tag: str, at: Element, **attributes: str) -> Element:
-        """An element of URDF that stands where `at` was written."""
-        return Element(tag, attributes, at.file, at.line)
-
-    def _origin(self, pose: Pose, at: Element) -> Element:
-        return self._made("origin", at, xyz=_numbers(pose[0]), rpy=_numbers(to_rpy(pose[1])))
-
     def _link(self, name: str, link: _SdfLink, shift: Pose) -> Iterator[Element]:
         """The link in URDF, and its `<gazebo>`; `shift` is SDF's link frame seen from URDF's."""
-        made = self._made("link", link.element, name=name)
-        inertial = link.element.find("inertial")
-        made.content.append(self._inertial(inertial if inertial is not None else link.element, shift))
-        gazebo = self._made("gazebo", link.element, reference=name)
+        made = _made("link", link.element, self._inertial(link.element, shift), name=name)
+        gazebo = _made("gazebo", link.element, reference=name)
         for element in link.element.children:
             if element.tag in ("collision", "visual"):
                 shape = self._shape(element, shift)
@@ -484,9 +465,9 @@ class _ModelReader:
                 if element.tag == "collision":
                     gazebo.content += self._friction(element)
             elif element.tag == "gravity":
-                gazebo.content.append(self._texted("turnGravityOff", element, "false" if _truth(element) else "true"))
+                gazebo.content.append(_made("turnGravityOff", element, "false" if _truth(element) else "true"))
             elif element.tag == "self_collide":
-                gazebo.content.append(self._texted("selfCollide", element, "true" if _truth(element) else "false"))
+                gazebo.content.append(_made("selfCollide", element, "true" if _truth(element) else "false"))
             elif element.tag not in ("pose", "inertial", "sensor", "light", *_QUIET):
                 self.scene.say("ignored", element, "has no effect: there is nothing like it here")
             elif element.tag == "sensor":
@@ -495,23 +476,23 @@ class _ModelReader:
         if gazebo.content:
             yield gazebo
 
-    def _inertial(self, element: Element, shift: Pose) -> Element:
+    def _inertial(self, link: Element, shift: Pose) -> Element:
         """Mass 1 kg and moments 1 kg m2 where SDF says nothing, which are its defaults."""
-        is_written = element.tag == "inertial"
-        pose = _pose_of(element) if is_written else ORIGIN
-        mass = element.find("mass") if is_written else None
-        tensor = element.find("inertia") if is_written else None
-        made = self._made("inertial", element)
-        moments = {name: "1" if name in ("ixx", "iyy", "izz") else "0" for name in _MOMENTS}
+        inertial = link.find("inertial")
+        element = inertial or link
+        pose = _pose_of(inertial) if inertial is not None else ORIGIN
+        mass, tensor = below(inertial, "mass"), below(inertial, "inertia")
+        moments = {"ixx": "1", "ixy": "0", "ixz": "0", "iyy": "1", "iyz": "0", "izz": "1"}
         for moment in tensor.children if tensor is not None else []:
             if moment.tag in moments:
                 moments[moment.tag] = repr(_number(moment))
-        made.content += [
-            self._origin(compose(shift, pose), element),
-            self._made("mass", mass or element, value=repr(_number(mass)) if mass is not None else "1"),
-            Element("inertia", moments, element.file, element.line),
-        ]
-        return made
+        return _made(
+            "inertial",
+            element,
+            _origin(compose(shift, pose), element),
+            _made("mass", mass or element, value=repr(_number(mass)) if mass is not None else "1"),
+            _made("inertia", element, **moments),
+        )
 
     def _shape(self, element: Element, shift: Pose) -> Element | None:
         """A `<visual>` or `<collision>`; None for one that URDF has no shape for."""
@@ -531,32 +512,30 @@ class _ModelReader:
             known = "box, sphere, cylinder and mesh"
             self.scene.say("wrong", found, f"is left out: the shapes here are {known}")
             return None
-        made = self._made(element.tag, element, name=element.get("name") or element.tag)
-        outer = self._made("geometry", found)
-        outer.content.append(made_shape)
-        made.content += [self._origin(compose(shift, _pose_of(element)), element), outer]
+        origin = _origin(compose(shift, _pose_of(element)), element)
+        name = element.get("name") or element.tag
+        made = _made(element.tag, element, origin, _made("geometry", found, made_shape), name=name)
         colour = _colour(element.find("material"))
         if element.tag == "visual" and colour:
-            material = self._made("material", element, name=f"{element.get('name')}_material")
-            material.content.append(self._made("color", element, rgba=colour))
-            made.content.append(material)
+            inside = _made("color", element, rgba=colour)
+            made.content.append(_made("material", element, inside, name=f"{element.get('name')}_material"))
         return made
 
     def _geometry(self, shape: Element) -> Element | None:
         if shape.tag == "box":
-            return self._made("box", shape, size=_numbers(_values(_child(shape, "size"), 3)))
+            return _made("box", shape, size=_numbers(_values(_child(shape, "size"), 3)))
         if shape.tag == "sphere":
-            return self._made("sphere", shape, radius=repr(_number(_child(shape, "radius"))))
+            return _made("sphere", shape, radius=repr(_number(_child(shape, "radius"))))
         if shape.tag == "cylinder":
             radius, length = (repr(_number(_child(shape, name))) for name in ("radius", "length"))
-            return self._made("cylinder", shape, radius=radius, length=length)
+            return _made("cylinder", shape, radius=radius, length=length)
         if shape.tag == "mesh":
             uri = _child(shape, "uri")
             path = self.scene.files.resolve(uri.first_text, uri)
             if not is_file(path):
                 text = f"mesh {uri.first_text!r}: no such file; looked for {path}"
                 raise NotThere(text, uri.file, uri.line, None, f"mesh {uri.first_text}")
-            made = self._made("mesh", shape, filename=uri.first_text)
+            made = _made("mesh", shape, filename=uri.first_text)
             made.set_mesh(path.absolute().as_uri())
             scale = shape.find("scale")
             if scale is not None:
@@ -568,20 +547,11 @@ class _ModelReader:
 
     def _friction(self, collision: Element) -> list[Element]:
         """mu and mu2 of `surface/friction/ode`, as `<mu1>` and `<mu2>`."""
-        found: Element | None = collision
-        for tag in ("surface", "friction", "ode"):
-            found = found.find(tag) if found is not None else None
+        found = below(collision, "surface", "friction", "ode")
         if found is None:
             return []
         names = {"mu": "mu1", "mu2": "mu2"}
-        return [
-            self._texted(names[child.tag], child, child.first_text) for child in found.children if child.tag in names
-        ]
-
-    def _texted(self, tag: str, at: Element, text: str) -> Element:
-        made = self._made(tag, at)
-        made.content.append(text)
-        return made
+        return [_made(names[child.tag], child, child.first_text) for child in found.children if child.tag in names]
 
     def _urdf_joint(self, joint: _SdfJoint, frames: dict[str, Pose]) -> Element:
         element = joint.element
@@ -590,45 +560,47 @@ class _ModelReader:
             text = f"joint {joint.name!r} is of type {kind!r}, which is not here"
             raise element.error(text, f"types: {', '.join(_JOINTS)}")
         axis = element.find("axis")
-        limit = axis.find("limit") if axis is not None else None
-        lower, upper = (_limit(limit, "lower", -_UNLIMITED), _limit(limit, "upper", _UNLIMITED))
+        limit, dynamics = below(axis, "limit"), below(axis, "dynamics")
+        lower, upper = _limit(limit, "lower", -_UNLIMITED), _limit(limit, "upper", _UNLIMITED)
         if kind == "revolute" and (lower <= -_UNLIMITED or upper >= _UNLIMITED):
             kind = "continuous"
-        made = self._made("joint", element, name=joint.name, type=kind)
-        made.content += [
-            self._origin(relative(frames[joint.child], frames[joint.parent]), element),
-            self._made("parent", element, link=joint.parent),
-            self._made("child", element, link=joint.child),
-        ]
+        origin = _origin(relative(frames[joint.child], frames[joint.parent]), element)
+        ends = _made("parent", element, link=joint.parent), _made("child", element, link=joint.child)
+        made = _made("joint", element, origin, *ends, name=joint.name, type=kind)
         if kind == "fixed":
             return made
-        made.content.append(self._made("axis", axis or element, xyz=_numbers(self._axis(axis, frames[joint.child]))))
+        made.content.append(_made("axis", axis or element, xyz=_numbers(self._axis(axis, frames[joint.child]))))
         effort, velocity = _limit(limit, "effort", -1.0), _limit(limit, "velocity", -1.0)
         bounds = {"effort": repr(effort if effort >= 0 else _UNLIMITED)}
         bounds["velocity"] = repr(velocity if velocity >= 0 else _UNLIMITED)
         if kind != "continuous":
             bounds |= {"lower": repr(lower), "upper": repr(upper)}
-        made.content.append(Element("limit", bounds, (limit or element).file, (limit or element).line))
-        dynamics = axis.find("dynamics") if axis is not None else None
+        made.content.append(_made("limit", limit or element, **bounds))
         if dynamics is not None:
-            given = {
-                child.tag: repr(_number(child)) for child in dynamics.children if child.tag in ("damping", "friction")
-            }
-            made.content.append(Element("dynamics", given, dynamics.file, dynamics.line))
+            known = [child for child in dynamics.children if child.tag in ("damping", "friction")]
+            made.content.append(_made("dynamics", dynamics, **{child.tag: repr(_number(child)) for child in known}))
         return made
 
     def _axis(self, axis: Element | None, joint_frame: Pose) -> tuple[float, ...]:
         """The axis in the joint's frame."""
-        element = axis.find("xyz") if axis is not None else None
+        element = below(axis, "xyz")
         if axis is None or element is None:
             return (0.0, 0.0, 1.0)
         x, y, z = _values(element, 3)
-        in_model = axis.find("use_parent_model_frame")
-        if self.axis_in_model if in_model is None else _truth(in_model):
-            return rotate(conjugate(joint_frame[1]), (x, y, z))
-        if element.get("expressed_in") == "__model__":
+        written = axis.find("use_parent_model_frame")
+        in_model = self.axis_in_model if written is None else _truth(written)
+        if in_model or element.get("expressed_in") == "__model__":
             return rotate(conjugate(joint_frame[1]), (x, y, z))
         return (x, y, z)
+
+
+def _made(tag: str, at: Element, *content: Element | str, **attributes: str) -> Element:
+    """An element of URDF that stands where `at` was written."""
+    return Element(tag, attributes, at.file, at.line, list(content))
+
+
+def _origin(pose: Pose, at: Element) -> Element:
+    return _made("origin", at, xyz=_numbers(pose[0]), rpy=_numbers(to_rpy(pose[1])))
 
 
 def _root(link: str, above: dict[str, _SdfJoint]) -> str:
@@ -655,7 +627,7 @@ def _states(world: Element) -> dict[str, Pose]:
 def is_ground(element: Element) -> bool:
     """A `<model>` that is called so or whose only shape is a plane, or the `<include>` of the one that is called so."""
     if element.tag == "include":
-        return _short(_text(element, "uri")) == GROUND_PLANE
+        return _short(child_text(element, "uri", "")) == GROUND_PLANE
     shapes = [shape for inner in element.walk() if inner.tag == "geometry" for shape in inner.children]
     return element.get("name") == GROUND_PLANE or bool(shapes and all(shape.tag == "plane" for shape in shapes))
 
@@ -676,11 +648,6 @@ def _named_in_config(path: Path) -> str | None:
 
 def _version(text: str) -> tuple[int, ...]:
     return tuple(int(part) for part in re.findall(r"\d+", text)[:2])
-
-
-def _text(element: Element, tag: str) -> str:
-    child = element.find(tag)
-    return child.first_text if child is not None else ""
 
 
 def _child(element: Element, tag: str) -> Element:
@@ -705,7 +672,7 @@ def _number(element: Element) -> float:
 
 def _limit(limit: Element | None, tag: str, default: float) -> float:
     """A bound of a joint; SDF writes 1e16, or `inf`, where there is none."""
-    element = limit.find(tag) if limit is not None else None
+    element = below(limit, tag)
     if element is None:
         return default
     return max(-_UNLIMITED, min(_UNLIMITED, parse_number(element.first_text, element, f"<{tag}>", finite=False)))
@@ -725,12 +692,9 @@ def _pose_of(element: Element) -> Pose:
 
 
 def _pose(element: Element) -> Pose:
-    if element.get("relative_to") or element.get("frame"):
-        name = element.get("relative_to") or element.get("frame")
-        if name not in ("", "__model__", "world"):
-            raise element.error(
-                f"<pose> is relative to {name!r}: frames by name are not read", "write it in its parent's"
-            )
+    name = element.get("relative_to") or element.get("frame") or ""
+    if name not in ("", "__model__", "world"):
+        raise element.error(f"<pose> is relative to {name!r}: frames by name are not read", "write it in its parent's")
     if not element.first_text:
         return ORIGIN
     x, y, z, *angles = _values(element, 6)
@@ -742,7 +706,7 @@ def _pose(element: Element) -> Pose:
 def _colour(material: Element | None) -> str:
     """`r g b a` of the diffuse colour, else the ambient one; empty without either."""
     for tag in ("diffuse", "ambient"):
-        element = material.find(tag) if material is not None else None
+        element = below(material, tag)
         if element is not None and element.first_text:
             words = element.first_text.split()
             return _numbers(_values(element, len(words)) if len(words) != 3 else (*_values(element, 3), 1.0))

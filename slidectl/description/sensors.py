@@ -22,7 +22,7 @@ from slidectl.description.robot import (
     Sensor,
     Vector,
 )
-from slidectl.description.xml_tree import Element
+from slidectl.description.xml_tree import Element, below
 
 _FORCE_PLUGIN = "libgazebo_ros_ft_sensor"
 _FORCE_TORQUE = {"frame": ("child", "parent"), "measure_direction": ("child_to_parent", "parent_to_child")}
@@ -76,15 +76,14 @@ class SensorReader:
         if plugin is None:
             names = " or ".join(f"{name}.so" for name in _OF_LINK[kind])
             return self.report.ignored(sensor, f"publishes nothing without a <plugin> {names}", place)
-        for child in sensor.children:
-            if child.tag not in _KNOWN_TAGS:
-                self.report.ignored(child, "has no effect in a sensor here", f"{place}/{child.title}")
+        self._tell_unknown(sensor, place)
         name = sensor.get("name") or kind
         text = plugin.find("pose") or sensor.find("pose")
         origin = _pose(text, place) if text is not None else Pose()
         rate = child_rate(sensor, "update_rate", 0.0, place)
+        common = Sensor(name, link, "", "", rate, origin, 0.0)
         if kind in ("ray", "gpu_ray"):
-            self.sensors.append(self._laser(name, link, sensor, plugin, origin, rate, place))
+            self.sensors.append(self._laser(sensor, plugin, common, place))
         elif kind == "imu":
             self.sensors.append(
                 Imu(
@@ -94,19 +93,22 @@ class SensorReader:
                 )
             )  # fmt: skip
         elif kind == "camera":
-            self.sensors.append(self._camera(sensor, plugin, Sensor(name, link, "", "", rate, origin, 0.0), place))
+            self.sensors.append(self._camera(sensor, plugin, common, place))
         else:
             topic = child_text(plugin, "bumperTopicName", "bumper_states")
             self.sensors.append(Bumper(name, link, topic, child_text(plugin, "frameName", "world"), rate, origin, 0.0))
         return None
 
-    def _laser(
-        self, name: str, link: str, sensor: Element, plugin: Element, origin: Pose, rate: float, place: str
-    ) -> Laser:
+    def _tell_unknown(self, sensor: Element, place: str) -> None:
+        for child in sensor.children:
+            if child.tag not in _KNOWN_TAGS:
+                self.report.ignored(child, "has no effect in a sensor here", f"{place}/{child.title}")
+
+    def _laser(self, sensor: Element, plugin: Element, common: Sensor, place: str) -> Laser:
         ray = sensor.find("ray")
-        scan = _below(ray, "scan", "horizontal")
-        extent, noise = _below(ray, "range"), _below(ray, "noise")
-        vertical = _below(ray, "scan", "vertical")
+        scan = below(ray, "scan", "horizontal")
+        extent, noise = below(ray, "range"), below(ray, "noise")
+        vertical = below(ray, "scan", "vertical")
         if vertical is not None and child_count(vertical, "samples", 1, place) > 1:
             self.report.ignored(vertical, "has no effect: a scan has one layer here", f"{place}/<vertical>")
         samples = child_count(scan, "samples", 640, place)
@@ -119,14 +121,15 @@ class SensorReader:
                 "1 to 100000 samples, min_angle up to max_angle, min below max",
             )
         return Laser(
-            name, link, child_text(plugin, "topicName", "scan"), child_text(plugin, "frameName", link), rate, origin,
+            common.name, common.link, child_text(plugin, "topicName", "scan"),
+            child_text(plugin, "frameName", common.link), common.rate_hz, common.origin,
             child_number(noise, "stddev", child_number(plugin, "gaussianNoise", 0.0, place), place),
             child_number(noise, "mean", 0.0, place), samples, least, most, nearest, farthest,
         )  # fmt: skip
 
     def _camera(self, sensor: Element, plugin: Element, common: Sensor, place: str) -> Camera:
         camera = sensor.find("camera")
-        image, clip, noise = (_below(camera, tag) for tag in ("image", "clip", "noise"))
+        image, clip, noise = (below(camera, tag) for tag in ("image", "clip", "noise"))
         width, height = (child_count(image, tag, size, place) for tag, size in (("width", 320), ("height", 240)))
         view = child_number(camera, "horizontal_fov", 1.047, place)
         near, far = child_number(clip, "near", 0.1, place), child_number(clip, "far", 100.0, place)
@@ -171,17 +174,15 @@ class SensorReader:
         tags = sensor.find("force_torque")
         words = {tag: known[0] for tag, known in _FORCE_TORQUE.items()}
         for tag, known in _FORCE_TORQUE.items():
-            child = tags.find(tag) if tags is not None else None
+            child = below(tags, tag)
             if child is not None and child.first_text in known:
                 words[tag] = child.first_text
             elif child is not None:
                 text = f"{child.first_text!r} has no effect: it is {words[tag]}, or {known[1]}"
                 self.report.ignored(child, text, f"{place}/<{tag}>")
-        for child in sensor.children:
-            if child.tag not in _KNOWN_TAGS:
-                self.report.ignored(child, "has no effect in a sensor here", f"{place}/{child.title}")
+        self._tell_unknown(sensor, place)
         topic = child_text(plugin, "topicName", "") if plugin is not None else ""
-        noise = _below(tags, "force", "x", "noise")
+        noise = below(tags, "force", "x", "noise")
         self._force_torque(
             sensor.get("name") or kind, joint, topic, child_rate(sensor, "update_rate", 0.0, place),
             child_number(plugin, "gaussianNoise", child_number(noise, "stddev", 0.0, place), place),
@@ -238,12 +239,6 @@ class SensorReader:
 def library(plugin: Element) -> str:
     """The library that a `<plugin>` names, without folder and suffix."""
     return (plugin.get("filename") or "").strip().rpartition("/")[2].removesuffix(".so")
-
-
-def _below(element: Element | None, *tags: str) -> Element | None:
-    for tag in tags:
-        element = element.find(tag) if element is not None else None
-    return element
 
 
 def _vector(element: Element, place: str) -> Vector:

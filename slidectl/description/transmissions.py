@@ -12,21 +12,17 @@ from dataclasses import replace
 from typing import Any
 
 from slidectl.description import element_values, interfaces
+from slidectl.description.element_values import child_text
 from slidectl.description.report import Report
-from slidectl.description.robot import Joint, TransmissionActuator, TransmissionInfo, TransmissionJoint
+from slidectl.description.robot import MOVING, Joint, TransmissionActuator, TransmissionInfo, TransmissionJoint
 from slidectl.description.xml_tree import Element
 from slidectl.errors import BadFile
 
 _TO_ADD = f"add <hardwareInterface>{interfaces.EFFORT.written}</hardwareInterface>"
 _JOINT_CHILDREN = {"role", "hardwareInterface", "offset", "mechanicalReduction"}
 _ACTUATOR_CHILDREN = {
-    "role",
-    "hardwareInterface",
-    "mechanicalReduction",
-    "limit",
-    "rotorInertia",
-    "drake:rotor_inertia",
-}
+    "role", "hardwareInterface", "mechanicalReduction", "limit", "rotorInertia", "drake:rotor_inertia",
+}  # fmt: skip
 _IF_REAL = "counts only with real transmissions: slidectl spawn --transmissions real"
 
 
@@ -139,21 +135,18 @@ class TransmissionReader:
             return None
         reduction = self._number(child, "mechanicalReduction", place)
         offset = self._number(child, "offset", place)
-        reduction = 1.0 if reduction is None else reduction
-        return TransmissionJoint(name, interfaces, _role(child), offset or 0.0, reduction)
+        role = child_text(child, "role", "")
+        return TransmissionJoint(name, interfaces, role, offset or 0.0, 1.0 if reduction is None else reduction)
 
     def _actuator(self, child: Element, name: str, place: str) -> TransmissionActuator:
         self.report.unknown(child, {"name"}, _ACTUATOR_CHILDREN, place)
         reduction = self._number(child, "mechanicalReduction", place)
-        effort, inertia = self._max_effort(child, place), self._rotor_inertia(child, place)
-        return TransmissionActuator(name, _interfaces(child), reduction, _role(child), effort, inertia)
-
-    def _max_effort(self, actuator: Element, place: str) -> float:
-        limit = self._if_real(actuator, "limit", place)
-        if limit is None:
-            return math.inf
-        self.report.unknown(limit, {"effort"}, (), f"{place}/<limit>")
-        return element_values.not_negative(limit, "effort", place)
+        effort = math.inf
+        if (limit := self._if_real(child, "limit", place)) is not None:
+            self.report.unknown(limit, {"effort"}, (), f"{place}/<limit>")
+            effort = element_values.not_negative(limit, "effort", place)
+        inertia = self._rotor_inertia(child, place)
+        return TransmissionActuator(name, _interfaces(child), reduction, child_text(child, "role", ""), effort, inertia)
 
     def _rotor_inertia(self, actuator: Element, place: str) -> float:
         """As the text of `<rotorInertia>`, or as Drake reads it of URDF."""
@@ -223,7 +216,7 @@ class TransmissionReader:
         on_paper = self.joints.get(joint.name)
         if on_paper is None and self.knows_all:
             raise element_values.unknown(child, place, "joint", joint.name, self.joints)
-        if on_paper is not None and on_paper.type in ("fixed", "floating", "planar"):
+        if on_paper is not None and on_paper.type not in MOVING:
             raise child.error(f"{place}: joint {joint.name!r} is {on_paper.type} and cannot be driven")
         return on_paper
 
@@ -257,8 +250,3 @@ class TransmissionReader:
 
 def _interfaces(element: Element) -> tuple[str, ...]:
     return tuple(text for child in element.find_all("hardwareInterface") if (text := child.first_text))
-
-
-def _role(element: Element) -> str:
-    role = element.find("role")
-    return role.first_text if role is not None else ""

@@ -350,12 +350,9 @@ class _Node(minidom.Element):
         for name, value in self.attributes.items():
             _set(clone, name, value)
         for child in self.childNodes if deep else ():
-            _append(clone, child.cloneNode(deep))
+            copied: Any = child.cloneNode(deep)
+            clone.appendChild(copied)
         return clone
-
-
-def _append(parent: minidom.Element, child: Any) -> None:
-    parent.appendChild(child)
 
 
 def _set(node: minidom.Element, name: str, value: str) -> None:
@@ -374,9 +371,11 @@ def _to_node(element: Element, document: minidom.Document) -> _Node:
         _set(node, name, value)
     for part in element.content:
         if isinstance(part, Element):
-            _append(node, _to_node(part, document))
+            node.appendChild(_to_node(part, document))
+        elif isinstance(part, Comment):
+            node.appendChild(document.createComment(part))
         else:
-            _append(node, (document.createComment if isinstance(part, Comment) else document.createTextNode)(part))
+            node.appendChild(document.createTextNode(part))
     return node
 
 

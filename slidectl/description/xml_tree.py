@@ -65,7 +65,12 @@ class Element:
         while pending:
             element = pending.pop()
             yield element
-            pending.extend(reversed(element.children))
+            pending.extend(node for node in reversed(element.content) if isinstance(node, Element))
+
+    @property
+    def text(self) -> str:
+        """All its own text, without comments and children."""
+        return "".join(node for node in self.content if isinstance(node, str) and not isinstance(node, Comment))
 
     @property
     def first_text(self) -> str:
@@ -94,6 +99,13 @@ class Element:
     def error(self, message: str, hint: str | None = None, kind: type[BadFile] = BadFile) -> BadFile:
         """A BadFile at this element's place, to be raised."""
         return kind(message, self.file, self.line, hint)
+
+
+def below(element: Element | None, *tags: str) -> Element | None:
+    """The first child of a tag, in that the first one of the next, and so on; None where one is not there."""
+    for tag in tags:
+        element = element.find(tag) if element is not None else None
+    return element
 
 
 def read(source: str | bytes, file: str, most_bytes: int = MOST_BYTES) -> Element:
@@ -280,7 +292,7 @@ def write(root: Element) -> str:
 
 def _text(element: Element) -> str:
     """The text of an element without children; comments stay where a text stands beside them."""
-    texts = [node for node in element.content if isinstance(node, str)]
-    if not any(text.strip() for text in texts if not isinstance(text, Comment)):
+    if not element.text.strip():
         return ""
+    texts = (node for node in element.content if isinstance(node, str))
     return "".join(f"<!--{text}-->" if isinstance(text, Comment) else text.translate(_IN_TEXTS) for text in texts)

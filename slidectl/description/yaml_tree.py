@@ -49,9 +49,13 @@ def read(text: str | bytes, file: str, notices: list[Notice] | None = None, *, r
     return _Reader(file, notices if notices is not None else [], rooted=rooted).read(text)
 
 
-def read_value(text: str, file: str = "<value>", *, angles: bool = True) -> Any:
-    """One value of any shape, as `rosparam set` reads it; empty text is None. `angles`: whether deg(90) is one."""
-    return _Reader(file, [], _Loader if angles else yaml.SafeLoader).value_of(text)
+def read_value(text: str, file: str) -> Any:
+    """One value of any shape, as `rosparam set` reads it; empty text is None."""
+    reader = _Reader(file, [])
+    nodes = reader.nodes(text)
+    if len(nodes) > 1:
+        raise reader.error(nodes[1], "expected one value")
+    return reader.value(nodes[0], 1) if nodes else None
 
 
 def read_rosparam(text: str, file: str, notices: list[Notice]) -> Any:
@@ -136,14 +140,12 @@ class MergedPairs:
 
 
 class _Reader:
-    def __init__(
-        self, file: str, notices: list[Notice], loader: type[yaml.SafeLoader] = _Loader, *, rooted: bool = False
-    ) -> None:
+    def __init__(self, file: str, notices: list[Notice], *, rooted: bool = False) -> None:
         self.file = file
         self.notices = notices
         self.rooted = rooted
         self.count = 0
-        self.loader = loader("")
+        self.loader = _Loader("")
         self.pairs = MergedPairs(file).of
 
     def read(self, text: str | bytes) -> Tree:
@@ -156,15 +158,9 @@ class _Reader:
             merge(tree, self.nested(str(namespace), document))
         return tree
 
-    def value_of(self, text: str) -> Any:
-        nodes = self.nodes(text)
-        if len(nodes) > 1:
-            raise self.error(nodes[1], "expected one value")
-        return self.value(nodes[0], 1) if nodes else None
-
     def nodes(self, text: str | bytes) -> list[yaml.Node]:
         """The documents that are not empty."""
-        return [node for node in documents(text, self.file, type(self.loader)) if not _is_empty(node)]
+        return [node for node in documents(text, self.file) if not _is_empty(node)]
 
     def error(self, node: yaml.Node, message: str, hint: str | None = None) -> BadFile:
         return BadFile(message, self.file, _line(node), hint)

@@ -98,7 +98,11 @@ class Execution:
             self._found = set(self._robots())
         _prepare(run, run.parameters)
         self._start_nodes()
-        self._look_at_processes()
+        # Take in which programs have died meanwhile, and give those that have just begun a moment to do so.
+        deadline = max((task.started_at + _FIRST_MOMENT_S for task in self._processes()), default=0.0)
+        self._turn(0.0)
+        while not self._over and (left := deadline - time.monotonic()) > 0:
+            self._turn(left)
         self._judge_required()
         self._check_left()
         self.is_up = True
@@ -114,13 +118,6 @@ class Execution:
         for entry in self._waiting:
             entry.task.settled(self.run, f"waits for {entry.reason}")
         self._pass_on()
-
-    def _look_at_processes(self) -> None:
-        """Take in which programs have died meanwhile, and give those that have just begun a moment to do so."""
-        deadline = max((task.started_at + _FIRST_MOMENT_S for task in self._processes()), default=0.0)
-        self._turn(0.0)
-        while not self._over and (left := deadline - time.monotonic()) > 0:
-            self._turn(left)
 
     def _processes(self) -> list[Process]:
         return [task for task in self.begun if isinstance(task, Process)]
@@ -322,7 +319,10 @@ class Execution:
         if run.is_connected:
             run.client.close()
         if self._began_daemon or run.owns_daemon:
-            self._stop_daemon()
+            try:
+                self.daemon.stop()
+            except SlidectlError as error:
+                run.console.warn(str(error))
 
     def _robots(self) -> list[tuple[str, int]]:
         """Those in the world, each with the session id of the process that asked for it."""
@@ -368,12 +368,6 @@ class Execution:
                 process.finish(self.run, deadline, number)
         for process in reversed(processes):
             process.release()
-
-    def _stop_daemon(self) -> None:
-        try:
-            self.daemon.stop()
-        except SlidectlError as error:
-            self.run.console.warn(str(error))
 
 
 def _spawns(node: Node) -> bool:

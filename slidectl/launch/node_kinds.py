@@ -103,8 +103,11 @@ def _task(node: Node, plan: LaunchPlan, packages: Packages, has_master: bool) ->
     if node.absent and entry not in _DO_WITHOUT_ARGUMENTS:
         raise node.absent[0]
     if entry is not None:
-        if entry != _VIEWER:
-            _point_out(node, plan)
+        only_for_processes = {"respawn": node.respawn, "launch-prefix": node.launch_prefix, "cwd": node.cwd}
+        for attribute, value in only_for_processes.items() if entry != _VIEWER else ():
+            if value:
+                text = f"{attribute} has no effect: the node is part of the simulation here"
+                plan.notice("ignored", node.place, node.full_name, text)
         module, name = entry.split(":")
         kind: type[Task] = getattr(import_module(f"slidectl.launch.nodes.{module}"), name)
         return kind(node, plan)
@@ -123,14 +126,6 @@ def _rviz(node: Node, packages: Packages) -> str | None:
         with suppress(BadFile):
             program = str(find(node, packages))
     return program
-
-
-def _point_out(node: Node, plan: LaunchPlan) -> None:
-    """Attributes that mean something for a process only."""
-    given = {"respawn": node.respawn, "launch-prefix": node.launch_prefix, "cwd": node.cwd}
-    for attribute in (name for name, value in given.items() if value):
-        text = f"{attribute} has no effect: the node is part of the simulation here"
-        plan.notice("ignored", node.place, node.full_name, text)
 
 
 # --- programs --------------------------------------------------------------------------------------------------------

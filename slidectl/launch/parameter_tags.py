@@ -106,7 +106,7 @@ def _value(text: str, kind: str, file: str) -> Any:
     if kind == "yaml":
         from slidectl.description.yaml_tree import read_value  # takes as long to import as all of this room
 
-        return read_value(text, file, angles=True)
+        return read_value(text, file)
     return text
 
 
@@ -245,12 +245,12 @@ def _load(tag: Tag, name: str) -> None:
     file = tag.get("file")
     if file == "":
         raise tag.error("the attribute 'file' is empty", "leave it out when the parameters are in the tag itself")
-    if file and tag.text.strip():
+    if file and tag.element.text.strip():
         tag.notice("wrong", "has a file and a text: the text has no effect")
     substitution = tag.scope.substitution if tag.flag("subst_value") else None
 
     def compute() -> Any:
-        text = _text(tag, file) if file else tag.text
+        text = _text(tag, file) if file else tag.element.text
         text = text if substitution is None else plain(tag.substituted(text, substitution))
         return _yaml(tag, text if file else "\n" * (tag.element.line - 1) + text, file, name)
 

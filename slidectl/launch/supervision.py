@@ -259,40 +259,16 @@ def run(arguments: Sequence[str], environment: Mapping[str, str], most_bytes: in
     Raises:
         OSError, ValueError: it cannot be started. OverflowError: it prints more than so many bytes.
     """
-    process: subprocess.Popen[bytes] | None = None
-    try:
-        with _signals_deferred():
-            process = subprocess.Popen(
-                arguments, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, env=environment, start_new_session=True
-            )
+    with subprocess.Popen(
+        arguments, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, env=environment, start_new_session=True
+    ) as process:
         assert process.stdout is not None
-        output = process.stdout.read(most_bytes + 1)
-        if len(output) > most_bytes:
-            raise OverflowError(f"more than {most_bytes >> 20} MiB")
-        return process.wait(), output
-    except BaseException:
-        if process is not None:
+        try:
+            output = process.stdout.read(most_bytes + 1)
+            if len(output) > most_bytes:
+                raise OverflowError(f"more than {most_bytes >> 20} MiB")
+            return process.wait(), output
+        except BaseException:
             with suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGKILL)
-        raise
-    finally:
-        if process is not None:
-            with process:  # waits for it, and closes its pipe
-                pass
-
-
-@contextmanager
-def _signals_deferred() -> Iterator[None]:
-    """A signal that comes meanwhile is taken at the end: an exception inside `Popen` would lose the new process."""
-    came: list[int] = []
-    previous: dict[int, Any] = {}
-    with suppress(ValueError):  # in a thread, which hears none
-        for heard in [number for number in SIGNALS if callable(signal.getsignal(number))]:
-            previous[heard] = signal.signal(heard, lambda number, _frame: came.append(number))
-    try:
-        yield
-    finally:
-        for number, handler in previous.items():
-            signal.signal(number, handler)
-    for one in came:
-        signal.raise_signal(one)
+            raise

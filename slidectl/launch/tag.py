@@ -18,7 +18,8 @@ from pathlib import Path
 from slidectl import names
 from slidectl.description import xml_tree
 from slidectl.description.packages import Packages, UnknownPackage
-from slidectl.description.xml_tree import Comment, Element
+from slidectl.description.report import did_you_mean
+from slidectl.description.xml_tree import Element
 from slidectl.errors import BadFile, NotThere, closest
 from slidectl.launch.plan import LaunchPlan, Location, Remap, Setting
 from slidectl.launch.substitution import Substitution, SubstitutionError, absent_packages, plain
@@ -265,19 +266,12 @@ class Tag:
 
     # --- contents -------------------------------------------------------------------------------------------------
 
-    @property
-    def text(self) -> str:
-        """The text of the tag, without its comments."""
-        return "".join(part for part in self.element.content if isinstance(part, str) and not isinstance(part, Comment))
-
     def knows(self, attributes: Collection[str], conditions: bool = True) -> None:
         """Point out attributes that are not among these; `conditions`: whether it can have an `if`."""
         known = [*attributes, *(CONDITIONS if conditions else ())]
         for name in self.element.attributes:
             if name not in known and not name.startswith("xmlns"):
-                near = closest(name, known)
-                suggestion = f"; did you mean {near!r}?" if near else ""
-                self.notice("wrong", f"attribute {name!r} is unknown and has no effect{suggestion}")
+                self.notice("wrong", f"attribute {name!r} is unknown and has no effect{did_you_mean(name, known)}")
 
     def children(self, known: Collection[str]) -> Iterator[Tag]:
         """The tags inside, in order; those that are not known are pointed out."""
@@ -287,9 +281,8 @@ class Tag:
             if element.tag in known:
                 yield tag
             else:
-                near = closest(element.tag, known)
-                suggestion = f"; did you mean <{near}>?" if near else ""
-                tag.notice("wrong", f"is unknown in <{self.name}> and has no effect{suggestion}")
+                hint = did_you_mean(element.tag, known, "<{}>")
+                tag.notice("wrong", f"is unknown in <{self.name}> and has no effect{hint}")
 
     def notice(self, verdict: str, text: str) -> None:
         """Say something about the tag that is no error."""

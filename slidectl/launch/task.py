@@ -14,7 +14,8 @@ from typing import Any, ClassVar, NoReturn, Protocol
 
 from slidectl.client import Client
 from slidectl.description.packages import Packages
-from slidectl.errors import BadFile, NotThere, Refused, SlidectlError, closest
+from slidectl.description.report import did_you_mean
+from slidectl.errors import BadFile, NotThere, Refused, SlidectlError
 from slidectl.launch.plan import LaunchPlan, Leaf, Node
 from slidectl.launch.supervision import Interrupts, Watch
 
@@ -115,11 +116,11 @@ class Run:
         """Those of them that have a controller manager: not the models that stand around them."""
         return [robot for robot in self.robots() if robot["kind"] == "robot"]
 
-    def new_warnings(self, level: int = 4) -> list[str]:
+    def new_warnings(self) -> list[str]:
         """The warnings and errors of the world since the last time, without those that answers have brought."""
         lines = [self._log.get(0.0) for _ in range(len(self._log))] if self._log is not None else []
         texts = []
-        for text in (str(line["msg"]) for line in lines if line["level"] >= level):
+        for text in (str(line["msg"]) for line in lines if line["level"] >= 4):  # rosgraph_msgs/Log's WARN
             if text in self._answered:
                 self._answered.remove(text)
             else:
@@ -278,10 +279,9 @@ def parse(node: Node, known: Mapping[str, int]) -> Words:
     found, unknown = parser.parse_known_intermixed_args(words)
     for word in unknown:
         name = word.partition("=")[0]
-        near = closest(name, known)
-        suggestion = f"; did you mean {near}?" if near else ""
+        meant = did_you_mean(name, known, "{}")
         hint = f"options: {', '.join(known)}" if known else "it takes no options"
-        raise node.place.error(f"{node.full_name}: {node.kind} has no option {name!r} here{suggestion}", hint)
+        raise node.place.error(f"{node.full_name}: {node.kind} has no option {name!r} here{meant}", hint)
     given = {option: [_bare(values) for values in vars(found)[option]] for option in known if vars(found)[option]}
     return Words(node, given, _bare(found.rest))
 

@@ -74,6 +74,17 @@ def test_a_joint_that_every_spawn_puts_between_its_limits_does_not_start_outside
     assert bool(lines.about("wrong", "starts at 0, outside of its limits")) is is_wrong
 
 
+def test_a_joint_of_one_robot_that_is_put_inside_says_nothing_of_that_name_in_another(write: Write) -> None:
+    parts = []
+    for number, words in enumerate(("-J slide -1", "")):
+        write(f"bot{number}.urdf", cart(transmission(), PLUGIN, joint=OUTSIDE).replace("/bot", f"/bot{number}"))
+        parts.append(f'<param name="description{number}" textfile="$(dirname)/bot{number}.urdf"/>')
+        parts.append(SPAWN.format(number, words).replace("robot_description", f"description{number}"))
+    path = write("bots.launch", f"<launch>{''.join(parts)}</launch>")
+    (notice,) = [one for one in check([str(path)], {}, Packages()).sorted() if "starts at 0, outside" in one.text]
+    assert notice.file.endswith("bot1.urdf")
+
+
 def test_the_planners_of_moveit_are_no_controllers(controllers: Check) -> None:
     lines = controllers("planner_configs:\n  RRT:\n    type: geometric::RRT\n    range: 0.0\n")
     assert not lines.of("wrong")

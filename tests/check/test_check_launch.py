@@ -182,6 +182,11 @@ def test_what_a_condition_leaves_out_is_used_up_by_the_condition(launch: Launch)
     assert lines.about("<group>: left out by its condition")
 
 
+def test_nothing_in_a_tag_that_is_not_read_is_used(launch: Launch) -> None:
+    lines = launch('<foo><bar x="1"/></foo>', '<arg name="a" default="1"><bar x="1"/></arg>')
+    assert lines.about("/<bar>") == ["ignored 3 arg 'a'/<bar>: is not read, nor what is in it"]
+
+
 def test_arguments_that_are_given_are_listed_as_such(launch: Launch) -> None:
     lines = launch('<arg name="gui" default="false" doc="a window"/>', gui="true")
     assert "used 2 argument gui: 'true', as given" in lines.all

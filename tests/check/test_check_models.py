@@ -181,11 +181,6 @@ def test_a_broken_part_is_named_and_the_rest_is_checked(model: Check, part: str,
     assert lines.about("used", "link 'cart'/<inertial>/<mass>")
 
 
-def test_several_broken_parts_are_all_named(model: Check) -> None:
-    lines = model(cart(transmission("a"), transmission("b"), PLUGIN))
-    assert [error.line for error in lines.findings.broken] == [5, 6]
-
-
 def test_a_model_that_is_no_robot_has_one_finding_and_cannot_be_used(model: Check) -> None:
     lines = model(cart().replace('<mass value="1"/>', '<mass value="one"/>'))
     assert [error.line for error in lines.findings.broken] == [3]

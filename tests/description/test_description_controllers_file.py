@@ -146,9 +146,9 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
 
 
 def test_one_value_is_read_as_a_parameter_of_any_shape() -> None:
-    assert yaml_tree.read_value("[1, deg(180)]") == [1, math.pi]
-    assert yaml_tree.read_value("{p: 1.0}") == {"p": 1.0}
-    assert yaml_tree.read_value("") is None
+    assert yaml_tree.read_value("[1, deg(180)]", "value") == [1, math.pi]
+    assert yaml_tree.read_value("{p: 1.0}", "value") == {"p": 1.0}
+    assert yaml_tree.read_value("", "value") is None
 
 
 CONTROLLERS = {"joint1": {"type": "effort_controllers/JointPositionController"}}

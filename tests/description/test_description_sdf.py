@@ -184,6 +184,16 @@ def test_what_is_left_out_is_reported_with_its_line() -> None:
     assert [(notice.verdict, notice.line) for notice in scene(inside).notices] == [("wrong", 2), ("ignored", 4)]
 
 
+def test_what_is_not_read_of_a_joint_or_an_include_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "crate").mkdir()
+    (tmp_path / "crate" / "model.sdf").write_text(MODEL.format(name="crate", version="1.6", inside=box("side")))
+    monkeypatch.setenv("GAZEBO_MODEL_PATH", str(tmp_path))
+    include = "<include><uri>model://crate</uri><static>1</static>\n<placement_frame>side</placement_frame></include>"
+    joint = "<joint name='j' type='fixed'><parent>a</parent><child>b</child>\n<physics><ode/></physics></joint>"
+    told = [notice.subject for notice in scene(box("a") + box("b") + joint + include).notices]
+    assert told[:3] == ["<physics>", "<static>", "<placement_frame>"]
+
+
 @pytest.mark.parametrize(
     ("inside", "text"),
     [

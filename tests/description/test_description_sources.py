@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from pathlib import Path
@@ -69,9 +70,11 @@ def test_a_file_without_suffix_is_found_when_no_model_has_its_name(
     assert parse(load("mine").xml).root == "world"
 
 
-def test_a_folder_is_no_model(tmp_path: Path) -> None:
+def test_a_folder_is_no_model_and_is_not_left_open(tmp_path: Path) -> None:
+    before = os.listdir("/proc/self/fd")
     with pytest.raises(BadFile, match="is a directory"):
         load(tmp_path)
+    assert os.listdir("/proc/self/fd") == before
 
 
 def test_arguments_for_plain_urdf_are_reported(write: Write) -> None:

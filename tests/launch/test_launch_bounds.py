@@ -53,14 +53,6 @@ def test_the_bounds_of_xacro_are_those_of_steps_and_of_time(
         description.load(path, {}, workspace.packages)
 
 
-def test_texts_of_a_xacro_that_double_without_end_are_refused(workspace: Workspace) -> None:
-    doubled = "".join(f'<xacro:property name="p{n}" value="${{p{n - 1}}}${{p{n - 1}}}"/>\n' for n in range(1, 60))
-    text = f'<xacro:property name="p0" value="xxxxxxxx"/>\n{doubled}<link name="${{p59}}"/>'
-    path = workspace.write("urdf/double.xacro", XACRO.format(text))
-    with pytest.raises(BadFile, match=r"double.xacro:\d+: "):
-        description.load(path, {}, workspace.packages)
-
-
 def test_arguments_that_unfold_without_end_are_refused(workspace: Workspace) -> None:
     with pytest.raises(BadFile, match=r"test.launch:\d: <arg>: value: comes to more than 4096 KiB of text"):
         workspace.plan(arguments(12))

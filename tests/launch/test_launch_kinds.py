@@ -144,10 +144,3 @@ def test_names_of_a_node_are_resolved_through_its_namespace_and_remaps(workspace
     assert node.resolve("/abs") == "/g/rel"
     assert node.resolve("~own") == "/g/other"
     assert node.resolve("~x") == "/g/n/x"
-
-
-def test_the_later_of_two_remaps_wins(workspace: Workspace) -> None:
-    node = workspace.node(
-        '<remap from="a" to="b"/><node pkg="rviz" type="rviz" name="n"><remap from="a" to="c"/></node>'
-    )
-    assert node.resolve("a") == "/c"

@@ -43,6 +43,7 @@ def test_of_several_remaps_of_a_name_the_last_counts(workspace: Workspace) -> No
         '<node pkg="demo" type="t" name="n"><remap from="x" to="z"/></node>'
     )
     assert [(remap.source, remap.target) for remap in node.remaps] == [("a", "c"), ("x", "z")]
+    assert node.resolve("a") == "/c"
 
 
 def test_several_files_share_the_arguments_of_the_command_line(workspace: Workspace) -> None:

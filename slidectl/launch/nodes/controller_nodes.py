@@ -82,10 +82,8 @@ class Spawner(_ControllerTask):
         """Controllers of types that are not there."""
 
     def look_ahead(self, plan: LaunchPlan, packages: Packages, parameters: Mapping[str, Leaf]) -> None:  # noqa: ARG002
-        from slidectl.control import (  # the controllers are many modules, and most launches have no spawner
-            registry,
-            ros2_names,
-        )
+        # The controllers are many modules, and most launches have no spawner.
+        from slidectl.control import registry, ros2_names
 
         for name in self.words.rest:
             kind, place = parameters.get(names.join(self.namespace, f"{name}/type"), (None, None))
@@ -327,9 +325,11 @@ class ManagerScript(_ControllerTask):
     def _lines(self, manager: Manager) -> list[str]:
         """What the script prints before it does anything."""
         if self.command == "list":
-            return [_described(one) for one in manager.controllers()] or [
-                "No controllers are loaded in mechanism control"
-            ]
+            lines = []
+            for one in manager.controllers():
+                interfaces = dict.fromkeys(claimed["hardware_interface"] for claimed in one["claimed_resources"])
+                lines.append(f"'{one['name']}' - '{'+'.join(interfaces)}' ( {one['state']} )")
+            return lines or ["No controllers are loaded in mechanism control"]
         if self.command == "list-types":
             return list(manager.types()["types"])
         return [f"Restore: {self.restore}"] if self.command == "reload-libraries" else []
@@ -361,11 +361,6 @@ def _operation(manager: Manager, verb: str, name: str) -> _Operation:
     failed = f"Error when starting {start} and stopping {stop}"
     done = f"{'Started' if start else 'Stopped'} {[name]} successfully"
     return lambda: manager.switch(start, stop), done, failed
-
-
-def _described(controller: dict[str, Any]) -> str:
-    interfaces = dict.fromkeys(claimed["hardware_interface"] for claimed in controller["claimed_resources"])
-    return f"'{controller['name']}' - '{'+'.join(interfaces)}' ( {controller['state']} )"
 
 
 class GroupScript(_ControllerTask):

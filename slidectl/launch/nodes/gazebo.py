@@ -24,8 +24,7 @@ from slidectl.description.xml_tree import Element
 from slidectl.errors import BadFile, NotThere
 from slidectl.launch.plan import LaunchPlan, Leaf, Node
 from slidectl.launch.task import HOOK_LIMIT_S, SPAWN_LIMIT_S, Run, Task, parse
-
-Vector = tuple[float, float, float]
+from slidectl.rotations import Vector
 
 _OPTIONS = {
     "-u": 0, "--pause": 0, "-e": 1, "--physics": 1, "-s": 1, "--server-plugin": 1, "-g": 1, "--gui-plugin": 1,

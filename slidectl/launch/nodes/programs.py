@@ -223,11 +223,6 @@ _HOW_OFTEN = re.compile(r"-1|--once|-r.*|--rate(=.*)?|-f.*|--file(=.*)?", re.DOT
 """Options of rostopic pub."""
 
 
-def _publishes_for_ever(words: Sequence[str]) -> bool:
-    """`rostopic pub` of one message, without an option that says how often."""
-    return list(words[:1]) == ["pub"] and not any(map(_HOW_OFTEN.fullmatch, words))
-
-
 class ToolProcess(Process):
     """A tool starts when all other nodes have, so that whom it talks to is there."""
 
@@ -240,12 +235,15 @@ class ToolProcess(Process):
 
     @property
     def command(self) -> list[str]:
-        # In front of the topic: behind it `a:=b` may be a text to publish. Only rostopic publishes.
-        remaps = self.node.remaps if self.node.type == "rostopic" else ()
-        renamed = [f"{remap.source}:={remap.target}" for remap in remaps]
+        words = self.node.words
+        if self.node.type != "rostopic":
+            return [*self.executable, *words]
+        # In front of the topic: behind it `a:=b` may be a text to publish.
+        options = [f"{remap.source}:={remap.target}" for remap in self.node.remaps]
         # A message without an end is there for nodes that start later, as with roslaunch; at a shell nothing waits.
-        latched = ["-l"] if self.node.type == "rostopic" and _publishes_for_ever(self.node.words) else []
-        return [*self.executable, *self.node.words[:1], *latched, *renamed, *self.node.words[1:]]
+        if words[:1] == ["pub"] and not any(map(_HOW_OFTEN.fullmatch, words)):
+            options.insert(0, "-l")
+        return [*self.executable, *words[:1], *options, *words[1:]]
 
     @property
     def text(self) -> str:

@@ -88,14 +88,11 @@ class SpawnModel(Task):
             return self.asked_namespace
         is_open = robot.plugin is not None and robot.plugin.robot_namespace is None
         is_free = robot.plugin is None and not robot.transmissions and bool(robot.drives or robot.sensors)
-        if is_free or (is_open and self._is_spoken_to(tasks)):
+        managers = {task.manager_namespace for task in tasks}
+        is_spoken_to = self.node.namespace in managers and names.join("/", self.model) not in managers
+        if is_free or (is_open and is_spoken_to):
             return self.node.namespace
         return description.namespace_of(robot, self.model)
-
-    def _is_spoken_to(self, tasks: Sequence[Task]) -> bool:
-        """Whether a task speaks to a controller manager in this one's namespace, and none to one in the model's."""
-        managers = {task.manager_namespace for task in tasks}
-        return self.node.namespace in managers and names.join("/", self.model) not in managers
 
     @property
     def text(self) -> str:
@@ -124,12 +121,13 @@ class SpawnModel(Task):
             message = f"{self.node.full_name}: there is no file {source}"
             plan.missing.note(self.node.place.absence(message, thing=f"file {source}"), f"{self.model} is left out")
             return
-        if isinstance(source, Path) or (isinstance(source, str) and _is_xml(source)):
-            if self.is_sdf:
-                self._look_at_scene(source, packages, plan)
-                return
-            with suppress(BadFile):  # which is said when it is spawned
-                description.load(source, {}, self._packages(packages), missing=plan.missing)
+        if not isinstance(source, Path) and not (isinstance(source, str) and _is_xml(source)):
+            return
+        if self.is_sdf:
+            self._look_at_scene(source, packages, plan)
+            return
+        with suppress(BadFile):  # which is said when it is spawned
+            description.load(source, {}, self._packages(packages), missing=plan.missing)
 
     def _look_at_scene(self, source: Path | str | None, packages: Packages, plan: LaunchPlan) -> None:
         try:
@@ -139,23 +137,20 @@ class SpawnModel(Task):
 
     def _scene(self, source: Path | str | None, packages: Packages, plan: LaunchPlan) -> sdf.Scene:
         """The model of a file, a text, or without either of -database. Raises BadFile: broken, or several models."""
-        scene = self._read_scene(source, packages, plan)
+        places = self._packages(packages)
+        if isinstance(source, str):
+            scene = sdf.parse(source, f"parameter {self.parameter}", places, None, plan.missing)
+        else:
+            try:
+                path = source or sdf.find(sdf.SCHEME + self.words.one("-database"), places)
+            except NotThere as error:
+                message = f"{self.node.full_name}: {error.reason}"
+                raise self.node.place.absence(message, error.hint, error.thing) from None
+            scene = sdf.read(path, places, plan.missing)
         if len(scene.names) > 1:
             text = f"-model names one model, and {self._source} has {len(scene.names)}: {listing(scene.names)}"
             raise self.error(text, "give each model a file of its own")
         return scene
-
-    def _read_scene(self, source: Path | str | None, packages: Packages, plan: LaunchPlan) -> sdf.Scene:
-        places = self._packages(packages)
-        if isinstance(source, str):
-            return sdf.parse(source, f"parameter {self.parameter}", places, None, plan.missing)
-        try:
-            path = source or sdf.find(sdf.SCHEME + self.words.one("-database"), places)
-        except NotThere as error:
-            place = self.node.place
-            message = f"{self.node.full_name}: {error.reason}"
-            raise NotThere(message, place.file, place.line, error.hint, error.thing) from None
-        return sdf.read(path, places, plan.missing)
 
     def _packages(self, packages: Packages) -> Packages:
         """The lookup, from the launch file upwards too."""
@@ -265,7 +260,10 @@ class SpawnModel(Task):
             if self.is_sdf:
                 warnings = run.client.spawn_models(requests, timeout=SPAWN_LIMIT_S)
             else:
-                warnings = _act(run, "/gazebo/spawn_urdf_model", requests[0], SPAWN_LIMIT_S)
+                answer = run.call("/gazebo/spawn_urdf_model", requests[0], SPAWN_LIMIT_S)
+                first, *warnings = answer["status_message"].splitlines() or [""]
+                if not answer["success"]:
+                    raise Refused(first, "\n".join(warnings).replace("(-n)", "(-model)") or None)
             if self.joints:
                 warnings = self._set_joints(run)  # which may bring it out of what it was put into
             for warning in warnings:
@@ -313,15 +311,6 @@ class SpawnModel(Task):
 
 def _is_xml(text: str) -> bool:
     return text.lstrip("\ufeff \t\r\n").startswith("<")
-
-
-def _act(run: Run, service: str, request: dict[str, Any], timeout: float | None = None) -> list[str]:
-    """Call a service of gazebo_ros. The lines of its answer behind the first are warnings."""
-    answer = run.call(service, request, timeout)
-    first, _, rest = answer["status_message"].partition("\n")
-    if not answer["success"]:
-        raise Refused(first, rest.replace("(-n)", "(-model)") or None)
-    return list(rest.splitlines())
 
 
 def _pose(words: Words) -> rotations.Pose:

@@ -318,9 +318,9 @@ class TwistMux(TopicTool):
             place = names.join(self.node.full_name, "topics")
             self.warn(run, f"{place} names no topic, a list of {{name, topic, timeout, priority}}: nothing drives")
         for source in self._sources:
-            self.listen(source.topic, self._taking(source), "geometry_msgs/Twist")
+            self.listen(source.topic, partial(self._take_command, source), "geometry_msgs/Twist")
         for lock in self._locks:
-            self.listen(lock.topic, self._locking(lock), "std_msgs/Bool")
+            self.listen(lock.topic, partial(self._take_lock, lock), "std_msgs/Bool")
         self.client.advertise(self.output, "geometry_msgs/Twist")
 
     def _read_sources(self, run: Run, kind: str) -> list[Source]:
@@ -342,20 +342,14 @@ class TwistMux(TopicTool):
             raise Refused(f"{place}: {topic} has timeout {timeout_s:g} s and priority {priority}; 0 up, and 0 to 255")
         return Source(self.node.resolve(topic), timeout_s, priority)
 
-    def _taking(self, source: Source) -> Take:
-        def take(type_name: str, came: Message) -> None:
-            self._note_time(source, came)
-            if self._has_priority(source):
-                self.client.publish(self.output, came["msg"], type_name)
+    def _take_command(self, source: Source, type_name: str, came: Message) -> None:
+        self._note_time(source, came)
+        if self._has_priority(source):
+            self.client.publish(self.output, came["msg"], type_name)
 
-        return take
-
-    def _locking(self, lock: Source) -> Take:
-        def take(_: str, came: Message) -> None:
-            self._note_time(lock, came)
-            self._locked[lock.topic] = came["msg"]["data"]
-
-        return take
+    def _take_lock(self, lock: Source, _: str, came: Message) -> None:
+        self._note_time(lock, came)
+        self._locked[lock.topic] = came["msg"]["data"]
 
     def _note_time(self, source: Source, came: Message) -> None:
         """A message of the source has come. When time was put back, nothing that came before it counts."""
