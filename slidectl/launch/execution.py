@@ -117,7 +117,6 @@ class Execution:
             task.afterwards(self.run)
         for entry in self._waiting:
             entry.task.settled(self.run, f"waits for {entry.reason}")
-        self._pass_on()
 
     def _processes(self) -> list[Process]:
         return [task for task in self.begun if isinstance(task, Process)]
@@ -242,16 +241,14 @@ class Execution:
         """Handle what has arrived, and wait for more. Raises NoDaemon, Interrupted."""
         if self.run.interrupts.received:  # raised where nobody could hear it: in a finalizer, say
             raise Interrupted(self.run.interrupts.received[0])
-        self._pass_on()
+        self._take_in()
         self.run.watch.turn(most_s)
-        self._pass_on()
+        self._take_in()
 
-    def _pass_on(self) -> None:
-        """The warnings of the world are those of the launch."""
+    def _take_in(self) -> None:
+        """Give the messages that have come to the tasks that subscribe to them."""
         for _ in self.run.client.events(0.0):
             pass
-        for text in self.run.new_warnings():
-            self.run.console.warn(text)
 
     @property
     def stays(self) -> bool:

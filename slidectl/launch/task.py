@@ -86,8 +86,6 @@ class Run:
     spawned: list[str] = field(default_factory=list)
     """Robots and models that this run has put into the world and that are to leave it with the run."""
     _client: Client | None = None
-    _log: Any = None
-    _answered: list[str] = field(default_factory=list)
 
     @property
     def client(self) -> Client:
@@ -100,9 +98,8 @@ class Run:
         return self._client is not None
 
     def connect(self, client: Client) -> None:
-        """From now on tasks work in this world, and its warnings are heard."""
+        """From now on tasks work in this world."""
         self._client = client
-        self._log = client.subscribe("/rosout", "rosgraph_msgs/Log")
 
     def call(self, service: str, request: dict[str, Any] | None = None, timeout: float | None = None) -> dict[str, Any]:
         """Call a service. Raises as Client.call does."""
@@ -115,26 +112,6 @@ class Run:
     def controlled_robots(self) -> list[dict[str, Any]]:
         """Those of them that have a controller manager: not the models that stand around them."""
         return [robot for robot in self.robots() if robot["kind"] == "robot"]
-
-    def new_warnings(self) -> list[str]:
-        """The warnings and errors of the world since the last time, without those that answers have brought."""
-        lines = [self._log.get(0.0) for _ in range(len(self._log))] if self._log is not None else []
-        texts = []
-        for text in (str(line["msg"]) for line in lines if line["level"] >= 4):  # rosgraph_msgs/Log's WARN
-            if text in self._answered:
-                self._answered.remove(text)
-            else:
-                texts.append(text)
-        return texts
-
-    def skip_in_log(self, reasons: Sequence[str]) -> None:
-        """What an answer has brought is not told again when it comes in the log."""
-        self._answered += reasons
-
-    def warn(self, reason: str) -> None:
-        """Say what an answer has brought."""
-        self.skip_in_log([reason])
-        self.console.warn(reason)
 
     def parameter(self, name: str) -> Any:
         """The value of a parameter, or None when it is not set."""

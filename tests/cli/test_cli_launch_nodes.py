@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,7 +12,7 @@ from xml.sax.saxutils import quoteattr
 
 import pytest
 from command_line import CommandLine
-from launch_runs import Launched, kill_all
+from launch_runs import RUNS, Launched, kill_all
 from waiting import eventually
 
 MODEL = '<param name="robot_description" command="$(find xacro)/xacro $(find my_slider)/urdf/slider.xacro"/>'
@@ -446,9 +447,25 @@ def test_a_required_node_that_is_done_at_once_ends_the_launch(slidectl: CommandL
     eventually(lambda: slidectl("daemon", "status").returncode == 3, "the daemon is still there")
 
 
-def test_warnings_of_the_world_are_those_of_the_launch(slider: CommandLine, write: Write) -> None:
-    launched = Launched(slider, write(control()))
+def test_the_launch_of_the_world_prints_the_warnings_of_the_world(slidectl: CommandLine, write: Write) -> None:
+    launched = Launched(
+        slidectl,
+        write(node("gazebo_ros/gazebo", name="gazebo") + spawn() + YAML + control()),
+    )
     launched.up()
-    slider("pub", "/slider/joint1_position_controller/command", ".nan")
+    slidectl("pub", "/slider/joint1_position_controller/command", ".nan")
     launched.until("warning: /slider/joint1_position_controller")
     launched.interrupt()
+
+
+def test_a_launch_prints_nothing_of_what_another_client_is_refused(slider: CommandLine, write: Write) -> None:
+    slider.ok("param", "set", "/slider/broken/type", "effort_controllers/JointPositionController")
+    command = slider.argv("launch", write(control()), "--detach")
+    launched = subprocess.Popen(
+        command, env=slider.environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
+    while launched.poll() is None:
+        assert slider("controller", "load", "broken").returncode == 1
+    output = launched.communicate()[0]
+    assert RUNS in output
+    assert "broken" not in output

@@ -28,11 +28,9 @@ class _NodeManager(Manager):
     """A controller manager whose refusals are one line that names what was asked for."""
 
     def __init__(self, run: Run, namespace: str, limit_s: float | None) -> None:
-        super().__init__(run.client, namespace, run.warn, limit_s)
-        self.run = run
+        super().__init__(run.client, namespace, run.console.warn, limit_s)
 
     def refusal(self, what: str, reasons: Sequence[str]) -> Refused:
-        self.run.skip_in_log(reasons)
         return Refused(f"cannot {what}: {'; '.join(reasons[-2:]) or 'no reason was given'}")
 
 

@@ -33,6 +33,8 @@ _OPTIONS = {
 }  # fmt: skip
 _MOST_NAMED = 8
 _EMPTY = "the world is the empty one"
+_WARN = 4
+"""The level of rosgraph_msgs/Log."""
 _QUIET = ("-u", "--pause", "-e", "--physics", "--verbose", "-q", "--minimal_comms", "--lockstep")
 
 
@@ -111,14 +113,21 @@ class Gazebo(Task):
             self._spawn_models(run, self.scene.models)
         return None
 
+    def afterwards(self, run: Run) -> None:
+        """Print the warnings of the running world, as Gazebo prints them where it was launched."""
+
+        def print_warning(published: dict[str, Any]) -> None:
+            if published["msg"]["level"] >= _WARN:
+                run.console.warn(str(published["msg"]["msg"]))
+
+        run.client.subscribe("/rosout", "rosgraph_msgs/Log", take=print_warning)
+
     def _spawn_models(self, run: Run, models: list[sdf.SdfModel]) -> None:
-        run.new_warnings()
         there = run.call("/slidectl/status")["robots"]
         named = [model.name for model in models]
         run.spawned += [name for name in named if name not in there]  # a call that is cut short may have been heard
         for warning in run.client.spawn_models(list(map(spawning.request, models)), timeout=SPAWN_LIMIT_S):
             self.warn(run, warning.partition(" (--at")[0])
-        run.new_warnings()  # the same is said here
         few = ", ".join(named[:_MOST_NAMED]) + (f" and {len(named) - _MOST_NAMED} more" if named[_MOST_NAMED:] else "")
         plural = "" if len(named) == 1 else "s"
         self.settled(run, f"{len(named)} model{plural} of the world spawned: {few}", models=named)

@@ -160,7 +160,6 @@ class SpawnModel(Task):
         awaited = self.words.one("-wait")
         if awaited and awaited not in run.call("/slidectl/status")["robots"]:
             return f"the model {awaited}"
-        run.new_warnings()
         requests = self._sdf_requests(run) if self.is_sdf else [self._urdf_request(run)]
         if not requests:
             self.settled(run, f"{self._source} is a ground plane, which is the world's own")
@@ -282,7 +281,6 @@ class SpawnModel(Task):
 
     def _tell(self, run: Run) -> None:
         """Where it is, and what became of its tags: what needs telling in full, the others counted unless `-v`."""
-        run.new_warnings()  # the same is said here
         [robot] = run.call("/slidectl/list_robots", {"name": self.model})["robots"]
         put = [joint.rpartition("::")[2] for joint in self.joints]
         ignored = 0
