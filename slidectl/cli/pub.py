@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import islice, repeat
 from types import TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -20,12 +20,9 @@ from slidectl.cli.commands import Command, command, positive_seconds
 from slidectl.cli.context import Context
 from slidectl.cli.topic_streams import SUBSCRIBERS, Target, details, look_up
 from slidectl.errors import BadFile, SlidectlError, TimedOut, UnknownName, Unused, UsageError
-from slidectl.msgs.fill import fields_from, fill
+from slidectl.msgs.fill import fill, mentions_clock
 from slidectl.msgs.schema import Schema
 from slidectl.values import check_quotes, documents_of, documents_on_stdin, is_numeric, read
-
-if TYPE_CHECKING:
-    from slidectl.msgs.templates import Template
 
 Values = Sequence[Any]
 """What a message is made of: one mapping of fields, or one value for each field."""
@@ -226,10 +223,10 @@ class Publication:
     def __init__(self, ctx: Context, target: Target, rate: float | None, *, latch: bool, advertise: bool) -> None:
         self._ctx = ctx
         self._target = target
+        self._schema = target.schema
         self._rate = rate
         self._latch = latch
         self._type = target.type if advertise else None
-        self._fields_of = fields_from(target.typedefs)
         self._began = self._latest = 0.0
         self._told: set[str] = set()
         self.published = 0
@@ -262,14 +259,10 @@ class Publication:
             BadMessage: values that do not fit the type. MessageRefused: a subscriber will not take the message.
             UsageError, Refused: an expression that is none, or cannot be computed. NoDaemon, TimedOut.
         """
-        previous: Values | None = None
-        template: Template | None = None
         self._began = self._ctx.client.monotonic()
         for index, values in enumerate(sources):
-            if values is not previous:
-                template, previous = template_of(self._target.schema, values, self._rate is not None), values
             self._wait_for(index)
-            self._send(values if template is None else template.at(index, index / (self._rate or 1.0)), template)
+            self._send(values, index)
 
     def hold(self) -> None:
         """Stay connected, so that a latched message stays. Raises TimedOut after `--timeout`, NoDaemon."""
@@ -288,9 +281,10 @@ class Publication:
             self._began += late
         self._ctx.pause(due - self._ctx.client.monotonic())
 
-    def _send(self, values: Values, template: Template | None) -> None:
+    def _send(self, values: Values, index: int) -> None:
         client, target = self._ctx.client, self._target
-        message = fill(self._fields_of, target.type, values, now(self._ctx, template))
+        seconds = index / (self._rate or 1.0)
+        message = message_of(self._ctx, self._schema, values, self._rate is not None, index, seconds)
         client.deliver(target.topic, message, self._type, self._latch)
         self.published += 1
         self._latest = client.monotonic()
@@ -300,18 +294,19 @@ class Publication:
                 self._ctx.warn(reason)
 
 
-def template_of(schema: Schema, values: Values, expressions: bool = False) -> Template | None:
-    """None for values without text: nothing in them can be an expression or stand for the time."""
-    if is_numeric(list(values)):
-        return None
-    from slidectl.msgs.templates import Template
+def message_of(
+    ctx: Context, schema: Schema, values: Values, expressions: bool = False, index: int = 0, seconds: float = 0.0
+) -> dict[str, Any]:
+    """The message of the schema's root type that the values mean, at i = index and t = seconds in expressions.
 
-    return Template(schema, values, expressions)
+    Raises as `fill` and `Numbers.at`.
+    """
+    if is_numeric(list(values)):  # nothing in them can be an expression or stand for the time
+        return fill(schema.fields, schema.root, values)
+    from slidectl.msgs.message_expressions import Numbers
 
-
-def now(ctx: Context, template: Template | None) -> tuple[int, int] | None:
-    """The simulated time, seconds and nanoseconds, when a value stands for it."""
-    if template is None or not template.needs_clock:
-        return None
-    time = ctx.call("/rosapi/get_time")["time"]
-    return time["secs"], time["nsecs"]
+    now = None
+    if mentions_clock(values):
+        time = ctx.call("/rosapi/get_time")["time"]
+        now = time["secs"], time["nsecs"]
+    return fill(schema.fields, schema.root, values, now, Numbers(expressions).at(index, seconds))

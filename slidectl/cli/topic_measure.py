@@ -20,7 +20,7 @@ from slidectl.cli.echo import predicate
 from slidectl.cli.topic_streams import PUBLISHERS, Event, Stream, Target, look_up, nanoseconds
 from slidectl.errors import NoDaemon, Refused, TimedOut
 from slidectl.msgs.schema import Schema
-from slidectl.msgs.sizes import size
+from slidectl.msgs.serialization import packer
 
 Record = dict[str, Any]
 Render = Callable[[Sequence[Record]], str]
@@ -153,7 +153,8 @@ def spread_of(numbers: Sequence[float]) -> dict[str, float]:
 
 def size_counter(schema: Schema) -> Callable[[dict[str, Any]], int]:
     """The function that gives the bytes of a message in ROS 1's serialisation (what rostopic bw counts)."""
-    return lambda message: size(schema.fields, schema.root, message)
+    pack = packer(schema.root, schema.fields)
+    return lambda message: len(pack(message))
 
 
 # --- text -------------------------------------------------------------------------------------------------------------
