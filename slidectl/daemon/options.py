@@ -79,9 +79,8 @@ class Start:
     """One start of a daemon's process."""
 
     options: DaemonOptions
-    instance: str | None
-    socket: str | None
-    """The path of its socket, if that was named."""
+    socket: str
+    """The path of its socket."""
     foreground: bool = False
     parent: int | None = None
     """The process whose end ends the daemon."""
@@ -91,11 +90,11 @@ class Start:
     @classmethod
     def at(cls, where: paths.InstancePaths, options: DaemonOptions, **more: Any) -> Start:
         """A start at the place of these paths."""
-        return cls(options, *((None, where.socket_text) if where.prefix else (where.name, None)), **more)
+        return cls(options, where.socket_text, **more)
 
     @property
     def paths(self) -> paths.InstancePaths:
-        return paths.instance(self.instance, self.socket)
+        return paths.instance(socket=self.socket)
 
     def text(self) -> str:
         """JSON, from which `read` makes the same again."""

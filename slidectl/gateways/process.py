@@ -86,8 +86,7 @@ def start(
     if (found := find(paths, kind)) is not None:
         return found, True
     read_end, write_end = os.pipe()
-    place = {"instance": None, "socket": paths.socket_text} if paths.prefix else {"instance": paths.name}
-    text = json.dumps({"kind": kind, "options": options, "ready_fd": write_end, **place})
+    text = json.dumps({"kind": kind, "options": options, "ready_fd": write_end, "socket": paths.socket_text})
     log_file(paths, kind).unlink(missing_ok=True)
     with os.fdopen(read_end, "rb") as ready, processes.opened_log(log_file(paths, kind)) as log:
         words = processes.command_of("slidectl.gateways")
@@ -192,7 +191,7 @@ def main(text: str) -> int:
 
     os.umask(0o077)
     try:
-        paths = instance(begun["instance"], begun.get("socket"))
+        paths = instance(socket=begun["socket"])
         logging.basicConfig(handlers=[LogFile(log_file(paths, begun["kind"]))])
         run(paths, begun["kind"], begun["options"], lambda address: say(address=address))
     except SlidectlError as error:

@@ -145,13 +145,6 @@ class FoxgloveGateway(Gateway):
         )
 
     async def attach(self, paths: InstancePaths) -> None:
-        try:
-            await self._attach(paths)
-        except BaseException:
-            await self.detach()
-            raise
-
-    async def _attach(self, paths: InstancePaths) -> None:
         self._paths = paths
         daemon = self._daemon = await DaemonConnection.open(paths, NODE, self.lost.set)
         watch = self._watch = await DaemonConnection.open(paths, on_lost=self.lost.set)

@@ -1,6 +1,6 @@
 """The messages of the gateway to ROS 1: who of ROS's side has what in the daemon, and TCPROS for both sides.
 
-It is told the graph of the daemon and the registrations of foreign nodes, and knows no XML-RPC.
+It is told the graph of the daemon and the registrations of foreign nodes.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ from slidectl.gateways.daemon_connection import DaemonConnection, Message
 from slidectl.gateways.ros1.ros1_types import ros1_type
 from slidectl.gateways.ros1.service_bridge import ServiceServer, call_service, service_type
 from slidectl.gateways.ros1.tcpros import Fields, TcprosConnection
-from slidectl.gateways.ros1.topic_bridge import ANY_TYPE, CallNode, Follower, TopicServer
+from slidectl.gateways.ros1.topic_bridge import ANY_TYPE, Follower, TopicServer
+from slidectl.gateways.tasks import Tasks
 from slidectl.web_access import in_uri
 
 _log = logging.getLogger(__name__)
@@ -48,10 +49,6 @@ class ForeignNode:
         """Topic -> the key of the newest message that it latched."""
         self.connection: DaemonConnection | None = None
 
-    @property
-    def has_nothing(self) -> bool:
-        return not (self.published or self.subscribed or self.services)
-
 
 class DataPlane:
     """TCPROS for all native nodes, and the foreign nodes' part of the daemon's graph.
@@ -60,12 +57,11 @@ class DataPlane:
     whoever publishes it. It stays connected while native publishers come and go.
     """
 
-    def __init__(self, node: str, host: str, bind: str, call: CallNode) -> None:
+    def __init__(self, node: str, host: str, bind: str) -> None:
         """`node` is the gateway's own node; `host` is what others connect to, `bind` the address to listen on."""
         self._node = node
         self._host = host
         self._bind = bind
-        self._call = call
         self._topics = TopicServer(node)
         self._topics.foreign_latched = self._latched_keys
         self._services = ServiceServer(node)
@@ -87,7 +83,7 @@ class DataPlane:
         self._changed = asyncio.Event()
         self._unsettled: set[str] = set()
         """Foreign nodes whose part of the graph may have to change."""
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._tasks = Tasks()
 
     # --- life ---------------------------------------------------------------------------------------------------
 
@@ -100,12 +96,12 @@ class DataPlane:
         except OSError as error:
             raise Refused(f"cannot listen on {self._bind}: {error.strerror or error}") from None
         self._port = self._server.sockets[0].getsockname()[1]
-        self._start(self._settle_changes())
+        self._tasks.begin(self._settle_changes())
         return self._port
 
     async def attach(self, open_connection: OpenConnection, main: DaemonConnection) -> None:
         """The daemon is there. Raises NoDaemon."""
-        self._own = [await open_connection(name) for name in self._own_names()]
+        self._own = [await open_connection(f"{self._node}_{end}") for end in ("topics", "latched")]
         self._open_connection = open_connection
         await self._topics.attach(*self._own)
         self._services.attach(main)
@@ -133,8 +129,7 @@ class DataPlane:
         if self._server is not None:
             self._server.close()
         await self.detach()
-        for task in self._tasks:
-            task.cancel()
+        self._tasks.cancel()
         for connection in list(self._connections):
             connection.close()
 
@@ -177,7 +172,7 @@ class DataPlane:
         self._service_types = {key: kind for key, kind in self._service_types.items() if key in offered}
         for service, uri in offered - self._service_types.keys():
             self._service_types[service, uri] = ""
-            self._start(self._find_type(service, uri))
+            self._tasks.begin(self._find_type(service, uri))
 
     def node_gone(self, node: str) -> None:
         """A foreign node has unregistered, or died."""
@@ -198,7 +193,7 @@ class DataPlane:
         """
         return topic in self._topics.topics
 
-    def request_topic(self, caller: str, node: str, topic: str, protocols: Any) -> tuple[int, str, Any]:  # noqa: ARG002
+    def request_topic(self, topic: str, protocols: Any) -> tuple[int, str, Any]:
         """The answer of the slave API of a native node."""
         if not self.serves(topic):
             return -1, f"Not a publisher of [{topic}]", []
@@ -257,9 +252,6 @@ class DataPlane:
 
     # --- foreign nodes in the daemon's graph --------------------------------------------------------------------
 
-    def _own_names(self) -> tuple[str, str]:
-        return f"{self._node}_topics", f"{self._node}_latched"
-
     def _type_of(self, topic: str) -> str:
         """The type that slidectl gives a topic, empty when it knows none."""
         if topic in self._natives:
@@ -292,11 +284,6 @@ class DataPlane:
     def _touch(self, nodes: Iterable[str]) -> None:
         self._unsettled.update(nodes)
         self._changed.set()
-
-    def _start(self, work: Any) -> None:
-        task = asyncio.get_running_loop().create_task(work)
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
 
     async def _settle_changes(self) -> None:
         """Give the daemon's graph what foreign nodes have, one node after the other."""
@@ -358,7 +345,7 @@ class DataPlane:
                 with self._told(name):
                     await self._offer(daemon, service, kind)
                     node.services[service] = kind
-        if node.has_nothing:
+        if not (node.published or node.subscribed or node.services):
             daemon.close()
             self._foreign.pop(name, None)
 
@@ -386,7 +373,7 @@ class DataPlane:
             if (topic, node) not in self._followers:
                 take = self._taker(topic, node)
                 subscriber = subscribers[0] if subscribers else self._node
-                self._followers[topic, node] = Follower(topic, ros1_type(kind), node, uri, subscriber, self._call, take)
+                self._followers[topic, node] = Follower(topic, ros1_type(kind), node, uri, subscriber, take)
 
     def _taker(self, topic: str, node: str) -> Callable[[Message, bool], DaemonConnection | None]:
         def take(message: Message, is_latched: bool) -> DaemonConnection | None:

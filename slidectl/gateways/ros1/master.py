@@ -9,11 +9,12 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Iterable
-from typing import Any, Protocol
+from typing import Any
 
 from slidectl.errors import Refused, cut
 from slidectl.gateways.ros1 import api_calls
 from slidectl.gateways.ros1.api_calls import ANY_TYPE, Answered, Api
+from slidectl.gateways.ros1.data_plane import DataPlane
 from slidectl.gateways.ros1.native_graph import OWN_NODE, NativeGraph
 from slidectl.gateways.ros1.node_calls import NodeCalls
 
@@ -27,16 +28,6 @@ PARAMETERS = "parameters"
 _COMMANDS = "/slidectl_"
 """How the nodes of connections are called that have no name of their own."""
 _PUBLISHERS, _SUBSCRIBERS, _SERVICES = "publishers", "subscribers", "services"
-
-
-class ForeignSink(Protocol):
-    """What carries the data of foreign nodes, and is told who they are."""
-
-    def set_foreign_publishers(self, topic: str, type: str, publishers: dict[str, str]) -> None: ...
-    def set_foreign_subscribers(self, topic: str, type: str, nodes: set[str]) -> None: ...
-    def set_foreign_services(self, services: dict[str, tuple[str, str]]) -> None: ...
-    def node_gone(self, node: str) -> None: ...
-    def serves(self, topic: str) -> bool: ...
 
 
 class Registrations:
@@ -85,7 +76,7 @@ class Registrations:
 class Master:
     """The master of foreign nodes. `uri` is its own address."""
 
-    def __init__(self, natives: NativeGraph, calls: NodeCalls, data: ForeignSink) -> None:
+    def __init__(self, natives: NativeGraph, calls: NodeCalls, data: DataPlane) -> None:
         self.uri = ""
         self.registrations = Registrations()
         self._natives = natives
@@ -158,7 +149,8 @@ class Master:
             self._set_type(topic, topic_type)
         self.tell_topic(topic)
         self.notify_subscribers(topic)
-        subscribers = [*self._subscribers.get(topic, {}).values(), *self._natives.subscriber_uris(topic)]
+        natives = map(self._natives.uri_of, self._natives.subscribers.get(topic, ()))
+        subscribers = [*self._subscribers.get(topic, {}).values(), *natives]
         return 1, f"Registered [{caller}] as publisher of [{topic}]", subscribers
 
     def unregisterPublisher(self, caller: str, topic: str, caller_api: str) -> Answered:  # noqa: N802
@@ -257,7 +249,7 @@ class Master:
 
     def _publisher_uris(self, topic: str) -> list[str]:
         native = self._native_publisher(topic)
-        natives = [self._natives.uri(native)] if native else []
+        natives = [self._natives.uri_of(native)] if native else []
         return [*natives, *self._publishers.get(topic, {}).values()]
 
     # --- asking -------------------------------------------------------------------------------------------------
@@ -266,7 +258,7 @@ class Master:
         if (address := self.registrations.addresses.get(node)) is not None:
             return 1, "node api", address
         if node in self._natives.nodes:
-            return 1, "node api", self._natives.uri(node)
+            return 1, "node api", self._natives.uri_of(node)
         return -1, f"unknown node [{node}]", ""
 
     def lookupService(self, _: str, service: str) -> Answered:  # noqa: N802

@@ -9,6 +9,7 @@ from typing import Any
 
 from slidectl.errors import SlidectlError
 from slidectl.gateways.ros1 import xmlrpc
+from slidectl.gateways.tasks import Tasks
 
 _log = logging.getLogger(__name__)
 
@@ -21,7 +22,7 @@ class NodeCalls:
 
     def __init__(self) -> None:
         self._waiting: dict[str, dict[tuple[str, str], tuple[tuple[Any, ...], Callable[[Any], None] | None]]] = {}
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._tasks = Tasks()
         self._limit = asyncio.Semaphore(_MOST_AT_ONCE)
 
     def send(self, uri: str, method: str, *arguments: Any, take: Callable[[Any], None] | None = None) -> None:
@@ -36,13 +37,10 @@ class NodeCalls:
             waiting[key] = (arguments, take)
             return
         self._waiting[uri] = {key: (arguments, take)}
-        task = asyncio.get_running_loop().create_task(self._send_all(uri))
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+        self._tasks.begin(self._send_all(uri))
 
     def close(self) -> None:
-        for task in self._tasks:
-            task.cancel()
+        self._tasks.cancel()
 
     async def _send_all(self, uri: str) -> None:
         waiting = self._waiting[uri]
