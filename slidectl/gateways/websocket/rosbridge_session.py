@@ -143,8 +143,7 @@ class RosbridgeSession:
 
     async def _unsubscribe(self, message: Message) -> None:
         topic = names.join("/", str(message.get("topic")))
-        wish_id, wishes = _wish_id(message), self._wishes.pop(topic, {})
-        self._encoders.pop(topic.encode(), None)
+        wish_id, wishes = _wish_id(message), self._wishes.get(topic, {})
         await self._choose(topic, {key: wish for key, wish in wishes.items() if wish_id not in (None, key)}, "")
 
     async def _choose(self, topic: str, wishes: dict[str | None, str], given: str) -> None:
