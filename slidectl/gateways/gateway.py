@@ -58,15 +58,20 @@ async def serve(gateway: Gateway, paths: InstancePaths, opened: Callable[[str], 
         Refused: as `open`. NoDaemon: none answers at the start.
     """
     ended = asyncio.Event()
+
+    def end() -> None:
+        ended.set()
+        gateway.lost.set()  # that is what is waited for
+
     loop = asyncio.get_running_loop()
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
-        loop.add_signal_handler(number, ended.set)
+        loop.add_signal_handler(number, end)
     address = await gateway.open()
     try:
         connection = await _attached(gateway, paths, address)
         opened(address)
         while not ended.is_set():
-            await _first_of(ended, gateway.lost)
+            await gateway.lost.wait()
             if ended.is_set():
                 break
             connection.close()
@@ -109,12 +114,3 @@ async def _attached(gateway: Gateway, paths: InstancePaths, address: str) -> Dae
 def status_service(kind: str) -> str:
     """The name of the service by which a gateway tells its status."""
     return f"/slidectl/gateways/{kind}"
-
-
-async def _first_of(*events: asyncio.Event) -> None:
-    tasks = [asyncio.ensure_future(event.wait()) for event in events]
-    try:
-        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-    finally:
-        for task in tasks:
-            task.cancel()

@@ -149,16 +149,12 @@ def run(paths: InstancePaths, kind: str, options: dict[str, Any], opened: Callab
 
     from slidectl.gateways.gateway import serve
 
-    async def serve_it() -> None:
-        gateway = gateway_class(gateway_class.Options(**options))
-        await serve(gateway, paths, listens)
-
     def listens(address: str) -> None:
         tell(address)
         opened(address)
 
     with _locked(paths, kind) as tell:
-        asyncio.run(serve_it())
+        asyncio.run(serve(gateway_class(gateway_class.Options(**options)), paths, listens))
 
 
 @contextmanager

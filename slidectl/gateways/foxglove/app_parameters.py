@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from slidectl import names
 from slidectl.gateways.foxglove.foxglove_frames import BadFrame, field
 
 Parameter = dict[str, Any]
@@ -49,4 +50,4 @@ def _float(value: Any) -> float:
 
 def concerns(changed: str, subscribed: str) -> bool:
     """Whether a change of the one is a change of the other: one is in the other."""
-    return changed == subscribed or subscribed.startswith(changed + "/") or changed.startswith(subscribed + "/")
+    return names.is_under(subscribed, changed) or names.is_under(changed, subscribed)

@@ -19,7 +19,7 @@ from slidectl.gateways.websocket.action_goals import ActionGoals
 from slidectl.gateways.websocket.encodings import (
     COMPRESSIONS,
     SMALLEST_FRAGMENT,
-    Encoder,
+    Encode,
     FragmentBuffer,
     encoder,
     fragments,
@@ -62,7 +62,7 @@ class RosbridgeSession:
         self._sent_in_fragments = count(1)
         self._wishes: dict[str, dict[str | None, str]] = {}
         """Topic -> id of a subscription -> its compression, of all that were subscribed with one."""
-        self._encoders: dict[bytes, Encoder] = {}
+        self._encoders: dict[bytes, Encode] = {}
 
     # --- from the browser ---------------------------------------------------------------------------------------
 
