@@ -15,6 +15,30 @@ from slidectl.paths import InstancePaths
 
 _LOOK_EVERY_S = 0.1
 """Between two looks whether there is a daemon again."""
+_READING = frozenset(
+    [
+        *(f"/rosapi/{name}" for name in (
+            "action_servers", "get_param", "get_param_names", "get_ros_version", "get_time", "has_param",
+            "message_details", "node_details", "nodes", "publishers", "search_param", "service_host", "service_node",
+            "service_providers", "service_request_details", "service_response_details", "service_type", "services",
+            "services_for_type", "subscribers", "topic_type", "topics", "topics_and_raw_types", "topics_for_type",
+        )),
+        *(f"/slidectl/{name}" for name in (
+            "fault/kinds", "fault/list", "graph", "joint_states", "list_robots", "resolve", "scene", "snapshots",
+            "sources", "status", "trace", "update_times", "wait",
+        )),
+        *(f"/slidectl/get_{name}" for name in (
+            "entities", "entities_states", "entity_bounds", "entity_info", "entity_state", "simulation_state",
+            "simulator_features", "spawnables",
+        )),
+        *(f"/gazebo/get_{name}" for name in (
+            "joint_properties", "link_properties", "link_state", "model_properties", "model_state",
+            "physics_properties", "world_properties",
+        )),
+    ]
+)  # fmt: skip
+"""The services that change nothing."""
+_READING_ENDS = ("/controller_manager/list_controllers", "/controller_manager/list_controller_types")
 
 
 class Gateway:
@@ -114,3 +138,8 @@ async def _attached(gateway: Gateway, paths: InstancePaths, address: str) -> Dae
 def status_service(kind: str) -> str:
     """The name of the service by which a gateway tells its status."""
     return f"/slidectl/gateways/{kind}"
+
+
+def is_reading(service: str) -> bool:
+    """Whether a service, by its full name, changes nothing: one that a read-only gateway lets its clients call."""
+    return service in _READING or service.endswith(_READING_ENDS)

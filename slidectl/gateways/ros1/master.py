@@ -6,17 +6,18 @@ killed stays until `rosnode cleanup`, or until one of the same name comes.
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
-from slidectl.errors import Refused, cut
-from slidectl.gateways.ros1 import api_calls
+from slidectl.errors import Refused, SlidectlError, cut
+from slidectl.gateways.ros1 import api_calls, xmlrpc
 from slidectl.gateways.ros1.api_calls import ANY_TYPE, Answered, Api
 from slidectl.gateways.ros1.data_plane import DataPlane
 from slidectl.gateways.ros1.native_graph import OWN_NODE, NativeGraph
-from slidectl.gateways.ros1.node_calls import NodeCalls
+from slidectl.gateways.tasks import Tasks
 
 _log = logging.getLogger(__name__)
 
@@ -28,6 +29,8 @@ PARAMETERS = "parameters"
 _COMMANDS = "/slidectl_"
 """How the nodes of connections are called that have no name of their own."""
 _PUBLISHERS, _SUBSCRIBERS, _SERVICES = "publishers", "subscribers", "services"
+_MOST_AT_ONCE = 50
+"""Nodes that are being called at the same time: each call is a descriptor."""
 
 
 class Registrations:
@@ -71,6 +74,53 @@ class Registrations:
         for kind, key in held:
             self.remove(kind, key, node)
         return held
+
+
+class NodeCalls:
+    """What foreign nodes have to be told: one call of a node at a time, the newest of each kind.
+
+    A call that fails is not made again, as with rosmaster.
+    """
+
+    def __init__(self) -> None:
+        self._waiting: dict[str, dict[tuple[str, str], tuple[tuple[Any, ...], Callable[[Any], None] | None]]] = {}
+        self._tasks = Tasks()
+        self._limit = asyncio.Semaphore(_MOST_AT_ONCE)
+
+    def send(self, uri: str, method: str, *arguments: Any, take: Callable[[Any], None] | None = None) -> None:
+        """Call `method` of the node at this address, with the master as caller; `take` gets what it answers.
+
+        Of what waits with the same method and first argument (a topic, a parameter) only the newest is sent.
+        """
+        key = (method, str(arguments[0]))
+        waiting = self._waiting.get(uri)
+        if waiting is not None:
+            waiting.pop(key, None)
+            waiting[key] = (arguments, take)
+            return
+        self._waiting[uri] = {key: (arguments, take)}
+        self._tasks.begin(self._send_all(uri))
+
+    def close(self) -> None:
+        """Tell nobody any more."""
+        self._tasks.cancel()
+
+    async def _send_all(self, uri: str) -> None:
+        waiting = self._waiting[uri]
+        try:
+            while waiting:
+                key = next(iter(waiting))
+                arguments, take = waiting.pop(key)
+                async with self._limit:
+                    try:
+                        answer = await xmlrpc.call(uri, key[0], "/master", *arguments)
+                    except SlidectlError as error:
+                        _log.info("%s", error)
+                        continue
+                if take is not None:
+                    take(answer)
+        finally:
+            del self._waiting[uri]
 
 
 class Master:

@@ -18,9 +18,8 @@ from slidectl.gateways.ros1 import xmlrpc
 from slidectl.gateways.ros1.api_calls import Answered, Api
 from slidectl.gateways.ros1.data_plane import DataPlane
 from slidectl.gateways.ros1.joined_master import JoinedMaster
-from slidectl.gateways.ros1.master import Master
+from slidectl.gateways.ros1.master import Master, NodeCalls
 from slidectl.gateways.ros1.native_graph import OWN_NODE, NativeGraph
-from slidectl.gateways.ros1.node_calls import NodeCalls
 from slidectl.gateways.ros1.parameter_server import DaemonParameters, ParameterServer
 from slidectl.gateways.ros1.slave import Slave
 from slidectl.paths import InstancePaths

@@ -14,7 +14,7 @@ from slidectl import names
 from slidectl.client.lines import BadLine, check_size, decode, encode
 from slidectl.errors import SlidectlError, UsageError, listing
 from slidectl.gateways.daemon_connection import DaemonConnection
-from slidectl.gateways.reading_services import is_reading
+from slidectl.gateways.gateway import is_reading
 from slidectl.gateways.websocket.action_goals import ActionGoals
 from slidectl.gateways.websocket.encodings import (
     COMPRESSIONS,
