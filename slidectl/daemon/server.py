@@ -49,12 +49,7 @@ class Server:
     """Connections on `listener`, with the graph behind them."""
 
     def __init__(
-        self,
-        listener: socket.socket,
-        loop: EventLoop,
-        graph: Graph,
-        unexpected: Callable[[str], None],
-        run: RunState,
+        self, listener: socket.socket, loop: EventLoop, graph: Graph, unexpected: Callable[[str], None], run: RunState
     ) -> None:
         self.loop = loop
         self.graph = graph
@@ -212,13 +207,7 @@ class Connection:
         self._incoming = LineBuffer()
         self.node = f"/slidectl_{pid}_{serial}"
         self._session = Session(
-            self,
-            server.graph,
-            server.publications,
-            server.unexpected,
-            self.node,
-            _session_of(pid),
-            server.journal,
+            self, server.graph, server.publications, server.unexpected, self.node, _session_of(pid), server.journal
         )
         self.outbox = Outbox(self._session.report, server.publications)
         self._chunk: bytes | memoryview = b""
