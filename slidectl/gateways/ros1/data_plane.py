@@ -10,7 +10,7 @@ import logging
 import resource
 from collections.abc import Awaitable, Callable, Iterable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, NamedTuple
 
 from slidectl import msgs
 from slidectl.errors import NoDaemon, Refused, SlidectlError, TimedOut
@@ -34,6 +34,17 @@ _OF_ACTIONS = ("ActionFeedback", "ActionResult", "actionlib_msgs/GoalStatusArray
 _PROBES = 4
 _FIRST_PROBE_PAUSE_S = 0.5
 _ASK_AGAIN_S = 1.0
+
+
+class ForeignTopic(NamedTuple):
+    """A topic of nodes of ROS: its type, which may be `*`, publishers with the addresses of their slave APIs."""
+
+    type: str
+    publishers: dict[str, str]
+    subscribers: set[str]
+
+
+_UNUSED = ForeignTopic(ANY_TYPE, {}, set())
 
 
 class ForeignNode:
@@ -73,8 +84,7 @@ class DataPlane:
         self._own: list[DaemonConnection] = []
         self._natives: dict[str, Message] = {}
         """Topics of the daemon, without foreign nodes."""
-        self._publishers: dict[str, tuple[str, dict[str, str]]] = {}
-        self._subscribers: dict[str, tuple[str, set[str]]] = {}
+        self._foreign_topics: dict[str, ForeignTopic] = {}
         self._offers: dict[str, tuple[str, str]] = {}
         self._service_types: dict[tuple[str, str], str] = {}
         """(service, URI) -> type; empty while that is not known, or slidectl does not know it."""
@@ -105,8 +115,8 @@ class DataPlane:
         self._open_connection = open_connection
         await self._topics.attach(*self._own)
         self._services.attach(main)
-        self._touch({node for _, nodes in self._publishers.values() for node in nodes})
-        self._touch({node for _, nodes in self._subscribers.values() for node in nodes})
+        for topic in self._foreign_topics:
+            self._touch(self._users(topic))
         self._touch({node for node, _ in self._offers.values()})
 
     async def detach(self) -> None:
@@ -145,22 +155,14 @@ class DataPlane:
             if before.get(topic, {}).get("type") != self._natives.get(topic, {}).get("type"):
                 self._touch(self._users(topic))
 
-    def set_foreign_publishers(self, topic: str, type: str, publishers: dict[str, str]) -> None:
-        """All foreign publishers of a topic: node -> address of its slave API. The type may be `*`."""
+    def set_foreign_topic(self, topic: str, type: str, publishers: dict[str, str], subscribers: set[str]) -> None:
+        """All foreign publishers of a topic, node -> address of its slave API, and subscribers. The type may be `*`."""
         self._touch(self._users(topic))
-        self._publishers[topic] = (type, publishers)
-        if not publishers:
-            del self._publishers[topic]
+        self._foreign_topics[topic] = ForeignTopic(type, publishers, subscribers)
+        if not publishers and not subscribers:
+            del self._foreign_topics[topic]
         self._touch(self._users(topic))
         self._update_followers(topic)
-
-    def set_foreign_subscribers(self, topic: str, type: str, nodes: set[str]) -> None:
-        """All foreign subscribers of a topic. The type may be `*`."""
-        self._touch(self._users(topic))
-        self._subscribers[topic] = (type, nodes)
-        if not nodes:
-            del self._subscribers[topic]
-        self._touch(self._users(topic))
         self._update_served()
 
     def set_foreign_services(self, services: dict[str, tuple[str, str]]) -> None:
@@ -176,12 +178,10 @@ class DataPlane:
 
     def node_gone(self, node: str) -> None:
         """A foreign node has unregistered, or died."""
-        for topic, (kind, publishers) in list(self._publishers.items()):
-            if node in publishers:
-                self.set_foreign_publishers(topic, kind, {n: uri for n, uri in publishers.items() if n != node})
-        for topic, (kind, nodes) in list(self._subscribers.items()):
-            if node in nodes:
-                self.set_foreign_subscribers(topic, kind, nodes - {node})
+        for topic, (kind, publishers, subscribers) in list(self._foreign_topics.items()):
+            if node in publishers or node in subscribers:
+                others = {other: uri for other, uri in publishers.items() if other != node}
+                self.set_foreign_topic(topic, kind, others, subscribers - {node})
         self.set_foreign_services({s: offer for s, offer in self._offers.items() if offer[0] != node})
 
     # --- what is asked ------------------------------------------------------------------------------------------
@@ -256,14 +256,13 @@ class DataPlane:
         """The type that slidectl gives a topic, empty when it knows none."""
         if topic in self._natives:
             return str(self._natives[topic]["type"])
-        nobody: tuple[str, set[str]] = (ANY_TYPE, set())
-        told = (self._publishers.get(topic, nobody)[0], self._subscribers.get(topic, nobody)[0])
-        return next((kind for kind in told if kind != ANY_TYPE and msgs.exists(kind)), "")
+        kind = self._foreign_topics.get(topic, _UNUSED).type
+        return kind if kind != ANY_TYPE and msgs.exists(kind) else ""
 
     def _users(self, topic: str) -> set[str]:
         """Foreign nodes that use it."""
-        publishers, subscribers = self._publishers.get(topic), self._subscribers.get(topic)
-        return {*(publishers[1] if publishers else ()), *(subscribers[1] if subscribers else ())}
+        _, publishers, subscribers = self._foreign_topics.get(topic, _UNUSED)
+        return {*publishers, *subscribers}
 
     def _subscribes(self, node: str, topic: str) -> bool:
         return node in self._natives.get(topic, {}).get("subscribers", ())
@@ -277,7 +276,7 @@ class DataPlane:
 
     def _update_served(self) -> None:
         served = {name: (str(one["type"]), one["publishers"]) for name, one in self._natives.items()}
-        awaited = {topic for topic in self._subscribers if self._type_of(topic)}
+        awaited = {topic for topic, one in self._foreign_topics.items() if one.subscribers and self._type_of(topic)}
         topics = {topic: served.get(topic) or (self._type_of(topic), []) for topic in {*served, *awaited}}
         self._topics.set_topics({name: one for name, one in topics.items() if one[1] or name in awaited})
 
@@ -305,8 +304,8 @@ class DataPlane:
 
     async def _settle(self, name: str, open_connection: OpenConnection) -> None:
         node = self._foreign.setdefault(name, ForeignNode(name))
-        published = {t: self._type_of(t) for t, (_, nodes) in self._publishers.items() if name in nodes}
-        subscribed = {t: self._type_of(t) for t, (_, nodes) in self._subscribers.items() if name in nodes}
+        published = {t: self._type_of(t) for t, one in self._foreign_topics.items() if name in one.publishers}
+        subscribed = {t: self._type_of(t) for t, one in self._foreign_topics.items() if name in one.subscribers}
         offers = {s: (uri, self._service_types[s, uri]) for s, (n, uri) in self._offers.items() if n == name}
         published, subscribed = ({t: kind for t, kind in some.items() if kind} for some in (published, subscribed))
         services = {service: kind for service, (_, kind) in offers.items() if kind}
@@ -364,7 +363,7 @@ class DataPlane:
         subscribers = self._natives.get(topic, {}).get("subscribers", ())
         kind = self._type_of(topic)
         is_wanted = bool(subscribers) or kind.endswith(_OF_ACTIONS)
-        publishers = self._publishers[topic][1] if topic in self._publishers and is_wanted and kind else {}
+        publishers = self._foreign_topics.get(topic, _UNUSED).publishers if is_wanted and kind else {}
         publishers = {node: uri for node, uri in publishers.items() if self._publishes(node, topic)}
         for (of, node), follower in list(self._followers.items()):
             if of == topic and (publishers.get(node) != follower.uri or follower.type.name != kind):

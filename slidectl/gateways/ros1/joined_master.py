@@ -202,8 +202,7 @@ class JoinedMaster:
             addresses = {node: uri for node in publishers.get(topic, ()) if (uri := self._addresses[node])}
             told = (types.get(topic, ANY_TYPE), addresses, set(subscribers.get(topic, ())))
             if told != self._told.get(topic):
-                self._data.set_foreign_publishers(topic, *told[:2])
-                self._data.set_foreign_subscribers(topic, told[0], told[2])
+                self._data.set_foreign_topic(topic, *told)
             self._told[topic] = told
             if topic not in publishers and topic not in subscribers:
                 del self._told[topic]

@@ -254,8 +254,8 @@ class Master:
     def tell_topic(self, topic: str) -> None:
         """Tell what carries the data who publishes and subscribes a topic."""
         kind = self._types.get(topic, ANY_TYPE)
-        self._data.set_foreign_publishers(topic, kind, dict(self._publishers.get(topic, {})))
-        self._data.set_foreign_subscribers(topic, kind, set(self._subscribers.get(topic, {})))
+        publishers, subscribers = dict(self._publishers.get(topic, {})), set(self._subscribers.get(topic, {}))
+        self._data.set_foreign_topic(topic, kind, publishers, subscribers)
 
     def tell_services(self) -> None:
         """Tell it who provides services."""
