@@ -262,12 +262,6 @@ class Master:
         provided = {service: next(iter(nodes.items())) for service, nodes in self._services.items()}
         self._data.set_foreign_services(provided)
 
-    def tell_all(self) -> None:
-        """Tell it everything: it is new, or has lost the daemon."""
-        for topic in {*self._publishers, *self._subscribers}:
-            self.tell_topic(topic)
-        self.tell_services()
-
     def notify_subscribers(self, topic: str) -> None:
         """Tell the foreign subscribers of a topic who publishes it."""
         uris = self._publisher_uris(topic)

@@ -105,7 +105,6 @@ class Ros1Gateway(Gateway):
         if self._master is not None:
             await self._set_own_parameters()
             await self._open_rosout()
-            self._master.tell_all()
         await self._take_graph()
         if self._joined is not None:
             self._joined.start(_joined_node(paths), self._node_uri("/"), self._data.service_uri())
@@ -152,12 +151,7 @@ class Ros1Gateway(Gateway):
                 raise xmlrpc.XmlRpcFault(1, f"the master is at /, nobody is at {path!r}")
             return await api.answer(method, arguments)
 
-        server = xmlrpc.XmlRpcServer(answer)
-        try:
-            port = await server.open(bound, self._options.port)
-        except OSError as error:
-            raise await self._not_opened(bound, error) from None
-        self._servers.append(server)
+        port = await self._listen(answer, bound, self._options.port)
         self._master.uri = uri = f"http://{in_uri(shown)}:{port}/"
         if (set_uri := os.environ.get("ROS_MASTER_URI", "").rstrip("/")) and not set_uri.endswith(f":{port}"):
             _log.warning("ROS_MASTER_URI is %s here: nodes with that do not find this master, at %s", set_uri, uri)
@@ -166,15 +160,20 @@ class Ros1Gateway(Gateway):
 
     async def _open_nodes(self, slave: Slave, bound: str, shown: str) -> None:
         """Serve the slave API, and listen for data."""
-        server = xmlrpc.XmlRpcServer(slave.answer)
-        try:
-            port = await server.open(bound, 0)
-        except OSError as error:
-            raise await self._not_opened(bound, error) from None
-        self._servers.append(server)
+        port = await self._listen(slave.answer, bound, 0)
         self._nodes_at = f"http://{in_uri(shown)}:{port}"
         await self._data.open()
         self._natives.service_uri = self._data.service_uri()
+
+    async def _listen(self, answer: xmlrpc.Answer, bound: str, port: int) -> int:
+        """The port. Raises Refused: it is taken."""
+        server = xmlrpc.XmlRpcServer(answer)
+        try:
+            port = await server.open(bound, port)
+        except OSError as error:
+            raise await self._not_opened(bound, error) from None
+        self._servers.append(server)
+        return port
 
     async def _not_opened(self, bound: str, error: OSError) -> Refused:
         port = self._options.port
