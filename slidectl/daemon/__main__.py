@@ -70,10 +70,10 @@ def _begin(start: Start, stack: ExitStack) -> Daemon | None:
     sys.set_int_max_str_digits(_LONGEST_NUMBER)
     if start.parent is not None and not end_with(start.parent, signal.SIGTERM):
         return None
+    place = Place(start.paths)
     if not start.foreground:
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
         os.chdir("/")
-    place = Place(start.paths)
     stack.callback(place.give_back)
     if not place.take():
         pid = holder(start.paths.lock)

@@ -9,6 +9,7 @@ import json
 import math
 import os
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from typing import Any
 
 from slidectl import paths
@@ -92,8 +93,9 @@ class Start:
         """A start at the place of these paths."""
         return cls(options, where.socket_text, **more)
 
-    @property
+    @cached_property
     def paths(self) -> paths.InstancePaths:
+        """Asked for before the daemon leaves the folder in which it was started: XDG_RUNTIME_DIR may be relative."""
         return paths.instance(socket=self.socket)
 
     def text(self) -> str:
