@@ -7,7 +7,6 @@ with running_daemon(rtf=math.inf) as daemon:
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import signal
@@ -22,6 +21,7 @@ from slidectl import paths
 from slidectl.client import Client
 from slidectl.daemon import lifecycle
 from slidectl.daemon.options import DaemonOptions
+from slidectl.processes import holder
 
 ROOT = Path(__file__).parent.parent
 
@@ -70,16 +70,13 @@ class Runtime:
 
     def remove(self) -> None:
         """End whatever runs here and remove the folder."""
-        for lock in self.folder.glob("slidectl/*/*gateway-*.lock"):
-            with suppress(ProcessLookupError, ValueError, KeyError):
-                os.kill(json.loads(lock.read_text(encoding="ascii"))["pid"], signal.SIGKILL)
         for lock in self.folder.glob("slidectl/*/*lock"):
             _end(lock)
         shutil.rmtree(self.folder, ignore_errors=True)
 
 
 def _end(lock: Path) -> None:
-    pid = lifecycle.holder(lock)
+    pid = holder(lock)
     if not pid:
         return
     with suppress(ProcessLookupError):

@@ -212,7 +212,7 @@ def _condition(text: str | None, recording: Recording) -> Callable[[Record], boo
     """Raises UsageError: it is no expression, or no topic has the fields that it names."""
     if text is None:
         return lambda _record: True
-    from slidectl.msgs.templates import Filter
+    from slidectl.msgs.message_expressions import Filter
 
     filters: dict[int, Filter] = {}
     refusal: UsageError | None = None

@@ -88,7 +88,7 @@ def predicate(condition: str | None, schema: Schema) -> Keep:
     """The test of `--filter`. Raises UsageError before the first message when it is not valid."""
     if condition is None:
         return lambda _message: True
-    from slidectl.msgs.templates import Filter
+    from slidectl.msgs.message_expressions import Filter
 
     return Filter(condition, schema)
 

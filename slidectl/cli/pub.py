@@ -9,7 +9,7 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import islice, repeat
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -19,12 +19,9 @@ from slidectl.cli.commands import Command, command, positive_seconds
 from slidectl.cli.context import Context
 from slidectl.cli.topic_streams import SUBSCRIBERS, Target, details, look_up
 from slidectl.errors import BadFile, SlidectlError, TimedOut, UnknownName, Unused, UsageError
-from slidectl.msgs.fill import fields_from, fill
+from slidectl.msgs.fill import fill, mentions_clock
 from slidectl.msgs.schema import Schema
 from slidectl.values import check_quotes, documents_of, documents_on_stdin, is_numeric, read
-
-if TYPE_CHECKING:
-    from slidectl.msgs.templates import Template
 
 Values = Sequence[Any]
 """What a message is made of: one mapping of fields, or one value for each field."""
@@ -233,25 +230,20 @@ def publish(
         UsageError, Refused: an expression that is none, or cannot be computed. NoDaemon.
         TimedOut: not taken in, or latched for `--timeout`.
     """
-    client, topic, schema, fields_of = ctx.client, target.topic, target.schema, fields_from(target.typedefs)
-    previous: Values | None = None
-    template: Template | None = None
+    client, topic, schema = ctx.client, target.topic, target.schema
     told: set[str] = set()
     published = 0
     began = latest = client.monotonic()
     try:
         try:
             for index, values in enumerate(sources):
-                if values is not previous:
-                    template, previous = template_of(schema, values, rate is not None), values
                 if rate is not None:
                     due = began + index / rate
                     late = client.monotonic() - due
                     if late > _FELL_BEHIND_S:
                         began += late
                     ctx.pause(due - client.monotonic())
-                chosen = values if template is None else template.at(index, index / (rate or 1.0))
-                message = fill(fields_of, target.type, chosen, now(ctx, template))
+                message = message_of(ctx, schema, values, rate is not None, index, index / (rate or 1.0))
                 client.deliver(topic, message, target.type if advertise else None, latch)
                 published += 1
                 latest = client.monotonic()
@@ -284,18 +276,19 @@ def _judge_rate(ctx: Context, rate: float | None, published: int, seconds: float
             ctx.warn(f"published at {reached:.1f} Hz instead of {rate:g} Hz")
 
 
-def template_of(schema: Schema, values: Values, expressions: bool = False) -> Template | None:
-    """None for values without text: nothing in them can be an expression or stand for the time."""
-    if is_numeric(list(values)):
-        return None
-    from slidectl.msgs.templates import Template
+def message_of(
+    ctx: Context, schema: Schema, values: Values, expressions: bool = False, index: int = 0, seconds: float = 0.0
+) -> dict[str, Any]:
+    """The message of the schema's root type that the values mean, at i = index and t = seconds in expressions.
 
-    return Template(schema, values, expressions)
+    Raises as `fill` and `Numbers.at`.
+    """
+    if is_numeric(list(values)):  # nothing in them can be an expression or stand for the time
+        return fill(schema.fields, schema.root, values)
+    from slidectl.msgs.message_expressions import Numbers
 
-
-def now(ctx: Context, template: Template | None) -> tuple[int, int] | None:
-    """The simulated time, seconds and nanoseconds, when a value stands for it."""
-    if template is None or not template.needs_clock:
-        return None
-    time = ctx.call("/rosapi/get_time")["time"]
-    return time["secs"], time["nsecs"]
+    now = None
+    if mentions_clock(values):
+        time = ctx.call("/rosapi/get_time")["time"]
+        now = time["secs"], time["nsecs"]
+    return fill(schema.fields, schema.root, values, now, Numbers(expressions).at(index, seconds))

@@ -11,9 +11,9 @@ from slidectl import names
 from slidectl.cli import completion, output
 from slidectl.cli.commands import group
 from slidectl.cli.context import Context
-from slidectl.cli.pub import now, template_of
+from slidectl.cli.pub import message_of
 from slidectl.errors import Refused, UsageError
-from slidectl.msgs.fill import field_paths, fields_from, fill
+from slidectl.msgs.fill import field_paths
 from slidectl.msgs.forms import YamlForm
 from slidectl.msgs.schema import Typedefs, from_typedefs
 from slidectl.values import check_quotes, documents_on_stdin, read
@@ -143,16 +143,13 @@ def call(ctx: Context, name: str, given: tuple[str, ...], stdin: bool) -> None:
         raise UsageError(
             f"no VALUE given for {full} ({found['type']})", f"the request has the fields: {', '.join(fields)}"
         )
-    fields_of, schema = fields_from(parts), from_typedefs(parts)
+    schema = from_typedefs(parts)
     requests: Iterable[Sequence[Any]] = [[read(word) if word else "" for word in given]]
     if stdin:
         requests = ([{} if document is None else document] for document in documents_on_stdin())
     refusals = []
     for values in requests:
-        template = template_of(schema, values)
-        chosen = values if template is None else template.at(0, 0.0)
-        request = fill(fields_of, parts[0]["type"], chosen, now(ctx, template))
-        response, refusal = call_service(ctx, full, request)
+        response, refusal = call_service(ctx, full, message_of(ctx, schema, values))
         ctx.emit(response, as_yaml(response, found["response_typedefs"]))
         for reason in [] if refusal else ctx.client.reasons:
             ctx.warn(reason)
@@ -194,7 +191,8 @@ def ask_each(ctx: Context, question: str, services: Iterable[str], key: str) -> 
 
 def argument_names(request: Typedefs) -> list[str]:
     """The fields of a request, nested ones as `a.b`."""
-    return field_paths(fields_from(request), str(request[0]["type"]))
+    schema = from_typedefs(request)
+    return field_paths(schema.fields, schema.root)
 
 
 def as_yaml(message: dict[str, Any], parts: Typedefs) -> str:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
-from functools import partial
 from itertools import pairwise
 from time import monotonic, monotonic_ns
 from typing import Any
@@ -22,7 +21,7 @@ from slidectl.cli.echo import predicate
 from slidectl.cli.topic_streams import PUBLISHERS, Event, Stream, Target, look_up, nanoseconds
 from slidectl.errors import NoDaemon, Refused, TimedOut
 from slidectl.msgs.schema import Schema
-from slidectl.msgs.sizes import size
+from slidectl.msgs.serialization import packer
 
 Record = dict[str, Any]
 Render = Callable[[Sequence[Record]], str]
@@ -342,10 +341,10 @@ def bw(ctx: Context, topic: str, window: int, reports: int | None, sim_seconds: 
     messages are JSON. JSON keys: topic, rate (bytes/s), mean, min, max (bytes), window, new.
     """
     target = look_up(ctx, topic, PUBLISHERS)
-    schema = target.schema
+    pack = packer(target.schema.root, target.schema.fields)
     stream = Stream(ctx, [target.topic], with_clock=not wall_time, sim_seconds=sim_seconds)
     now = monotonic if wall_time else lambda: stream.time_ns / 1e9
-    meter = SizeMeter(target.topic, window, partial(size, schema.fields, schema.root), now)
+    meter = SizeMeter(target.topic, window, lambda message: len(pack(message)), now)
     measure(ctx, stream, [meter], sizes_text, ctx.say, reports)
 
 

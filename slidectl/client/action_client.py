@@ -105,6 +105,7 @@ class Action:
         self._results = client.subscribe(f"{self.name}/result")
         self._feedback = client.subscribe(f"{self.name}/feedback")
         self._lists = client.subscribe(f"{self.name}/status", queue_length=1)
+        self._all = (self._results, self._feedback, self._lists)
         self._ended: dict[str, ActionResult | None] = {}
         """The goals that were sent here, with their results."""
         self._listed: set[str] = set()
@@ -164,7 +165,7 @@ class Action:
                 return
             left_s = deadline - self._client.monotonic()
             try:
-                self._client.wait_until(self._has_news, min(left_s, _LOOK_EVERY_S), "")
+                self._client.wait_until(lambda: any(map(len, self._all)), min(left_s, _LOOK_EVERY_S), "")
             except TimedOut as error:
                 if left_s <= _LOOK_EVERY_S:
                     raise TimedOut(f"the goal of {self.name} has not ended within {timeout:g} s", error.hint) from None
@@ -174,9 +175,6 @@ class Action:
 
     def _is_served(self) -> bool:
         return bool(self._client.call("/rosapi/subscribers", {"topic": f"{self.name}/goal"})["subscribers"])
-
-    def _has_news(self) -> bool:
-        return bool(len(self._feedback) or len(self._results) or len(self._lists))
 
     def _is_gone(self, goal_id: str) -> bool:
         """Was the goal in an earlier list of the server, and is not in one that is here?"""
@@ -195,7 +193,7 @@ class Action:
 
     def close(self) -> None:
         """Unsubscribe. The goals go on."""
-        for subscription in (self._results, self._feedback, self._lists):
+        for subscription in self._all:
             subscription.close()
 
     def __enter__(self) -> Action:

@@ -994,13 +994,9 @@ class Manager:
         """Wait for the answer of a service that says `ok`. Raises Refused."""
         ok = self.client.answer(call_id, timeout=self._limit_s)["ok"]
         if not ok:
-            raise self.refusal(what, self.client.reasons)
+            raise Refused("\n".join(self.client.reasons[-2:]) or f"cannot {what}, and no reason was given")
         for reason in self.client.reasons:
             self.warn(reason)
-
-    def refusal(self, what: str, reasons: Sequence[str]) -> Refused:
-        """The error when the manager said no to do `what`."""
-        return Refused("\n".join(reasons[-2:]) or f"cannot {what}, and no reason was given")
 
     def is_there(self) -> bool:
         """Whether its services exist."""

@@ -154,7 +154,11 @@ class SocketLink:
                 if readable:
                     self._read()
             except OSError:
-                self._read_what_is_left()
+                while self._read():
+                    pass
+                for message in map(decode, self._incoming.lines):
+                    if message.get("op") == "status":
+                        self.last_status = str(message.get("msg", ""))
                 raise self._gone() from None
 
     def receive(self, deadline: float) -> dict[str, Any] | None:
@@ -180,13 +184,6 @@ class SocketLink:
         self._closed = not data
         self._incoming.feed(data)
         return not self._closed
-
-    def _read_what_is_left(self) -> None:
-        while self._read():
-            pass
-        for message in map(decode, self._incoming.lines):
-            if message.get("op") == "status":
-                self.last_status = str(message.get("msg", ""))
 
     def _gone(self) -> NoDaemon:
         why = f": {self.last_status}" if self.last_status else ""

@@ -17,9 +17,10 @@ from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING, Any
 
 from slidectl.daemon.options import Start
-from slidectl.daemon.place import Place, holder
+from slidectl.daemon.place import Place
 from slidectl.errors import EXIT_DONE, Refused, SlidectlError
 from slidectl.logfile import LogFile
+from slidectl.processes import end_with, holder
 
 if TYPE_CHECKING:
     from slidectl.daemon.main_loop import Daemon
@@ -28,7 +29,6 @@ _LEAST_DESCRIPTORS = 24
 """File descriptors: those of a daemon with a few clients that reads a robot and starts a compiler."""
 _LONGEST_NUMBER = 640
 """Digits of an integer, the least that Python can be told: reading them takes time that grows with their square."""
-_PR_SET_PDEATHSIG = 1
 
 
 def main(text: str) -> int:
@@ -68,16 +68,12 @@ def _begin(start: Start, stack: ExitStack) -> Daemon | None:
         )
     os.umask(0o077)
     sys.set_int_max_str_digits(_LONGEST_NUMBER)
-    if start.parent is not None:
-        import ctypes
-
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
-        if os.getppid() != start.parent:
-            return None
+    if start.parent is not None and not end_with(start.parent, signal.SIGTERM):
+        return None
+    place = Place(start.paths)
     if not start.foreground:
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
         os.chdir("/")
-    place = Place(start.paths)
     stack.callback(place.give_back)
     if not place.take():
         pid = holder(start.paths.lock)

@@ -1,6 +1,7 @@
 """All that slidectl leaves on a machine, and its removal: compiled code, the shell's history, instances' folders.
 
-A folder counts as ours by its name and its owner; a symbolic link is never followed. What a living daemon uses stays.
+A folder counts as ours by its name and its owner; a symbolic link is never followed. What a living daemon or gateway
+uses stays.
 """
 
 from __future__ import annotations
@@ -14,12 +15,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 from slidectl import paths
-from slidectl.daemon.place import holder
+from slidectl.processes import holder
 from slidectl.simulation.compiled import object_file
 
 
 class Leftover(NamedTuple):
-    """One thing that is there. `pid` is the living daemon that uses it, None when nobody does."""
+    """One thing that is there. `pid` is the living daemon or gateway that uses it, None when nobody does."""
 
     path: Path
     what: str
@@ -40,8 +41,9 @@ def leftovers(history: Path, chosen: paths.InstancePaths) -> list[Leftover]:
         instances = [one for path in inside for one in _folder(path, f"instance {path.name}", path.glob("*lock"))]
         found += instances or _folder(folder, "folder of the instances")
     if chosen.prefix:
-        pid = _user_of([chosen.lock])
-        files = (*chosen.folder.glob(f"{chosen.prefix}l*"), chosen.socket)
+        pid = _user_of(chosen.folder.glob(f"{chosen.prefix}*lock"))
+        kinds = ("lock", "log", "log.*", "gateway-*", "launch-*.log", "recording-*.log", "playing-*.log")
+        files = [*(file for kind in kinds for file in chosen.folder.glob(chosen.prefix + kind)), chosen.socket]
         what = f"socket {chosen.socket.name}"
         found += [
             Leftover(path, what, _size(path), pid) for path in files if _is_ours(path, stat.S_IFREG, stat.S_IFSOCK)
@@ -65,7 +67,7 @@ def _folder(path: Path, what: str, locks: Iterable[Path] = ()) -> list[Leftover]
 
 
 def _user_of(locks: Iterable[Path]) -> int | None:
-    """Process id of a daemon that holds one of the locks."""
+    """Process id of a daemon or a gateway that holds one of the locks."""
     return next((pid for lock in locks if (pid := holder(lock)) is not None), None)
 
 

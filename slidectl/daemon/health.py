@@ -100,11 +100,7 @@ def _libraries() -> _Found:
             import_module(module)
             there.append(f"{name} {version(name)}")
         except (ImportError, PackageNotFoundError, OSError) as error:
-            yield (
-                BROKEN,
-                f"{name}: {error}",
-                "in the clone of slidectl: pip install --force-reinstall .",
-            )
+            yield (BROKEN, f"{name}: {error}", "in the clone of slidectl: pip install --force-reinstall .")
     yield OK, ", ".join(there)
     for name, (module, use, remedy) in _EXTRAS.items():
         try:
@@ -133,13 +129,12 @@ def _compiled() -> _Found:
 
 
 def _sockets(instance: InstancePaths) -> _Found:
-    if not instance.folder.exists():
-        paths.make_private(instance.folder)  # says what is wrong
+    was_there = instance.folder.exists()
+    paths.make_private(instance.folder)  # says what is wrong
+    if not was_there:
         with suppress(OSError):
             instance.folder.rmdir()
-    else:
-        paths.make_private(instance.folder)
-    yield OK, f"{instance.socket_text}"
+    yield OK, instance.socket_text
 
 
 def _daemons(instance: InstancePaths) -> _Found:

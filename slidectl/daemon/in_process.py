@@ -50,7 +50,8 @@ class InProcessWorld:
             journal.watch(self.simulation)
         self.simulation.driven = True
         self.simulation.monitor = self._status
-        self.simulation.loop.enough = self._is_enough
+        self._news = False
+        self.simulation.loop.enough = lambda: self._news
         self.publications = _NotedPublications(self)
         self.connections: list[InProcessConnection] = []
         self.end_ns: int | None = None
@@ -62,7 +63,6 @@ class InProcessWorld:
         self._wall_s = 0.0
         self._still_s = 0.0
         self._serial = 0
-        self._news = False
         self._waiting: list[InProcessConnection] = []
         graph = self.simulation.graph
         graph.log.sink = self._keep_line
@@ -154,9 +154,6 @@ class InProcessWorld:
         if not self._news and (connection.on_lines is not None or connection in self._waiting):
             self._news = True
             self.simulation.loop.end_burst()
-
-    def _is_enough(self) -> bool:
-        return self._news
 
     def _look_after_others(self) -> bool:
         """Those who take what comes have their turn. True when somebody had something."""

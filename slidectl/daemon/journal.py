@@ -128,10 +128,8 @@ class Journal:
     def _matters(self, message: Message) -> bool:
         """True when the line can change the world."""
         operation, topic = message["op"], str(message.get("topic"))
-        if operation in (
-            "subscribe",
-            "unsubscribe",
-        ):  # a camera takes no picture while it is busy with one for a client
+        if operation in ("subscribe", "unsubscribe"):
+            # A camera takes no picture while it is busy with one for a client.
             topics = self._simulation.graph.topics if self._simulation is not None else None
             return PICTURE in (message.get("type"), topics and topics.exists(topic) and topics.type_of(topic))
         return operation != "set_level" and not (

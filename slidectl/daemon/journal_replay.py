@@ -33,8 +33,6 @@ from slidectl.simulation.pending import Pending
 from slidectl.simulation.simulation import Simulation
 
 _UNREPEATABLE = "code of users that looks at the wall time, random numbers or other files is not repeatable"
-
-
 _BY_ITSELF = frozenset(("limit", "module"))
 """Entries that are not carried out, but taken when the world comes to them."""
 
@@ -60,8 +58,8 @@ class Replay:
         self._until_ns = NEVER if until is None else from_seconds(until)
         self._at = 0
         """Index of the entry that is carried out."""
-        self._next = 0
-        """Index of the first entry that was not taken yet."""
+        self.taken = 0
+        """How many entries of the journal were taken: the index of the next."""
         self._limit = TimeLimit()
         self._limit.on_end = self._take_limit
         self._sessions: dict[int, Session] = {}
@@ -77,11 +75,6 @@ class Replay:
         user_modules.give(UserModule(*entry["module"]) for entry in contents.entries if "module" in entry)
         self._look_ahead()
         self.simulation = self._beginning()
-
-    @property
-    def taken(self) -> int:
-        """How many entries of the journal were taken."""
-        return self._next
 
     def _beginning(self) -> Simulation:
         """The world as it was at first."""
@@ -134,14 +127,14 @@ class Replay:
         """Returns whether the time that was asked for came before the end."""
         entries = self.contents.entries
         while True:
-            self._at = self._next
+            self._at = self.taken
             while self._at < len(entries) and not _BY_ITSELF.isdisjoint(entries[self._at]):
                 self._at += 1
             if self._at == len(entries):
                 return False
             if not self._step_to(entries[self._at]["cycle"]):
                 return True
-            if self._next != self._at:
+            if self.taken != self._at:
                 self._fail("code of a user that took too long then does not now")
             self._advance()
             self._carry_out(entries[self._at])
@@ -204,19 +197,19 @@ class Replay:
         return self._sessions[number]
 
     def _advance(self) -> None:
-        self._next += 1
+        self.taken += 1
         self._look_ahead()
 
     def _look_ahead(self) -> None:
         """Users' code is ended where it was, and only there: this machine may be slower."""
         while self._peek("module"):
-            self._next += 1
+            self.taken += 1
         is_limited = self._peek("limit")
         self._limit.most_s = time_limit.LIMIT_S if is_limited else math.inf
 
     def _peek(self, kind: str) -> bool:
         entries = self.contents.entries
-        return self._next < len(entries) and kind in entries[self._next]
+        return self.taken < len(entries) and kind in entries[self.taken]
 
     def _fail(self, why: str) -> NoReturn:
         cycle = self.contents.entries[self._at]["cycle"] if self.contents.entries else 0
@@ -225,9 +218,9 @@ class Replay:
     # --- what came from outside ---------------------------------------------------------------------------------
 
     def _read(self, what: str, look: Callable[[], Any]) -> Any:
-        if self._next == len(self.contents.entries):  # the journal was cut off before it was read
+        if self.taken == len(self.contents.entries):  # the journal was cut off before it was read
             return look()
-        entry = self.contents.entries[self._next]
+        entry = self.contents.entries[self.taken]
         if entry.get("read") != what:
             self._fail(f"the world reads the {what} now, and did not then")
         self._advance()

@@ -18,23 +18,21 @@ from dataclasses import replace
 from pathlib import Path
 from typing import IO, NoReturn
 
+from slidectl import processes
 from slidectl.client import Client
 from slidectl.client.link import command
 from slidectl.daemon.options import DaemonOptions, Start
-from slidectl.daemon.place import holder
 from slidectl.errors import NoDaemon, Refused, SlidectlError, TimedOut
 from slidectl.paths import InstancePaths, make_private, with_package
 
-# -P: a file of the user's that is called like a library must not be taken for it.
-_INTERPRETER = [sys.executable, "-P", "-m", "slidectl.daemon"]
-_LAST_LINES = 8
+_MODULE = "slidectl.daemon"
 _PAUSE_S = 0.01
 _GRACE_S = 5.0
 
 
 def running(paths: InstancePaths) -> int | None:
     """Process id of the daemon that lives at `paths`, or None. It may still be starting."""
-    return holder(paths.lock)
+    return processes.holder(paths.lock)
 
 
 def start(paths: InstancePaths, options: DaemonOptions | None = None, timeout: float = 30.0) -> tuple[int, bool]:
@@ -59,7 +57,7 @@ def options_of(pid: int) -> DaemonOptions | None:
     """What the daemon of this process was started with, by its command line; None where that cannot be read."""
     try:
         words = os.fsdecode(Path(f"/proc/{pid}/cmdline").read_bytes()).split("\0")[:-1]
-        return Start.read(words[words.index("slidectl.daemon") + 1]).options
+        return Start.read(words[words.index(_MODULE) + 1]).options
     except (OSError, LookupError, ValueError, TypeError):
         return None
 
@@ -86,18 +84,11 @@ class Beginning:
         read_end, write_end = os.pipe()
         parent = os.getpid() if self._options.child else None
         begun = Start.at(self._paths, replace(self._options, child=False), parent=parent, ready_fd=write_end)
-        with os.fdopen(write_end, "wb"), _opened(self._paths.log) as log:
+        with os.fdopen(write_end, "wb"), processes.opened_log(self._paths.log) as log:
             self._ready = os.fdopen(read_end, "rb")
             self._log_before = os.fstat(log.fileno()).st_size
-            self._process = subprocess.Popen(
-                [*_INTERPRETER, begun.text()],
-                env=with_package(os.environ),
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=log,
-                pass_fds=[write_end],
-                start_new_session=True,
-            )
+            words = processes.command_of(_MODULE, begun.text())
+            self._process = processes.start(words, log, stdin=subprocess.DEVNULL, pass_fds=[write_end])
 
     def wait(self, timeout: float = 30.0) -> tuple[int, bool]:
         """Wait until it answers. Returns and raises as `start` does."""
@@ -119,7 +110,7 @@ class Beginning:
                 line = ready.readline()
             self._process = None
             if not line:
-                why = _last_lines(self._paths.log, self._log_before)
+                why = processes.last_lines(self._paths.log, self._log_before)
                 raise Refused(f"the daemon did not start ({_end(process.wait())})", why)
             answer = json.loads(line)
             if answer["state"] == "ready":
@@ -218,7 +209,7 @@ def run(paths: InstancePaths, options: DaemonOptions | None = None) -> NoReturn:
     """Become the daemon, in the foreground: the calling process is replaced, so signals reach it directly."""
     begun = Start.at(paths, options or DaemonOptions(), foreground=True)
     sys.stdout.flush()
-    os.execve(sys.executable, [*_INTERPRETER, begun.text()], with_package(os.environ))
+    os.execve(sys.executable, processes.command_of(_MODULE, begun.text()), with_package(os.environ))
 
 
 def _ask_to_stop(paths: InstancePaths, timeout: float) -> bool:
@@ -249,19 +240,3 @@ def _wait_for_the_other(paths: InstancePaths, deadline: float) -> int | None:
 
 def _end(code: int) -> str:
     return f"ended by {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
-
-
-def _opened(log: Path) -> IO[bytes]:
-    """The log, private to the user; where it cannot be written, nothing."""
-    try:
-        return os.fdopen(os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600), "wb")
-    except OSError:
-        return open(os.devnull, "wb")
-
-
-def _last_lines(path: Path, after: int) -> str:
-    try:
-        text = path.read_bytes()[after:].decode("utf-8", "replace")
-    except OSError:
-        text = ""
-    return "\n".join(text.splitlines()[-_LAST_LINES:]) or f"its log {path} says nothing"

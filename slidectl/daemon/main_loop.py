@@ -118,23 +118,24 @@ class Daemon:
 
     def run(self) -> None:
         """Turn until stopped: the cycles that are due and what they published, then the sockets and what they asked."""
-        _wake_punctually()
+        with suppress(OSError, AttributeError):  # the kernel would round our waits up by 50 µs, for the sake of power
+            ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
         self._log.write("info", f"slidectl {slidectl.__version__} answers on {shown(self._start.paths.socket_text)}")
         turn, server = self._pacer.turn, self._server
-        busy, fresh = server.busy, server.publications.fresh
+        fresh = server.publications.fresh
         while not self._stopping:
             try:
                 wait_s = turn()
             except Exception:
                 wait_s = self._hold()
-            if busy.with_output or busy.with_messages or fresh:
+            if server.with_output or server.with_messages or fresh:
                 server.flush()
             if time.monotonic() >= self._next_tidy_s:
                 self._tidy()
             self._loop.poll(server.wait(_TIDY_EVERY_S if wait_s is None else wait_s))
-            if busy.with_input:
+            if server.with_input:
                 server.serve()
-            if busy.with_output or busy.with_messages or fresh:
+            if server.with_output or server.with_messages or fresh:
                 server.flush()
         self._end()
 
@@ -251,12 +252,6 @@ class Daemon:
             "journal_trouble": "" if self._journal is None else self._journal.trouble,
             **self._pacer.report(),
         }
-
-
-def _wake_punctually() -> None:
-    """Ask the kernel not to round our waits up (by 50 µs, usually) for the sake of power."""
-    with suppress(OSError, AttributeError):
-        ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
 
 
 def _resident_bytes() -> int:

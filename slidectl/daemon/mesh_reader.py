@@ -6,7 +6,6 @@ time and memory that the kernel keeps. It says what it has read on a pipe. Nothi
 
 from __future__ import annotations
 
-import ctypes
 import io
 import os
 import resource
@@ -24,6 +23,7 @@ from slidectl.description.meshes import BadMesh
 from slidectl.errors import Refused
 from slidectl.physics import hulls
 from slidectl.physics.hulls import Hull, MeshSource
+from slidectl.processes import end_with
 from slidectl.simulation.pending import Pending
 
 MOST_CPU_S = 30
@@ -37,7 +37,6 @@ AT_ONCE = 2
 
 _NICER = 10
 _PIECE = 1 << 16
-_PR_SET_PDEATHSIG = 1
 _LARGEST_DESCRIPTOR = 2**31 - 1
 _RESULT = struct.Struct("<?II")
 """One result: whether it is a hull, the length of its name (or of the reason why there is none), that of its file."""
@@ -205,8 +204,7 @@ def _confine(writing: int, parent: int) -> None:
     signal.set_wakeup_fd(-1)
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGXCPU, signal.SIGALRM):
         signal.signal(number, signal.SIG_DFL)
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != parent:
+    if not end_with(parent, signal.SIGKILL):
         os._exit(1)
     # Neither the clients' sockets nor the lock may outlive the daemon in here.
     os.closerange(3, writing)

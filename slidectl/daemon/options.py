@@ -9,6 +9,7 @@ import json
 import math
 import os
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from typing import Any
 
 from slidectl import paths
@@ -79,9 +80,8 @@ class Start:
     """One start of a daemon's process."""
 
     options: DaemonOptions
-    instance: str | None
-    socket: str | None
-    """The path of its socket, if that was named."""
+    socket: str
+    """The path of its socket."""
     foreground: bool = False
     parent: int | None = None
     """The process whose end ends the daemon."""
@@ -91,11 +91,12 @@ class Start:
     @classmethod
     def at(cls, where: paths.InstancePaths, options: DaemonOptions, **more: Any) -> Start:
         """A start at the place of these paths."""
-        return cls(options, *((None, where.socket_text) if where.prefix else (where.name, None)), **more)
+        return cls(options, where.socket_text, **more)
 
-    @property
+    @cached_property
     def paths(self) -> paths.InstancePaths:
-        return paths.instance(self.instance, self.socket)
+        """Asked for before the daemon leaves the folder in which it was started: XDG_RUNTIME_DIR may be relative."""
+        return paths.instance(socket=self.socket)
 
     def text(self) -> str:
         """JSON, from which `read` makes the same again."""

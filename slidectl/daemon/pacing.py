@@ -140,7 +140,8 @@ class Pacer:
         if now < self._due_s:
             return self._due_s - now
         if now - self._due_s > MOST_BEHIND_S:
-            self._give_up_what_is_too_late(now)
+            self.given_up_s += now - self._due_s - MOST_BEHIND_S
+            self._due_s = now - MOST_BEHIND_S
         end = now + CATCH_UP_SLICE_S
         while self._due_s <= now < end:
             asked = allowed(group)
@@ -162,10 +163,6 @@ class Pacer:
             if done < asked:
                 return 0.0
         return max(0.0, self._due_s - now)
-
-    def _give_up_what_is_too_late(self, now: float) -> None:
-        self.given_up_s += now - self._due_s - MOST_BEHIND_S
-        self._due_s = now - MOST_BEHIND_S
 
     def report(self) -> dict[str, float]:
         """The figures of /slidectl/status, wall seconds."""

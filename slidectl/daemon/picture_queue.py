@@ -52,18 +52,17 @@ class PictureQueue:
             self._loop.watch(self._descriptor, READ, self._take)
 
     def _take(self, _: int) -> None:
-        pending, error, picture = self._current, None, None
+        pending = self._current
         assert pending is not None
         try:
             picture = self._renderer.take()
-        except Refused as raised:
-            error = raised
-        if picture is None and error is None:
-            return
-        self._forget()
-        if error is not None:
+        except Refused as error:
+            self._forget()
             pending.reject(error)
         else:
+            if picture is None:
+                return
+            self._forget()
             pending.resolve(picture)
         self._next()
 

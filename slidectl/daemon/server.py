@@ -45,32 +45,11 @@ _LONGEST_STALL_S, _LONGEST_END_S = 0.5, 4.0
 _GONE: Any = object()
 
 
-class Busy:
-    """Connections that have more to do before the loop may wait, in order."""
-
-    def __init__(self) -> None:
-        self.with_input: dict[Connection, None] = {}
-        self.with_output: dict[Connection, None] = {}
-        self.with_messages: dict[Reader, None] = {}
-        """Readers of topics that have new messages."""
-
-    def forget(self, connection: Connection) -> None:
-        """It was closed."""
-        self.with_input.pop(connection, None)
-        self.with_output.pop(connection, None)
-        self.with_messages.pop(connection, None)
-
-
 class Server:
     """Connections on `listener`, with the graph behind them."""
 
     def __init__(
-        self,
-        listener: socket.socket,
-        loop: EventLoop,
-        graph: Graph,
-        unexpected: Callable[[str], None],
-        run: RunState,
+        self, listener: socket.socket, loop: EventLoop, graph: Graph, unexpected: Callable[[str], None], run: RunState
     ) -> None:
         self.loop = loop
         self.graph = graph
@@ -78,8 +57,12 @@ class Server:
         self.publications = Publications(run)
         self.journal: Journal | None = None
         """Notes what clients do, from before the first of them."""
-        self.busy = Busy()
         self.connections: dict[Connection, None] = {}
+        self.with_input: dict[Connection, None] = {}
+        """Connections that have more to do before the loop may wait, in order, as the two below."""
+        self.with_output: dict[Connection, None] = {}
+        self.with_messages: dict[Reader, None] = {}
+        """Readers of topics that have new messages."""
         self._listener = listener
         self._most = _most_connections()
         self._serial = 0
@@ -91,7 +74,7 @@ class Server:
 
     def serve(self) -> None:
         """Take in what clients have said, in turn. Who has no turn before the time is up is the first the next time."""
-        _in_turn(self.busy.with_input, Connection.serve, time.monotonic() + _SERVED_A_TURN_S)
+        _in_turn(self.with_input, Connection.serve, time.monotonic() + _SERVED_A_TURN_S)
 
     def flush(self) -> None:
         """Send what the clients take: messages of topics when it is time for these, then answers.
@@ -99,32 +82,30 @@ class Server:
         Messages come first: an answer says that its effect is there.
         """
         began = time.monotonic()
-        busy, fresh = self.busy, self.publications.fresh
-        if fresh and not busy.with_messages and began >= self._messages_due_s:
-            busy.with_messages = {reader: None for channel in fresh for reader in channel.readers}
+        fresh = self.publications.fresh
+        if fresh and not self.with_messages and began >= self._messages_due_s:
+            self.with_messages = {reader: None for channel in fresh for reader in channel.readers}
             fresh.clear()
             self._sending_s = 0.0
-        if busy.with_messages:
+        if self.with_messages:
             self._send_messages(began)
             began = time.monotonic()
-        _in_turn(busy.with_output, Connection.flush, began + _SENT_A_TURN_S)
+        _in_turn(self.with_output, Connection.flush, began + _SENT_A_TURN_S)
 
     def _send_messages(self, began: float) -> None:
         """To a hundred readers sending takes longer than a cycle: then several cycles' messages are sent together."""
-        with_messages = self.busy.with_messages
-        _in_turn(with_messages, Connection.flush, began + _SENT_A_TURN_S)
+        _in_turn(self.with_messages, Connection.flush, began + _SENT_A_TURN_S)
         now = time.monotonic()
         self._sending_s += now - began
-        if not with_messages and self._sending_s > _COSTLY_S:
+        if not self.with_messages and self._sending_s > _COSTLY_S:
             self._messages_due_s = now + min(_LONGEST_PAUSE_S, _PAUSE_FACTOR * self._sending_s)
 
     def wait(self, most_s: float | None) -> float | None:
         """How long the loop may wait for clients when it has nothing else to do for `most_s`."""
-        busy = self.busy
         if self.publications.held:
             left_s = self.publications.release()
             most_s = left_s if most_s is None else min(most_s, left_s)
-        if busy.with_input or busy.with_output or busy.with_messages:
+        if self.with_input or self.with_output or self.with_messages:
             return 0.0
         if not self.publications.fresh:
             return most_s
@@ -158,7 +139,8 @@ class Server:
 
     def ended(self, connection: Connection) -> None:
         """It was closed."""
-        self.connections.pop(connection, None)
+        for waiting in (self.connections, self.with_input, self.with_output, self.with_messages):
+            waiting.pop(connection, None)
         self._listen()
 
     def listen_on(self, listener: socket.socket) -> None:
@@ -222,17 +204,10 @@ class Connection:
         self._fd = raw.fileno()
         self._server = server
         self._loop = server.loop
-        self._busy = server.busy
         self._incoming = LineBuffer()
         self.node = f"/slidectl_{pid}_{serial}"
         self._session = Session(
-            self,
-            server.graph,
-            server.publications,
-            server.unexpected,
-            self.node,
-            _session_of(pid),
-            server.journal,
+            self, server.graph, server.publications, server.unexpected, self.node, _session_of(pid), server.journal
         )
         self.outbox = Outbox(self._session.report, server.publications)
         self._chunk: bytes | memoryview = b""
@@ -252,12 +227,12 @@ class Connection:
         """Events are only noted: what is done about them has its turn when all have been noted."""
         self._readable = not self._ended
         self._ends = self._ends or bool(events & (HANG_UP | PEER_CLOSED))
-        self._busy.with_input[self] = None
+        self._server.with_input[self] = None
         if events & HANG_UP:
             self._stop_sending()
         if events & WRITE:
             self._blocked = False
-            self._busy.with_output[self] = None
+            self._server.with_output[self] = None
 
     def _safely(self, action: Callable[[], None]) -> None:
         """A fault of ours ends one connection, not the daemon."""
@@ -315,12 +290,12 @@ class Connection:
         self.outbox.put(line)
         if not self._blocked:
             # To the end of the row: answers leave in the order in which they were given, whoever they are for.
-            self._busy.with_output.pop(self, None)
-            self._busy.with_output[self] = None
+            self._server.with_output.pop(self, None)
+            self._server.with_output[self] = None
 
     def look_again(self) -> None:
         """Its session waits for less than before: look, between two cycles, whether the end is reached."""
-        self._busy.with_output[self] = None
+        self._server.with_output[self] = None
 
     @property
     def unread(self) -> int:
@@ -368,9 +343,9 @@ class Connection:
         if not self.open:
             return
         if unsent and not self._blocked:
-            self._busy.with_output[self] = None
+            self._server.with_output[self] = None
         if (lines or self._readable) and not self.is_overfull:
-            self._busy.with_input[self] = None
+            self._server.with_input[self] = None
         if self._blocked != self._waits_to_write:
             self._waits_to_write = self._blocked
             self._loop.change(self._fd, READ | ONCE | (WRITE if self._blocked else 0))
@@ -380,7 +355,6 @@ class Connection:
         if not self.open:
             return
         self.open = False
-        self._busy.forget(self)
         self._loop.forget(self._fd)
         self._socket.close()
         self._safely(self._session.closed)

@@ -15,6 +15,7 @@ from typing import Any
 from slidectl.client.lines import LONGEST_LINE, BadLine, LineBuffer, decode, encode
 from slidectl.client.link import command, peer
 from slidectl.errors import NoDaemon, Refused, SlidectlError, TimedOut
+from slidectl.gateways.tasks import Tasks
 from slidectl.paths import InstancePaths, check_private
 
 Message = dict[str, Any]
@@ -53,7 +54,7 @@ class DaemonConnection(asyncio.Protocol):
         self._awaited: set[str] = set()
         self._takers: dict[str, Take] = {}
         self._handlers: dict[str, ServiceHandler] = {}
-        self._served: set[asyncio.Task[None]] = set()
+        self._served = Tasks()
         self._may_send = asyncio.Event()
         self._may_send.set()
 
@@ -294,9 +295,7 @@ class DaemonConnection(asyncio.Protocol):
             why = "is provided no longer" if handler is None else f"has {_MOST_SERVED} calls under way already"
             self._respond(request, f"{request['service']} {why}", is_done=False)
             return
-        task = asyncio.get_running_loop().create_task(self._serve_with(handler, request))
-        self._served.add(task)
-        task.add_done_callback(self._served.discard)
+        self._served.begin(self._serve_with(handler, request))
 
     async def _serve_with(self, handler: ServiceHandler, request: Message) -> None:
         try:
@@ -315,8 +314,7 @@ class DaemonConnection(asyncio.Protocol):
         """What waits will not be answered."""
         self._transport = None
         self._may_send.set()
-        for task in self._served:
-            task.cancel()
+        self._served.cancel()
         for answered in list(self._calls.values()):
             if not answered.done():
                 with suppress(asyncio.InvalidStateError):

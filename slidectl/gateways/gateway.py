@@ -15,6 +15,30 @@ from slidectl.paths import InstancePaths
 
 _LOOK_EVERY_S = 0.1
 """Between two looks whether there is a daemon again."""
+_READING = frozenset(
+    [
+        *(f"/rosapi/{name}" for name in (
+            "action_servers", "get_param", "get_param_names", "get_ros_version", "get_time", "has_param",
+            "message_details", "node_details", "nodes", "publishers", "search_param", "service_host", "service_node",
+            "service_providers", "service_request_details", "service_response_details", "service_type", "services",
+            "services_for_type", "subscribers", "topic_type", "topics", "topics_and_raw_types", "topics_for_type",
+        )),
+        *(f"/slidectl/{name}" for name in (
+            "fault/kinds", "fault/list", "graph", "joint_states", "list_robots", "resolve", "scene", "snapshots",
+            "sources", "status", "trace", "update_times", "wait",
+        )),
+        *(f"/slidectl/get_{name}" for name in (
+            "entities", "entities_states", "entity_bounds", "entity_info", "entity_state", "simulation_state",
+            "simulator_features", "spawnables",
+        )),
+        *(f"/gazebo/get_{name}" for name in (
+            "joint_properties", "link_properties", "link_state", "model_properties", "model_state",
+            "physics_properties", "world_properties",
+        )),
+    ]
+)  # fmt: skip
+"""The services that change nothing."""
+_READING_ENDS = ("/controller_manager/list_controllers", "/controller_manager/list_controller_types")
 
 
 class Gateway:
@@ -58,15 +82,20 @@ async def serve(gateway: Gateway, paths: InstancePaths, opened: Callable[[str], 
         Refused: as `open`. NoDaemon: none answers at the start.
     """
     ended = asyncio.Event()
+
+    def end() -> None:
+        ended.set()
+        gateway.lost.set()  # that is what is waited for
+
     loop = asyncio.get_running_loop()
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
-        loop.add_signal_handler(number, ended.set)
+        loop.add_signal_handler(number, end)
     address = await gateway.open()
     try:
         connection = await _attached(gateway, paths, address)
         opened(address)
         while not ended.is_set():
-            await _first_of(ended, gateway.lost)
+            await gateway.lost.wait()
             if ended.is_set():
                 break
             connection.close()
@@ -111,10 +140,6 @@ def status_service(kind: str) -> str:
     return f"/slidectl/gateways/{kind}"
 
 
-async def _first_of(*events: asyncio.Event) -> None:
-    tasks = [asyncio.ensure_future(event.wait()) for event in events]
-    try:
-        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-    finally:
-        for task in tasks:
-            task.cancel()
+def is_reading(service: str) -> bool:
+    """Whether a service, by its full name, changes nothing: one that a read-only gateway lets its clients call."""
+    return service in _READING or service.endswith(_READING_ENDS)

@@ -1,11 +1,10 @@
 """A gateway's process: start it in the background, find it, stop it; and what runs in it. One of a kind for a daemon.
 
-The lock says whether it lives, and holds its process id and address as JSON.
+The lock says whether it lives; its file holds the process id and the address, a line each.
 """
 
 from __future__ import annotations
 
-import fcntl
 import importlib
 import json
 import logging
@@ -20,10 +19,11 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from slidectl import processes
 from slidectl.client.link import command
 from slidectl.errors import EXIT_DONE, Refused, SlidectlError, TimedOut
 from slidectl.logfile import LogFile
-from slidectl.paths import InstancePaths, instance, make_private, with_package
+from slidectl.paths import InstancePaths, instance, make_private
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -36,7 +36,6 @@ KINDS: Mapping[str, tuple[str, str]] = {
 """Module and class of each. A class has the dataclass of its options as `Options`, and is made of one of these."""
 START_LIMIT_S = 30.0
 STOP_LIMIT_S = 10.0
-_LAST_LINES = 8
 _LOOK_EVERY_S = 0.02
 
 
@@ -50,17 +49,15 @@ class RunningGateway(NamedTuple):
 
 def find(paths: InstancePaths, kind: str) -> RunningGateway | None:
     """The gateway of that kind of the daemon of `paths`, or None; one that is starting has no address yet."""
+    lock = _lock_file(paths, kind)
+    pid = processes.holder(lock)
+    if pid is None:
+        return None
     try:
-        with _lock_file(paths, kind).open("rb") as file:
-            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        with suppress(OSError, ValueError, KeyError):
-            known = json.loads(_lock_file(paths, kind).read_bytes())
-            return RunningGateway(kind, known["pid"], known["address"])
-        return RunningGateway(kind, 0, "")
-    except OSError:
-        pass
-    return None
+        _, _, address = lock.read_text(encoding="utf-8").partition("\n")
+    except OSError:  # it ends at this moment
+        address = ""
+    return RunningGateway(kind, pid, address)
 
 
 def find_all(paths: InstancePaths) -> list[RunningGateway]:
@@ -89,21 +86,12 @@ def start(
     if (found := find(paths, kind)) is not None:
         return found, True
     read_end, write_end = os.pipe()
-    place = {"instance": None, "socket": paths.socket_text} if paths.prefix else {"instance": paths.name}
-    text = json.dumps({"kind": kind, "options": options, "ready_fd": write_end, **place})
-    log = os.open(log_file(paths, kind), os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
-    with os.fdopen(read_end, "rb") as ready:
-        process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "slidectl.gateways"],
-            env=with_package(os.environ),
-            stdin=subprocess.PIPE,
-            stdout=log,
-            stderr=log,
-            pass_fds=[write_end],
-            start_new_session=True,
-        )
+    text = json.dumps({"kind": kind, "options": options, "ready_fd": write_end, "socket": paths.socket_text})
+    log_file(paths, kind).unlink(missing_ok=True)
+    with os.fdopen(read_end, "rb") as ready, processes.opened_log(log_file(paths, kind)) as log:
+        words = processes.command_of("slidectl.gateways")
+        process = processes.start(words, log, stdin=subprocess.PIPE, pass_fds=[write_end])
         os.close(write_end)
-        os.close(log)
         assert process.stdin is not None
         with suppress(BrokenPipeError), process.stdin:  # no argument: a token must not stand in the list of processes
             process.stdin.write(text.encode())
@@ -122,8 +110,7 @@ def start(
         error = Refused(answer["error"], answer["hint"])
         error.exit_code = answer["exit_code"]
         raise error
-    lines = log_file(paths, kind).read_text(encoding="utf-8", errors="replace").splitlines()[-_LAST_LINES:]
-    raise Refused(f"the {kind} gateway did not start", "\n".join(lines))
+    raise Refused(f"the {kind} gateway did not start", processes.last_lines(log_file(paths, kind), 0))
 
 
 def stop(paths: InstancePaths, kind: str, timeout_s: float = STOP_LIMIT_S) -> RunningGateway | None:
@@ -162,44 +149,30 @@ def run(paths: InstancePaths, kind: str, options: dict[str, Any], opened: Callab
 
     from slidectl.gateways.gateway import serve
 
-    async def serve_it() -> None:
-        gateway = gateway_class(gateway_class.Options(**options))
-        await serve(gateway, paths, listens)
-
     def listens(address: str) -> None:
         tell(address)
         opened(address)
 
     with _locked(paths, kind) as tell:
-        asyncio.run(serve_it())
+        asyncio.run(serve(gateway_class(gateway_class.Options(**options)), paths, listens))
 
 
 @contextmanager
-def _locked(paths: InstancePaths, kind: str) -> Iterator[Callable[[str], None]]:
+def _locked(paths: InstancePaths, kind: str) -> Iterator[Callable[[str], object]]:
     """The lock, while inside; what it gives writes the address there. Raises Refused: another gateway has it."""
     make_private(paths.folder)
     path = _lock_file(paths, kind)
-    with open(os.open(path, os.O_RDWR | os.O_CREAT, 0o600), "rb+", buffering=0) as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            if not path.exists() or not os.path.samestat(os.fstat(file.fileno()), path.stat()):
-                raise BlockingIOError  # the last one removed it between our open and our lock; another may begin
-        except BlockingIOError:
-            found = find(paths, kind)
-            where = f": process {found.pid}, {found.address}" if found is not None else ""
-            hint = "stop it with: " + command(paths, f"gateway {kind} stop")
-            raise Refused(f"a {kind} gateway of this daemon runs already{where}", hint) from None
-
-        def tell(address: str) -> None:
-            file.truncate(0)
-            file.seek(0)
-            file.write(json.dumps({"pid": os.getpid(), "address": address}).encode())
-
-        tell("")
-        try:
-            yield tell
-        finally:
-            path.unlink(missing_ok=True)
+    fd = processes.lock(path)
+    if fd is None:
+        found = find(paths, kind)
+        where = f": process {found.pid}, {found.address}" if found is not None else ""
+        hint = "stop it with: " + command(paths, f"gateway {kind} stop")
+        raise Refused(f"a {kind} gateway of this daemon runs already{where}", hint)
+    try:
+        yield lambda address: os.write(fd, address.encode())
+    finally:
+        path.unlink(missing_ok=True)
+        os.close(fd)
 
 
 def main(text: str) -> int:
@@ -214,7 +187,7 @@ def main(text: str) -> int:
 
     os.umask(0o077)
     try:
-        paths = instance(begun["instance"], begun.get("socket"))
+        paths = instance(socket=begun["socket"])
         logging.basicConfig(handlers=[LogFile(log_file(paths, begun["kind"]))])
         run(paths, begun["kind"], begun["options"], lambda address: say(address=address))
     except SlidectlError as error:

@@ -137,7 +137,7 @@ def _constant_value(type_name: str, text: str) -> str | bool | int | float:
 
 def definition_of(type_name: str) -> Definition:
     """The definition of `pkg/Type`. Raises UnknownName."""
-    found = _definitions.get(type_name) or _find(type_name)
+    found = _find(type_name)
     if found is None:
         short = type_name[:_LONGEST_SHOWN]
         raise _unknown("message type", short, _names_to_compare(short))

@@ -1,12 +1,12 @@
 """A message from the values of a command line, as `rostopic pub` and `rosservice call` understand them.
 
 One mapping gives fields by name, anything else one value per field (genpy's `fill_message_args`). Types come from a
-look-up that the caller gives, since a client asks the daemon for them: no file is read here, and no YAML.
+look-up that the caller gives, since a client asks the daemon for them: no file is read here, no YAML, no expression.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from slidectl.errors import BadMessage
@@ -21,24 +21,25 @@ from slidectl.msgs.checking import (
     describe,
     must_be,
 )
-from slidectl.msgs.schema import BYTES, PRIMITIVES, SCALAR, TIMES, Field
+from slidectl.msgs.schema import BYTES, PRIMITIVES, SCALAR, TIMES, Field, FieldsOf
 
-FieldsOf = Callable[[str], Sequence[Field]]
-"""The fields of a message type."""
 Time = tuple[int, int]
 """Seconds and nanoseconds."""
+NumberOf = Callable[[str, str], Any]
+"""Takes a text that stands where a number is due, and the type that is due; gives the number that it means."""
 
 _HEADER = "std_msgs/Header"
 _NS = 1_000_000_000
+_CLOCK_WORDS = ("now", "auto")
 
 
-def fields_from(typedefs: Iterable[Mapping[str, Any]]) -> FieldsOf:
-    """The look-up in the `typedefs` of a rosapi answer (rosapi/TypeDef: that of the type and of those nested in it)."""
-    known = {
-        str(typedef["type"]): tuple(map(Field, typedef["fieldnames"], typedef["fieldtypes"], typedef["fieldarraylen"]))
-        for typedef in typedefs
-    }
-    return known.__getitem__
+def mentions_clock(values: Any) -> bool:
+    """True when one of the values, at any depth, may stand for the time."""
+    if isinstance(values, Mapping):
+        values = list(values.values())
+    if isinstance(values, (list, tuple)):
+        return any(map(mentions_clock, values))
+    return values in _CLOCK_WORDS
 
 
 def field_paths(fields_of: FieldsOf, type_name: str) -> list[str]:
@@ -52,18 +53,25 @@ def field_paths(fields_of: FieldsOf, type_name: str) -> list[str]:
     return paths
 
 
-def fill(fields_of: FieldsOf, type_name: str, args: Sequence[Any], now: Time | None = None) -> Message:
+def fill(
+    fields_of: FieldsOf,
+    type_name: str,
+    args: Sequence[Any],
+    now: Time | None = None,
+    number_of: NumberOf = lambda text, _type_name: text,
+) -> Message:
     """The message that the parsed values mean; fields that are not named are left out, for the receiver to default.
 
     A single mapping is by name; otherwise there must be one value per field, nested messages as lists or mappings.
     The numbers of a multi-array may be given alone. `now` stands for the time and `auto` for a header of now;
-    an integer for a time or duration counts nanoseconds.
+    an integer for a time or duration counts nanoseconds. `number_of` gives what texts mean where numbers are due.
 
     Raises:
         BadMessage: unknown fields, too few or too many values, a value that does not fit. UnknownName: no such type.
+        What `number_of` raises.
     """
     try:
-        return _Filler(fields_of, now).whole(type_name, args)
+        return _Filler(fields_of, now, number_of).whole(type_name, args)
     except Mismatch as problem:
         raise problem.as_error(type_name) from None
 
@@ -88,15 +96,17 @@ class _WrongCount(Mismatch):
 class _Filler:
     """Walks a type and the values given for it."""
 
-    def __init__(self, fields_of: FieldsOf, now: Time | None) -> None:
+    def __init__(self, fields_of: FieldsOf, now: Time | None, number_of: NumberOf) -> None:
         self._fields_of = fields_of
         self._now = now
+        self._number_of = number_of
 
     def whole(self, type_name: str, args: Sequence[Any]) -> Message:
         fields = self._fields_of(type_name)
         if len(args) == 1 and isinstance(args[0], Mapping):
             return self._by_name(type_name, args[0])
-        if len(args) == 1 and _is_multi_array(fields) and _is_plain_list(args[0]):
+        is_multi_array = len(fields) == 2 and fields[0].type == "std_msgs/MultiArrayLayout" and fields[1].name == "data"
+        if len(args) == 1 and is_multi_array and _is_plain_list(args[0]):
             return {"data": at("data", self._value, fields[1], args[0])}
         if len(args) == len(fields):  # an empty argument, which YAML reads as null, means empty text where text is due
             texts = [field.array == SCALAR and field.type == "string" for field in fields]
@@ -119,7 +129,9 @@ class _Filler:
         if field.array == SCALAR:
             return self._single(field.type, value)
         if field.type in BYTES:
-            return bytes_checker(field)(value)
+            return bytes_checker(field)(
+                [self._number(field.type, each) for each in value] if isinstance(value, (list, tuple)) else value
+            )
         values = checked_length(field, value)
         return [at(f"[{index}]", self._single, field.type, element) for index, element in enumerate(values)]
 
@@ -127,7 +139,7 @@ class _Filler:
         if type_name in TIMES:
             return self._time(type_name, value)
         if type_name in PRIMITIVES:
-            return _primitive(type_name, value)
+            return self._primitive(type_name, value)
         if type_name == _HEADER and value == "auto":
             return {"seq": 0, "stamp": self._time("time", "now"), "frame_id": ""}
         if isinstance(value, Mapping):
@@ -137,6 +149,17 @@ class _Filler:
         names = ", ".join(field.name for field in self._fields_of(type_name))
         keyword = "'auto', " if type_name == _HEADER else ""
         raise must_be(f"{keyword}a mapping or a list (a {type_name})", value, f"{type_name} has the fields {names}")
+
+    def _primitive(self, type_name: str, value: Any) -> Any:
+        if type_name == "string" and not isinstance(value, str):
+            reason = f"must be text (string), and YAML reads this as {describe(value)}"
+            raise Mismatch(reason, "quote it twice: '\"text\"'")
+        if value is None:
+            raise must_be(type_name, value)
+        return checker_of(type_name)(value if type_name == "string" else self._number(type_name, value))
+
+    def _number(self, type_name: str, value: Any) -> Any:
+        return self._number_of(value, type_name) if isinstance(value, str) else value
 
     def _time(self, type_name: str, value: Any) -> Any:
         if type_name == "time" and value == "now":
@@ -151,18 +174,6 @@ class _Filler:
             keyword = "'now', " if type_name == "time" else ""
             raise must_be(f"{keyword}{{secs, nsecs}} or nanoseconds (a {type_name})", value)
         return checker_of(type_name)(value)
-
-
-def _primitive(type_name: str, value: Any) -> Any:
-    if type_name == "string" and not isinstance(value, str):
-        raise Mismatch(f"must be text (string), and YAML reads this as {describe(value)}", "quote it twice: '\"text\"'")
-    if value is None:
-        raise must_be(type_name, value)
-    return checker_of(type_name)(value)
-
-
-def _is_multi_array(fields: Sequence[Field]) -> bool:
-    return len(fields) == 2 and fields[0].type == "std_msgs/MultiArrayLayout" and fields[1].name == "data"
 
 
 def _is_plain_list(value: Any) -> bool:

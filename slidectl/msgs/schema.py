@@ -5,7 +5,7 @@ Plain records and tables: nothing here reads a definition.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 SCALAR = -1
@@ -37,6 +37,8 @@ class Field(NamedTuple):
         return self.type + ("" if self.array == SCALAR else f"[{self.array or ''}]")
 
 
+FieldsOf = Callable[[str], Sequence[Field]]
+"""Gives the fields of a type that is not a primitive one."""
 Typedefs = list[dict[str, Any]]
 """rosapi/TypeDef of a type and of all that it is made of."""
 

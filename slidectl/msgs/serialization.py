@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import math
 from binascii import a2b_base64, b2a_base64
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from struct import Struct, pack, unpack_from
 from typing import Any
 
-from slidectl.msgs.schema import BYTES, FLOATS, SCALAR, TIMES, Field
+from slidectl.msgs.schema import BYTES, FLOATS, SCALAR, TIMES, Field, FieldsOf
 
 Message = dict[str, Any]
 
@@ -21,8 +21,6 @@ _CODES = {
 }  # fmt: skip
 _MOST_LINES = 20_000
 """Of one function: types that nest others many times over could make it grow without end."""
-FieldsOf = Callable[[str], Sequence[Field]]
-"""The fields of a type that is not a primitive one."""
 
 
 def packer(name: str, fields_of: FieldsOf) -> Callable[[Message], bytes]:

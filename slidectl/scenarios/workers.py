@@ -6,7 +6,6 @@ left: its folder goes. It dies with this process; where that is killed (SIGKILL)
 
 from __future__ import annotations
 
-import ctypes
 import gc
 import json
 import os
@@ -21,12 +20,12 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 
+from slidectl.processes import end_with
 from slidectl.scenarios.case_run import ERROR, CaseResult, WallTimeUp
 from slidectl.scenarios.scenario_file import Case
 
 _GRACE_S = 5.0
 """How long a worker that is told to end may take for the teardown."""
-_PR_SET_PDEATHSIG = 1
 _LONGEST_WAIT_S = 0.1
 
 RunCase = Callable[[Case, str], CaseResult]
@@ -155,11 +154,11 @@ def _work(run: RunCase, case: Case, folder: str, writing: int, parent: int) -> N
     """The process: it never returns into the code that it is a fork of."""
     code = 1
     try:
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+        is_wanted = end_with(parent, signal.SIGKILL)
         for number in (signal.SIGINT, signal.SIGHUP):  # a terminal sends them to all; who began us tells us
             signal.signal(number, lambda *_: None)  # programs of a launch would inherit that they are ignored
         signal.signal(signal.SIGTERM, _end)
-        if os.getppid() == parent:
+        if is_wanted:
             result = run(case, folder)
             with os.fdopen(writing, "wb") as pipe:
                 pipe.write(json.dumps(result.as_dict()).encode())

@@ -84,5 +84,6 @@ def test_the_files_beside_a_named_socket_go_too(home: tuple[CommandLine, Path, R
     line.ok("--socket", str(own / "s"), "daemon", "start", "--paused")
     line.ok("--socket", str(own / "s"), "daemon", "stop")
     assert (own / "s.log").exists()
+    (own / "s.gateway-ros1.log").write_text("what a gateway said")
     line.ok("--socket", str(own / "s"), "daemon", "clean")
     assert [path.name for path in own.iterdir()] == ["notes"]

@@ -260,7 +260,7 @@ def test_without_a_log_there_is_nothing_to_print(slidectl: CommandLine) -> None:
 def test_a_daemon_of_another_version_is_told_once_with_what_helps(slidectl: CommandLine) -> None:
     script = "import slidectl\nslidectl.__version__ = '0.0.9'\nimport sys\nfrom slidectl.daemon.__main__ import main\n"
     script += "sys.exit(main(sys.argv[1]))"
-    start = Start(DaemonOptions(paused=True), "default", None, foreground=True)
+    start = Start(DaemonOptions(paused=True), str(slidectl.runtime / "slidectl/default/socket"), foreground=True)
     words = [sys.executable, "-c", script, start.text()]
     with subprocess.Popen(words, env=slidectl.environment, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None

@@ -9,7 +9,8 @@ import pytest
 from cli_graph_types import schema
 
 from slidectl.errors import UsageError
-from slidectl.msgs.templates import Template
+from slidectl.msgs.fill import fill, mentions_clock
+from slidectl.msgs.message_expressions import Numbers
 from slidectl.values import split
 
 
@@ -50,45 +51,58 @@ def test_a_broken_document_is_named_by_its_number() -> None:
 
 
 def at(type_name: str, values: list[Any], index: int = 2, seconds: float = 0.5) -> Any:
-    return Template(schema(type_name), values, expressions=True).at(index, seconds)
+    types = schema(type_name)
+    return fill(types.fields, types.root, values, (0, 0), Numbers(expressions=True).at(index, seconds))
 
 
 @pytest.mark.parametrize(
     ("type_name", "values", "result"),
     [
-        ("std_msgs/Float64", ["2*t"], [1.0]),
-        ("std_msgs/Float64", [{"data": "t + i"}], [{"data": 2.5}]),
-        ("std_msgs/Int32", ["i * 2.0"], [4]),
-        ("std_msgs/Int32", ["i / 4"], [0.5]),
-        ("std_msgs/Bool", ["t > 0"], [True]),
-        ("std_msgs/String", ["t"], ["t"]),
-        ("geometry_msgs/Point", ["t", 1, "i"], [0.5, 1, 2]),
-        ("geometry_msgs/Twist", [["t", 0, 0], {"z": "i"}], [[0.5, 0, 0], {"z": 2}]),
-        ("std_msgs/Float64MultiArray", [["t", 1.0]], [[0.5, 1.0]]),
-        ("sensor_msgs/JointState", [{"name": ["t"], "position": ["t"]}], [{"name": ["t"], "position": [0.5]}]),
-        ("geometry_msgs/PoseArray", [{"poses": [{"position": {"x": "t"}}]}], [{"poses": [{"position": {"x": 0.5}}]}]),
-        ("std_msgs/Float64", [{"wrong": "t"}], [{"wrong": "t"}]),
-        ("std_msgs/Float64", ["t", "t"], ["t", "t"]),
+        ("std_msgs/Float64", ["2*t"], {"data": 1.0}),
+        ("std_msgs/Float64", [{"data": "t + i"}], {"data": 2.5}),
+        ("std_msgs/Int32", ["i * 2.0"], {"data": 4}),
+        ("std_msgs/Bool", ["t > 0"], {"data": True}),
+        ("std_msgs/String", ["t"], {"data": "t"}),
+        ("geometry_msgs/Point", ["t", 1, "i"], {"x": 0.5, "y": 1.0, "z": 2.0}),
+        (
+            "geometry_msgs/Twist",
+            [["t", 0, 0], {"z": "i"}],
+            {"linear": {"x": 0.5, "y": 0.0, "z": 0.0}, "angular": {"z": 2.0}},
+        ),
+        ("std_msgs/Float64MultiArray", [["t", 1.0]], {"data": [0.5, 1.0]}),
+        ("std_msgs/UInt8MultiArray", [["i", 1]], {"data": "AgE="}),
+        ("sensor_msgs/JointState", [{"name": ["t"], "position": ["t"]}], {"name": ["t"], "position": [0.5]}),
+        ("geometry_msgs/PoseArray", [{"poses": [{"position": {"x": "t"}}]}], {"poses": [{"position": {"x": 0.5}}]}),
     ],
 )
 def test_text_where_a_number_is_due_is_an_expression(type_name: str, values: list[Any], result: Any) -> None:
     assert at(type_name, values) == result
 
 
+@pytest.mark.parametrize(
+    ("type_name", "values", "text"),
+    [
+        ("std_msgs/Int32", ["i / 4"], "data must be an integer (int32), not the number 0.5"),
+        ("std_msgs/Float64", [{"wrong": "t"}], "no field 'wrong'"),
+        ("std_msgs/Float64", ["t", "t"], "too many arguments"),
+        ("std_msgs/Float64", ["q"], "no name 'q'"),
+    ],
+)
+def test_an_expression_that_cannot_be_is_refused(type_name: str, values: list[Any], text: str) -> None:
+    with pytest.raises(UsageError) as refused:
+        at(type_name, values)
+    assert text in str(refused.value)
+
+
 def test_without_expressions_only_nan_and_inf_are_numbers() -> None:
-    types = schema("geometry_msgs/Point")
-    nan, infinite, text = Template(types, ["nan", "-Inf", "t"]).at(0, 0.0)
-    assert math.isnan(nan)
-    assert (infinite, text) == (-math.inf, "t")
-
-
-def test_a_text_that_is_no_expression_is_refused_before_the_first_message() -> None:
-    with pytest.raises(UsageError, match="no name 'q'"):
-        Template(schema("std_msgs/Float64"), ["q"], expressions=True)
+    number_of = Numbers(expressions=False).at(0, 0.0)
+    assert math.isnan(number_of("nan", "float64"))
+    assert number_of("-Inf", "float64") == -math.inf
+    assert number_of("t", "float64") == "t"
 
 
 @pytest.mark.parametrize(
     ("values", "needs"), [(["auto"], True), ([{"header": {"stamp": "now"}}], True), ([["now"]], True), ([1.0], False)]
 )
 def test_the_clock_is_asked_only_when_a_value_stands_for_it(values: list[Any], needs: bool) -> None:
-    assert Template(schema("geometry_msgs/PoseStamped"), values).needs_clock is needs
+    assert mentions_clock(values) is needs

@@ -10,7 +10,7 @@ from cli_graph_types import schema
 from command_line import CommandLine
 
 from slidectl.errors import Refused, UsageError
-from slidectl.msgs.templates import Expression, Filter
+from slidectl.msgs.message_expressions import Expression, Filter
 
 JOINTS = schema("sensor_msgs/JointState")
 MESSAGE = {

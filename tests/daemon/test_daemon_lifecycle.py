@@ -237,6 +237,13 @@ def test_a_runtime_folder_that_cannot_be_made_is_named_with_the_reason(runtime: 
     assert "XDG_RUNTIME_DIR" in str(it.value)
 
 
+def test_a_runtime_folder_may_be_relative(runtime: Runtime, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(runtime.folder.parent)
+    runtime.env["XDG_RUNTIME_DIR"] = runtime.folder.name
+    pid, _ = runtime.start(paused=True)
+    assert runtime.pid == pid
+
+
 def test_a_file_in_the_place_of_the_folder_is_refused(runtime: Runtime) -> None:
     runtime.paths.folder.parent.mkdir()
     runtime.paths.folder.touch()

@@ -10,10 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from slidectl.daemon.place import Place, holder
+from slidectl.daemon.place import Place
 from slidectl.errors import Refused
 from slidectl.logfile import LogFile
 from slidectl.paths import InstancePaths
+from slidectl.processes import holder
 
 
 def place(folder: Path) -> Place:
@@ -64,7 +65,7 @@ def test_a_file_system_without_locks_is_told_from_a_lock_that_is_held(
     def refuse(*_: object) -> None:
         raise OSError(errno.ENOLCK, "No locks available")
 
-    monkeypatch.setattr("slidectl.daemon.place.fcntl.lockf", refuse)
+    monkeypatch.setattr("slidectl.processes.fcntl.lockf", refuse)
     with pytest.raises(Refused, match=r"cannot take the lock .*: No locks available"):
         place(folder).take()
 

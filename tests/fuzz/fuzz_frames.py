@@ -19,7 +19,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
 from slidectl.client.lines import BadLine, decode
-from slidectl.gateways.reading_services import is_reading
+from slidectl.gateways.gateway import is_reading
 from slidectl.gateways.websocket.action_goals import ActionGoals
 from slidectl.gateways.websocket.rosbridge_session import RosbridgeSession
 

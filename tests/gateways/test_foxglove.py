@@ -472,7 +472,7 @@ def test_many_connections_and_half_handshakes_leave_room_for_an_app(address: str
                 idle.append(connection)
                 connection.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\n")
         app.message(STATES, app.subscribe(STATES))
-        assert sum(map(is_cut, idle)) >= 40
+        eventually(lambda: sum(map(is_cut, idle)) >= 40)  # those that the kernel has taken are accepted in their turn
     finally:
         for connection in idle:
             connection.close()

@@ -68,6 +68,7 @@ def test_a_gateway_outlives_its_daemon_and_works_with_the_next(slidectl: Command
     with slidectl.client() as client:
         os.kill(client.daemon_pid, signal.SIGKILL)
     eventually(lambda: "waits for the daemon" in slidectl.ok("gateway", "ros1", "status"))
+    assert f"stays: process {before['pid']}" in slidectl("daemon", "clean", "--dry-run").stderr
     slidectl.ok("daemon", "start", "--paused")
     eventually(lambda: "connections" in gateways(slidectl)["ros1"])
     slidectl.ok("daemon", "restart", "--paused")

@@ -9,7 +9,8 @@ import pytest
 
 from slidectl import msgs
 from slidectl.errors import EXIT_USAGE, BadMessage
-from slidectl.msgs.fill import field_paths, fields_from, fill
+from slidectl.msgs.fill import field_paths, fill
+from slidectl.msgs.schema import from_typedefs
 
 NOW = (12, 500)
 STAMP = {"secs": 12, "nsecs": 500}
@@ -190,8 +191,7 @@ def test_the_fields_may_come_from_the_answer_of_rosapi() -> None:
             "fieldarraylen": [-1, -1, -1],
         },
     ]
-    fields_of = fields_from(typedefs)
-    message = fill(fields_of, "geometry_msgs/PoseStamped", [{"header": {"stamp": "now"}}], NOW)
+    message = fill(from_typedefs(typedefs).fields, "geometry_msgs/PoseStamped", [{"header": {"stamp": "now"}}], NOW)
     assert message == {"header": {"stamp": STAMP}}
 
 

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
 Message = dict[str, Any]
 
-_KEYWORDS = ("now", "auto")
-
 
 class NotYaml(Exception):
     """Text that is no YAML, or holds what no message can. Its text is the report."""
@@ -91,19 +89,20 @@ def filled(ctx: Context, typedefs: Typedefs, values: Sequence[Any]) -> Message:
     Raises:
         Misfit, WrongType: with genpy's words. BadMessage: what genpy would take and a message cannot hold.
     """
-    from slidectl.msgs.fill import fields_from, fill
+    from slidectl.msgs.fill import fill, mentions_clock
 
+    schema = from_typedefs(typedefs)
     values = [_without_nulls(value) for value in values]
     if None in _leaves(values):  # an empty argument is null there, and null fits nothing
-        explain(from_typedefs(typedefs), values)
+        explain(schema, values)
     now = None
-    if any(leaf in _KEYWORDS for leaf in _leaves(values)):
+    if mentions_clock(values):
         time = ctx.call("/rosapi/get_time")["time"]
         now = time["secs"], time["nsecs"]
     try:
-        return fill(fields_from(typedefs), str(typedefs[0]["type"]), values, now)
+        return fill(schema.fields, schema.root, values, now)
     except BadMessage:
-        explain(from_typedefs(typedefs), values)
+        explain(schema, values)
         raise
 
 

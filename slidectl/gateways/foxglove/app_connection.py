@@ -15,6 +15,7 @@ from websockets.asyncio.server import broadcast
 
 from slidectl.gateways.foxglove.foxglove_frames import ERROR, BadFrame, status_frame
 from slidectl.gateways.ros1.ros1_types import Ros1Type
+from slidectl.gateways.tasks import Tasks
 from slidectl.gateways.websocket_listener import ListenerConnection
 
 _MOST_MESSAGES, _MOST_MESSAGE_BYTES = 10_000, 16 * 1024 * 1024
@@ -74,7 +75,7 @@ class AppConnection:
         self._time: bytes | None = None
         self._has_room = asyncio.Event()
         self._has_room.set()
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._tasks = Tasks()
 
     def send(self, frame: bytes | str) -> None:
         """Have a frame sent that must not be lost. An app that leaves too many unread loses its connection."""
@@ -115,9 +116,7 @@ class AppConnection:
         if len(self._tasks) >= _MOST_TASKS:
             work.close()
             raise BadFrame(f"{_MOST_TASKS} calls and files of this app are under way already")
-        task = asyncio.get_running_loop().create_task(work)
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+        self._tasks.begin(work)
 
     def _flush(self) -> None:
         """Write what the socket takes; the rest follows when it takes more."""
@@ -142,5 +141,4 @@ class AppConnection:
 
     def end(self) -> None:
         """It has gone: nobody waits for what is under way."""
-        for task in self._tasks:
-            task.cancel()
+        self._tasks.cancel()

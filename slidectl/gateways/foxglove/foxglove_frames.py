@@ -1,6 +1,7 @@
 """Frames of Foxglove's WebSocket protocol: JSON objects as text, and binary ones that begin with an operation.
 
-Reads what an app sends, and writes what it gets. It knows no connection. Numbers are little-endian.
+Reads what an app sends, and writes what it gets. It knows no connection. Numbers are little-endian. JavaScript knows
+one kind of number, so 1.0 comes back as 1: a parameter has a type that tells a float from an integer.
 """
 
 from __future__ import annotations
@@ -21,11 +22,15 @@ WARNING, ERROR = 1, 2
 """Levels of a status."""
 
 _MOST_VALUES = 100_000
+_FLOAT, _FLOATS, _BYTES = "float64", "float64_array", "byte_array"
 _LONGEST_STATUS = 4000
 _MESSAGE, _SERVICE_REQUEST = 1, 2
 _TIME, _SERVICE_RESPONSE, _ASSET = 2, 3, 4
 _MESSAGE_HEAD = struct.Struct("<BIQ")
 _CALL_HEAD = struct.Struct("<BIII")
+
+
+Parameter = dict[str, Any]
 
 
 class BadFrame(UsageError):
@@ -148,3 +153,36 @@ def no_asset_frame(request: int, why: str) -> bytes:
     """Why it does not get it."""
     text = why.encode("utf-8", "replace")
     return struct.pack("<BIBI", _ASSET, request, 1, len(text)) + text
+
+
+def parameter(name: str, value: Any) -> Parameter:
+    """A parameter with its value."""
+    found: Parameter = {"name": name, "value": value}
+    if isinstance(value, float):
+        found["type"] = _FLOAT
+    elif isinstance(value, list) and any(isinstance(each, float) for each in value) and all(map(_is_number, value)):
+        found["type"] = _FLOATS
+    return found
+
+
+def wanted_parameter(given: Parameter) -> tuple[str, Any]:
+    """Name and value of a parameter that an app sets; the value is None when it is to be deleted. Raises BadFrame."""
+    name, value, kind = field(given, "name", str), given.get("value"), given.get("type")
+    if kind == _BYTES:
+        raise BadFrame(f"{name}: a parameter of slidectl holds no bytes; give text or a list")
+    if kind == _FLOAT and _is_number(value):
+        value = _float(value)
+    elif kind == _FLOATS and isinstance(value, list):
+        value = [_float(each) if _is_number(each) else each for each in value]
+    return name, value
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _float(value: Any) -> float:
+    try:
+        return float(value)
+    except OverflowError:
+        raise BadFrame("a number that is too large") from None

@@ -23,7 +23,6 @@ from slidectl import msgs, names
 from slidectl.client.lines import encode, numbers_of_json
 from slidectl.errors import BadMessage, NoDaemon, Refused, SlidectlError, TimedOut, quoted
 from slidectl.gateways.daemon_connection import GRAPH_CHANGES, PARAMETER_CHANGES, DaemonConnection
-from slidectl.gateways.foxglove import app_parameters
 from slidectl.gateways.foxglove.advertised_graph import AdvertisedGraph, AdvertisedService, AppChannel
 from slidectl.gateways.foxglove.app_connection import AppConnection, AppSocket, AppTopic
 from slidectl.gateways.foxglove.foxglove_frames import (
@@ -33,12 +32,14 @@ from slidectl.gateways.foxglove.foxglove_frames import (
     AppMessage,
     AppRequest,
     BadFrame,
+    Parameter,
     asset_frame,
     field,
     fields,
     message_frame,
     no_asset_frame,
     number,
+    parameter,
     read_binary,
     read_json,
     read_text,
@@ -46,10 +47,10 @@ from slidectl.gateways.foxglove.foxglove_frames import (
     status_frame,
     text_frame,
     time_frame,
+    wanted_parameter,
 )
 from slidectl.gateways.foxglove.robot_assets import RobotAssets
-from slidectl.gateways.gateway import Gateway
-from slidectl.gateways.reading_services import is_reading
+from slidectl.gateways.gateway import Gateway, is_reading
 from slidectl.gateways.ros1.ros1_types import Ros1Type, ros1_type
 from slidectl.gateways.websocket_listener import ListenerOptions, WebSocketListener
 from slidectl.msgs.schema import SCALAR, TIMES
@@ -145,13 +146,6 @@ class FoxgloveGateway(Gateway):
         )
 
     async def attach(self, paths: InstancePaths) -> None:
-        try:
-            await self._attach(paths)
-        except BaseException:
-            await self.detach()
-            raise
-
-    async def _attach(self, paths: InstancePaths) -> None:
         self._paths = paths
         daemon = self._daemon = await DaemonConnection.open(paths, NODE, self.lost.set)
         watch = self._watch = await DaemonConnection.open(paths, on_lost=self.lost.set)
@@ -498,18 +492,18 @@ class FoxgloveGateway(Gateway):
         except SlidectlError as error:
             app.fail(str(error))
 
-    async def _parameters(self, wanted: list[str]) -> list[app_parameters.Parameter]:
+    async def _parameters(self, wanted: list[str]) -> list[Parameter]:
         """Those of these names that are set; all for no names. Raises as `call`."""
         if not wanted:
             from slidectl.description.parameter_trees import leaves  # its package takes long to import
 
             tree = json.loads((await self._there().call("/rosapi/get_param", {"name": "/"}))["value"])
-            return [app_parameters.parameter(name, value) for name, value in leaves(tree, "/")]
+            return [parameter(name, value) for name, value in leaves(tree, "/")]
         found = []
         for name in dict.fromkeys(wanted):
             if (await self._there().call("/rosapi/has_param", {"name": name}))["exists"]:
                 value = (await self._there().call("/rosapi/get_param", {"name": name}))["value"]
-                found.append(app_parameters.parameter(name, json.loads(value)))
+                found.append(parameter(name, json.loads(value)))
         return found
 
     async def _set_parameters(self, app: AppConnection, message: Message) -> None:
@@ -521,7 +515,7 @@ class FoxgloveGateway(Gateway):
         wanted = []
         for each in given:
             try:
-                name, value = app_parameters.wanted(each)
+                name, value = wanted_parameter(each)
                 wanted.append(name)
                 if value is None:
                     await self._there().call("/rosapi/delete_param", {"name": name})
@@ -545,7 +539,7 @@ class FoxgloveGateway(Gateway):
     async def _send_parameters(self, changed: set[str]) -> None:
         """Tell the apps that subscribe them. One that is deleted has no value."""
         wanted = {
-            app: {name for name in app.parameters if any(app_parameters.concerns(each, name) for each in changed)}
+            app: {name for name in app.parameters if any(_concerns(each, name) for each in changed)}
             for app in self._apps
         }
         if not any(wanted.values()):
@@ -625,3 +619,8 @@ def _with_ros1_times(type_name: str, value: Any) -> Any:
         elif isinstance(given, list):
             converted[name] = [_with_ros1_times(one.type, each) for each in given]
     return converted
+
+
+def _concerns(changed: str, subscribed: str) -> bool:
+    """Whether a change of the one is a change of the other: one is in the other."""
+    return names.is_under(subscribed, changed) or names.is_under(changed, subscribed)

@@ -1,6 +1,6 @@
 """The messages of the gateway to ROS 1: who of ROS's side has what in the daemon, and TCPROS for both sides.
 
-It is told the graph of the daemon and the registrations of foreign nodes, and knows no XML-RPC.
+It is told the graph of the daemon and the registrations of foreign nodes.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import logging
 import resource
 from collections.abc import Awaitable, Callable, Iterable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, NamedTuple
 
 from slidectl import msgs
 from slidectl.errors import NoDaemon, Refused, SlidectlError, TimedOut
@@ -18,7 +18,8 @@ from slidectl.gateways.daemon_connection import DaemonConnection, Message
 from slidectl.gateways.ros1.ros1_types import ros1_type
 from slidectl.gateways.ros1.service_bridge import ServiceServer, call_service, service_type
 from slidectl.gateways.ros1.tcpros import Fields, TcprosConnection
-from slidectl.gateways.ros1.topic_bridge import ANY_TYPE, CallNode, Follower, TopicServer
+from slidectl.gateways.ros1.topic_bridge import ANY_TYPE, Follower, TopicServer
+from slidectl.gateways.tasks import Tasks
 from slidectl.web_access import in_uri
 
 _log = logging.getLogger(__name__)
@@ -35,6 +36,17 @@ _FIRST_PROBE_PAUSE_S = 0.5
 _ASK_AGAIN_S = 1.0
 
 
+class ForeignTopic(NamedTuple):
+    """A topic of nodes of ROS: its type, which may be `*`, publishers with the addresses of their slave APIs."""
+
+    type: str
+    publishers: dict[str, str]
+    subscribers: set[str]
+
+
+_UNUSED = ForeignTopic(ANY_TYPE, {}, set())
+
+
 class ForeignNode:
     """What a node of ROS has in the daemon's graph, under its own name: `wanted`, and what is there of it."""
 
@@ -48,10 +60,6 @@ class ForeignNode:
         """Topic -> the key of the newest message that it latched."""
         self.connection: DaemonConnection | None = None
 
-    @property
-    def has_nothing(self) -> bool:
-        return not (self.published or self.subscribed or self.services)
-
 
 class DataPlane:
     """TCPROS for all native nodes, and the foreign nodes' part of the daemon's graph.
@@ -60,12 +68,11 @@ class DataPlane:
     whoever publishes it. It stays connected while native publishers come and go.
     """
 
-    def __init__(self, node: str, host: str, bind: str, call: CallNode) -> None:
+    def __init__(self, node: str, host: str, bind: str) -> None:
         """`node` is the gateway's own node; `host` is what others connect to, `bind` the address to listen on."""
         self._node = node
         self._host = host
         self._bind = bind
-        self._call = call
         self._topics = TopicServer(node)
         self._topics.foreign_latched = self._latched_keys
         self._services = ServiceServer(node)
@@ -77,8 +84,7 @@ class DataPlane:
         self._own: list[DaemonConnection] = []
         self._natives: dict[str, Message] = {}
         """Topics of the daemon, without foreign nodes."""
-        self._publishers: dict[str, tuple[str, dict[str, str]]] = {}
-        self._subscribers: dict[str, tuple[str, set[str]]] = {}
+        self._foreign_topics: dict[str, ForeignTopic] = {}
         self._offers: dict[str, tuple[str, str]] = {}
         self._service_types: dict[tuple[str, str], str] = {}
         """(service, URI) -> type; empty while that is not known, or slidectl does not know it."""
@@ -87,7 +93,7 @@ class DataPlane:
         self._changed = asyncio.Event()
         self._unsettled: set[str] = set()
         """Foreign nodes whose part of the graph may have to change."""
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._tasks = Tasks()
 
     # --- life ---------------------------------------------------------------------------------------------------
 
@@ -100,17 +106,17 @@ class DataPlane:
         except OSError as error:
             raise Refused(f"cannot listen on {self._bind}: {error.strerror or error}") from None
         self._port = self._server.sockets[0].getsockname()[1]
-        self._start(self._settle_changes())
+        self._tasks.begin(self._settle_changes())
         return self._port
 
     async def attach(self, open_connection: OpenConnection, main: DaemonConnection) -> None:
         """The daemon is there. Raises NoDaemon."""
-        self._own = [await open_connection(name) for name in self._own_names()]
+        self._own = [await open_connection(f"{self._node}_{end}") for end in ("topics", "latched")]
         self._open_connection = open_connection
         await self._topics.attach(*self._own)
         self._services.attach(main)
-        self._touch({node for _, nodes in self._publishers.values() for node in nodes})
-        self._touch({node for _, nodes in self._subscribers.values() for node in nodes})
+        for topic in self._foreign_topics:
+            self._touch(self._users(topic))
         self._touch({node for node, _ in self._offers.values()})
 
     async def detach(self) -> None:
@@ -133,8 +139,7 @@ class DataPlane:
         if self._server is not None:
             self._server.close()
         await self.detach()
-        for task in self._tasks:
-            task.cancel()
+        self._tasks.cancel()
         for connection in list(self._connections):
             connection.close()
 
@@ -150,22 +155,14 @@ class DataPlane:
             if before.get(topic, {}).get("type") != self._natives.get(topic, {}).get("type"):
                 self._touch(self._users(topic))
 
-    def set_foreign_publishers(self, topic: str, type: str, publishers: dict[str, str]) -> None:
-        """All foreign publishers of a topic: node -> address of its slave API. The type may be `*`."""
+    def set_foreign_topic(self, topic: str, type: str, publishers: dict[str, str], subscribers: set[str]) -> None:
+        """All foreign publishers of a topic, node -> address of its slave API, and subscribers. The type may be `*`."""
         self._touch(self._users(topic))
-        self._publishers[topic] = (type, publishers)
-        if not publishers:
-            del self._publishers[topic]
+        self._foreign_topics[topic] = ForeignTopic(type, publishers, subscribers)
+        if not publishers and not subscribers:
+            del self._foreign_topics[topic]
         self._touch(self._users(topic))
         self._update_followers(topic)
-
-    def set_foreign_subscribers(self, topic: str, type: str, nodes: set[str]) -> None:
-        """All foreign subscribers of a topic. The type may be `*`."""
-        self._touch(self._users(topic))
-        self._subscribers[topic] = (type, nodes)
-        if not nodes:
-            del self._subscribers[topic]
-        self._touch(self._users(topic))
         self._update_served()
 
     def set_foreign_services(self, services: dict[str, tuple[str, str]]) -> None:
@@ -177,16 +174,14 @@ class DataPlane:
         self._service_types = {key: kind for key, kind in self._service_types.items() if key in offered}
         for service, uri in offered - self._service_types.keys():
             self._service_types[service, uri] = ""
-            self._start(self._find_type(service, uri))
+            self._tasks.begin(self._find_type(service, uri))
 
     def node_gone(self, node: str) -> None:
         """A foreign node has unregistered, or died."""
-        for topic, (kind, publishers) in list(self._publishers.items()):
-            if node in publishers:
-                self.set_foreign_publishers(topic, kind, {n: uri for n, uri in publishers.items() if n != node})
-        for topic, (kind, nodes) in list(self._subscribers.items()):
-            if node in nodes:
-                self.set_foreign_subscribers(topic, kind, nodes - {node})
+        for topic, (kind, publishers, subscribers) in list(self._foreign_topics.items()):
+            if node in publishers or node in subscribers:
+                others = {other: uri for other, uri in publishers.items() if other != node}
+                self.set_foreign_topic(topic, kind, others, subscribers - {node})
         self.set_foreign_services({s: offer for s, offer in self._offers.items() if offer[0] != node})
 
     # --- what is asked ------------------------------------------------------------------------------------------
@@ -198,7 +193,7 @@ class DataPlane:
         """
         return topic in self._topics.topics
 
-    def request_topic(self, caller: str, node: str, topic: str, protocols: Any) -> tuple[int, str, Any]:  # noqa: ARG002
+    def request_topic(self, topic: str, protocols: Any) -> tuple[int, str, Any]:
         """The answer of the slave API of a native node."""
         if not self.serves(topic):
             return -1, f"Not a publisher of [{topic}]", []
@@ -257,21 +252,17 @@ class DataPlane:
 
     # --- foreign nodes in the daemon's graph --------------------------------------------------------------------
 
-    def _own_names(self) -> tuple[str, str]:
-        return f"{self._node}_topics", f"{self._node}_latched"
-
     def _type_of(self, topic: str) -> str:
         """The type that slidectl gives a topic, empty when it knows none."""
         if topic in self._natives:
             return str(self._natives[topic]["type"])
-        nobody: tuple[str, set[str]] = (ANY_TYPE, set())
-        told = (self._publishers.get(topic, nobody)[0], self._subscribers.get(topic, nobody)[0])
-        return next((kind for kind in told if kind != ANY_TYPE and msgs.exists(kind)), "")
+        kind = self._foreign_topics.get(topic, _UNUSED).type
+        return kind if kind != ANY_TYPE and msgs.exists(kind) else ""
 
     def _users(self, topic: str) -> set[str]:
         """Foreign nodes that use it."""
-        publishers, subscribers = self._publishers.get(topic), self._subscribers.get(topic)
-        return {*(publishers[1] if publishers else ()), *(subscribers[1] if subscribers else ())}
+        _, publishers, subscribers = self._foreign_topics.get(topic, _UNUSED)
+        return {*publishers, *subscribers}
 
     def _subscribes(self, node: str, topic: str) -> bool:
         return node in self._natives.get(topic, {}).get("subscribers", ())
@@ -285,18 +276,13 @@ class DataPlane:
 
     def _update_served(self) -> None:
         served = {name: (str(one["type"]), one["publishers"]) for name, one in self._natives.items()}
-        awaited = {topic for topic in self._subscribers if self._type_of(topic)}
+        awaited = {topic for topic, one in self._foreign_topics.items() if one.subscribers and self._type_of(topic)}
         topics = {topic: served.get(topic) or (self._type_of(topic), []) for topic in {*served, *awaited}}
         self._topics.set_topics({name: one for name, one in topics.items() if one[1] or name in awaited})
 
     def _touch(self, nodes: Iterable[str]) -> None:
         self._unsettled.update(nodes)
         self._changed.set()
-
-    def _start(self, work: Any) -> None:
-        task = asyncio.get_running_loop().create_task(work)
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
 
     async def _settle_changes(self) -> None:
         """Give the daemon's graph what foreign nodes have, one node after the other."""
@@ -318,8 +304,8 @@ class DataPlane:
 
     async def _settle(self, name: str, open_connection: OpenConnection) -> None:
         node = self._foreign.setdefault(name, ForeignNode(name))
-        published = {t: self._type_of(t) for t, (_, nodes) in self._publishers.items() if name in nodes}
-        subscribed = {t: self._type_of(t) for t, (_, nodes) in self._subscribers.items() if name in nodes}
+        published = {t: self._type_of(t) for t, one in self._foreign_topics.items() if name in one.publishers}
+        subscribed = {t: self._type_of(t) for t, one in self._foreign_topics.items() if name in one.subscribers}
         offers = {s: (uri, self._service_types[s, uri]) for s, (n, uri) in self._offers.items() if n == name}
         published, subscribed = ({t: kind for t, kind in some.items() if kind} for some in (published, subscribed))
         services = {service: kind for service, (_, kind) in offers.items() if kind}
@@ -358,7 +344,7 @@ class DataPlane:
                 with self._told(name):
                     await self._offer(daemon, service, kind)
                     node.services[service] = kind
-        if node.has_nothing:
+        if not (node.published or node.subscribed or node.services):
             daemon.close()
             self._foreign.pop(name, None)
 
@@ -377,7 +363,7 @@ class DataPlane:
         subscribers = self._natives.get(topic, {}).get("subscribers", ())
         kind = self._type_of(topic)
         is_wanted = bool(subscribers) or kind.endswith(_OF_ACTIONS)
-        publishers = self._publishers[topic][1] if topic in self._publishers and is_wanted and kind else {}
+        publishers = self._foreign_topics.get(topic, _UNUSED).publishers if is_wanted and kind else {}
         publishers = {node: uri for node, uri in publishers.items() if self._publishes(node, topic)}
         for (of, node), follower in list(self._followers.items()):
             if of == topic and (publishers.get(node) != follower.uri or follower.type.name != kind):
@@ -386,7 +372,7 @@ class DataPlane:
             if (topic, node) not in self._followers:
                 take = self._taker(topic, node)
                 subscriber = subscribers[0] if subscribers else self._node
-                self._followers[topic, node] = Follower(topic, ros1_type(kind), node, uri, subscriber, self._call, take)
+                self._followers[topic, node] = Follower(topic, ros1_type(kind), node, uri, subscriber, take)
 
     def _taker(self, topic: str, node: str) -> Callable[[Message, bool], DaemonConnection | None]:
         def take(message: Message, is_latched: bool) -> DaemonConnection | None:

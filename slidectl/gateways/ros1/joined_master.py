@@ -11,16 +11,17 @@ import asyncio
 import logging
 import os
 import signal
-from collections.abc import Coroutine
 from typing import Any
 
 from slidectl import names
 from slidectl.errors import Refused, SlidectlError, cut
 from slidectl.gateways.ros1 import xmlrpc
 from slidectl.gateways.ros1.api_calls import ANY_TYPE
-from slidectl.gateways.ros1.master import MOST_NODES, ForeignSink
+from slidectl.gateways.ros1.data_plane import DataPlane
+from slidectl.gateways.ros1.master import MOST_NODES
 from slidectl.gateways.ros1.native_graph import OWN_NODE, NativeGraph
 from slidectl.gateways.ros1.parameter_server import DaemonParameters
+from slidectl.gateways.tasks import Tasks
 
 _log = logging.getLogger(__name__)
 
@@ -41,7 +42,7 @@ class _Denied(Refused):
 class JoinedMaster:
     """The master at `uri`."""
 
-    def __init__(self, uri: str, natives: NativeGraph, data: ForeignSink, parameters: DaemonParameters) -> None:
+    def __init__(self, uri: str, natives: NativeGraph, data: DataPlane, parameters: DaemonParameters) -> None:
         self.uri = uri
         self._node = OWN_NODE
         self._address = self._service_uri = ""
@@ -63,7 +64,7 @@ class JoinedMaster:
         """Parameters that the master has not been told yet."""
         self._taken: set[str] = set()
         """Parameters that are being set here because they were set there."""
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._tasks = Tasks()
 
     # --- for the gateway ----------------------------------------------------------------------------------------
 
@@ -83,7 +84,7 @@ class JoinedMaster:
         self._wake.set()
         if not self._is_synchronizing:
             self._is_synchronizing = True
-            self._run(self._synchronize_for_ever())
+            self._tasks.begin(self._synchronize_for_ever())
 
     def natives_changed(self) -> None:
         self._wake.set()
@@ -95,8 +96,7 @@ class JoinedMaster:
 
     async def leave(self) -> None:
         """Take back all that was registered."""
-        for task in self._tasks:
-            task.cancel()
+        self._tasks.cancel()
         self._natives.take({"topics": [], "services": []}, lambda _: True)
         try:
             async with asyncio.timeout(_LEAVE_LIMIT_S):
@@ -112,7 +112,7 @@ class JoinedMaster:
         self._wake.set()
 
     def param_update(self, key: str, value: Any) -> None:
-        self._run(self._take_parameter(key, value))
+        self._tasks.begin(self._take_parameter(key, value))
 
     def shut_down(self, reason: str) -> None:
         """Another node has our name now: we end, as all nodes do."""
@@ -150,7 +150,10 @@ class JoinedMaster:
         pid = await self._call("getPid")
         if pid != self._pid:
             self._mirrored.clear()
-            await self._mirror_all()
+            for name in await self._parameters.names():  # one by one: others may have some in the same namespaces
+                await self._set_there(name)
+            if not await self._call("hasParam", "/use_sim_time"):
+                await self._call("setParam", "/use_sim_time", True)  # as Gazebo does
             self._pid = pid
         while self._changed:
             await self._set_there(next(iter(self._changed)))
@@ -199,8 +202,7 @@ class JoinedMaster:
             addresses = {node: uri for node in publishers.get(topic, ()) if (uri := self._addresses[node])}
             told = (types.get(topic, ANY_TYPE), addresses, set(subscribers.get(topic, ())))
             if told != self._told.get(topic):
-                self._data.set_foreign_publishers(topic, *told[:2])
-                self._data.set_foreign_subscribers(topic, told[0], told[2])
+                self._data.set_foreign_topic(topic, *told)
             self._told[topic] = told
             if topic not in publishers and topic not in subscribers:
                 del self._told[topic]
@@ -210,13 +212,6 @@ class JoinedMaster:
         self._data.set_foreign_services({service: known for service, known in self._providers.items() if known[1]})
 
     # --- parameters ---------------------------------------------------------------------------------------------
-
-    async def _mirror_all(self) -> None:
-        """Set all of the daemon's parameters there, one by one: others may have some in the same namespaces."""
-        for name in await self._parameters.names():
-            await self._set_there(name)
-        if not await self._call("hasParam", "/use_sim_time"):
-            await self._call("setParam", "/use_sim_time", True)  # as Gazebo does
 
     async def _set_there(self, name: str) -> None:
         """Set the parameter, or delete it where the daemon has none, and hear of what others make of it."""
@@ -275,11 +270,6 @@ class JoinedMaster:
         if not isinstance(address, str):
             raise Refused(f"{self.uri} answers {method} with nonsense: {cut(repr(address), 120)}")
         return address
-
-    def _run(self, work: Coroutine[Any, Any, None]) -> None:
-        task = asyncio.get_running_loop().create_task(work)
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
 
 
 def _state(answer: Any) -> list[dict[str, list[str]]]:

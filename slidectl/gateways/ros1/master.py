@@ -6,16 +6,18 @@ killed stays until `rosnode cleanup`, or until one of the same name comes.
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import os
-from collections.abc import Iterable
-from typing import Any, Protocol
+from collections.abc import Callable, Iterable
+from typing import Any
 
-from slidectl.errors import Refused, cut
-from slidectl.gateways.ros1 import api_calls
+from slidectl.errors import Refused, SlidectlError, cut
+from slidectl.gateways.ros1 import api_calls, xmlrpc
 from slidectl.gateways.ros1.api_calls import ANY_TYPE, Answered, Api
+from slidectl.gateways.ros1.data_plane import DataPlane
 from slidectl.gateways.ros1.native_graph import OWN_NODE, NativeGraph
-from slidectl.gateways.ros1.node_calls import NodeCalls
+from slidectl.gateways.tasks import Tasks
 
 _log = logging.getLogger(__name__)
 
@@ -27,16 +29,8 @@ PARAMETERS = "parameters"
 _COMMANDS = "/slidectl_"
 """How the nodes of connections are called that have no name of their own."""
 _PUBLISHERS, _SUBSCRIBERS, _SERVICES = "publishers", "subscribers", "services"
-
-
-class ForeignSink(Protocol):
-    """What carries the data of foreign nodes, and is told who they are."""
-
-    def set_foreign_publishers(self, topic: str, type: str, publishers: dict[str, str]) -> None: ...
-    def set_foreign_subscribers(self, topic: str, type: str, nodes: set[str]) -> None: ...
-    def set_foreign_services(self, services: dict[str, tuple[str, str]]) -> None: ...
-    def node_gone(self, node: str) -> None: ...
-    def serves(self, topic: str) -> bool: ...
+_MOST_AT_ONCE = 50
+"""Nodes that are being called at the same time: each call is a descriptor."""
 
 
 class Registrations:
@@ -82,10 +76,57 @@ class Registrations:
         return held
 
 
+class NodeCalls:
+    """What foreign nodes have to be told: one call of a node at a time, the newest of each kind.
+
+    A call that fails is not made again, as with rosmaster.
+    """
+
+    def __init__(self) -> None:
+        self._waiting: dict[str, dict[tuple[str, str], tuple[tuple[Any, ...], Callable[[Any], None] | None]]] = {}
+        self._tasks = Tasks()
+        self._limit = asyncio.Semaphore(_MOST_AT_ONCE)
+
+    def send(self, uri: str, method: str, *arguments: Any, take: Callable[[Any], None] | None = None) -> None:
+        """Call `method` of the node at this address, with the master as caller; `take` gets what it answers.
+
+        Of what waits with the same method and first argument (a topic, a parameter) only the newest is sent.
+        """
+        key = (method, str(arguments[0]))
+        waiting = self._waiting.get(uri)
+        if waiting is not None:
+            waiting.pop(key, None)
+            waiting[key] = (arguments, take)
+            return
+        self._waiting[uri] = {key: (arguments, take)}
+        self._tasks.begin(self._send_all(uri))
+
+    def close(self) -> None:
+        """Tell nobody any more."""
+        self._tasks.cancel()
+
+    async def _send_all(self, uri: str) -> None:
+        waiting = self._waiting[uri]
+        try:
+            while waiting:
+                key = next(iter(waiting))
+                arguments, take = waiting.pop(key)
+                async with self._limit:
+                    try:
+                        answer = await xmlrpc.call(uri, key[0], "/master", *arguments)
+                    except SlidectlError as error:
+                        _log.info("%s", error)
+                        continue
+                if take is not None:
+                    take(answer)
+        finally:
+            del self._waiting[uri]
+
+
 class Master:
     """The master of foreign nodes. `uri` is its own address."""
 
-    def __init__(self, natives: NativeGraph, calls: NodeCalls, data: ForeignSink) -> None:
+    def __init__(self, natives: NativeGraph, calls: NodeCalls, data: DataPlane) -> None:
         self.uri = ""
         self.registrations = Registrations()
         self._natives = natives
@@ -158,7 +199,8 @@ class Master:
             self._set_type(topic, topic_type)
         self.tell_topic(topic)
         self.notify_subscribers(topic)
-        subscribers = [*self._subscribers.get(topic, {}).values(), *self._natives.subscriber_uris(topic)]
+        natives = map(self._natives.uri_of, self._natives.subscribers.get(topic, ()))
+        subscribers = [*self._subscribers.get(topic, {}).values(), *natives]
         return 1, f"Registered [{caller}] as publisher of [{topic}]", subscribers
 
     def unregisterPublisher(self, caller: str, topic: str, caller_api: str) -> Answered:  # noqa: N802
@@ -212,19 +254,13 @@ class Master:
     def tell_topic(self, topic: str) -> None:
         """Tell what carries the data who publishes and subscribes a topic."""
         kind = self._types.get(topic, ANY_TYPE)
-        self._data.set_foreign_publishers(topic, kind, dict(self._publishers.get(topic, {})))
-        self._data.set_foreign_subscribers(topic, kind, set(self._subscribers.get(topic, {})))
+        publishers, subscribers = dict(self._publishers.get(topic, {})), set(self._subscribers.get(topic, {}))
+        self._data.set_foreign_topic(topic, kind, publishers, subscribers)
 
     def tell_services(self) -> None:
         """Tell it who provides services."""
         provided = {service: next(iter(nodes.items())) for service, nodes in self._services.items()}
         self._data.set_foreign_services(provided)
-
-    def tell_all(self) -> None:
-        """Tell it everything: it is new, or has lost the daemon."""
-        for topic in {*self._publishers, *self._subscribers}:
-            self.tell_topic(topic)
-        self.tell_services()
 
     def notify_subscribers(self, topic: str) -> None:
         """Tell the foreign subscribers of a topic who publishes it."""
@@ -257,7 +293,7 @@ class Master:
 
     def _publisher_uris(self, topic: str) -> list[str]:
         native = self._native_publisher(topic)
-        natives = [self._natives.uri(native)] if native else []
+        natives = [self._natives.uri_of(native)] if native else []
         return [*natives, *self._publishers.get(topic, {}).values()]
 
     # --- asking -------------------------------------------------------------------------------------------------
@@ -266,7 +302,7 @@ class Master:
         if (address := self.registrations.addresses.get(node)) is not None:
             return 1, "node api", address
         if node in self._natives.nodes:
-            return 1, "node api", self._natives.uri(node)
+            return 1, "node api", self._natives.uri_of(node)
         return -1, f"unknown node [{node}]", ""
 
     def lookupService(self, _: str, service: str) -> Answered:  # noqa: N802

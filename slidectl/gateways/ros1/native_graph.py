@@ -13,7 +13,7 @@ class NativeGraph:
     """The newest answer of /slidectl/graph. `uri_of` gives the address of the slave API of a node."""
 
     def __init__(self, uri_of: Callable[[str], str]) -> None:
-        self._uri_of = uri_of
+        self.uri_of = uri_of
         self.types: dict[str, str] = {}
         self.publishers: dict[str, list[str]] = {}
         self.subscribers: dict[str, list[str]] = {}
@@ -39,14 +39,6 @@ class NativeGraph:
         lists = (*self.publishers.values(), *self.subscribers.values(), self.services.values())
         self.nodes = {node for nodes in lists for node in nodes}
         return {"topics": topics, "services": services}
-
-    def uri(self, node: str) -> str:
-        """The address of its slave API."""
-        return self._uri_of(node)
-
-    def subscriber_uris(self, topic: str) -> list[str]:
-        """The addresses of those of a topic."""
-        return [self._uri_of(node) for node in self.subscribers.get(topic, ())]
 
     def published_by(self, node: str) -> list[list[str]]:
         """Topics and their types."""

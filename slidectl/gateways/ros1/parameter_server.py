@@ -15,8 +15,7 @@ from slidectl.errors import NoDaemon, Refused, SlidectlError
 from slidectl.gateways.daemon_connection import DaemonConnection
 from slidectl.gateways.ros1 import api_calls
 from slidectl.gateways.ros1.api_calls import Answered, Api
-from slidectl.gateways.ros1.master import PARAMETERS, Master
-from slidectl.gateways.ros1.node_calls import NodeCalls
+from slidectl.gateways.ros1.master import PARAMETERS, Master, NodeCalls
 
 _log = logging.getLogger(__name__)
 

@@ -18,11 +18,9 @@ from slidectl.gateways.ros1 import xmlrpc
 from slidectl.gateways.ros1.api_calls import Answered, Api
 from slidectl.gateways.ros1.data_plane import DataPlane
 from slidectl.gateways.ros1.joined_master import JoinedMaster
-from slidectl.gateways.ros1.master import Master
+from slidectl.gateways.ros1.master import Master, NodeCalls
 from slidectl.gateways.ros1.native_graph import OWN_NODE, NativeGraph
-from slidectl.gateways.ros1.node_calls import NodeCalls
 from slidectl.gateways.ros1.parameter_server import DaemonParameters, ParameterServer
-from slidectl.gateways.ros1.rosout import open_rosout
 from slidectl.gateways.ros1.slave import Slave
 from slidectl.paths import InstancePaths
 from slidectl.web_access import in_uri
@@ -35,6 +33,8 @@ _GATHER_S = 0.01
 """Changes of the graph that come within it are one: a spawn makes many."""
 _ROSDISTRO, _ROSVERSION = "noetic\n", "1.16.0\n"
 """What roscore of the last ROS 1 sets."""
+_ROSOUT = "/rosout"
+"""The node of roscore that says on /rosout_agg what anybody says on /rosout."""
 
 
 @dataclass
@@ -83,7 +83,7 @@ class Ros1Gateway(Gateway):
         self._parameters = DaemonParameters()
         self._calls = NodeCalls()
         self._natives = NativeGraph(self._node_uri)
-        self._data = DataPlane(OWN_NODE, shown, bound, xmlrpc.call)
+        self._data = DataPlane(OWN_NODE, shown, bound)
         try:
             if self._options.master:
                 joined = self._joined = JoinedMaster(self._options.master, self._natives, self._data, self._parameters)
@@ -104,8 +104,7 @@ class Ros1Gateway(Gateway):
         await self._data.attach(self._connect_stand_in, main)
         if self._master is not None:
             await self._set_own_parameters()
-            self._rosout = await open_rosout(self._connect)
-            self._master.tell_all()
+            await self._open_rosout()
         await self._take_graph()
         if self._joined is not None:
             self._joined.start(_joined_node(paths), self._node_uri("/"), self._data.service_uri())
@@ -152,12 +151,7 @@ class Ros1Gateway(Gateway):
                 raise xmlrpc.XmlRpcFault(1, f"the master is at /, nobody is at {path!r}")
             return await api.answer(method, arguments)
 
-        server = xmlrpc.XmlRpcServer(answer)
-        try:
-            port = await server.open(bound, self._options.port)
-        except OSError as error:
-            raise await self._not_opened(bound, error) from None
-        self._servers.append(server)
+        port = await self._listen(answer, bound, self._options.port)
         self._master.uri = uri = f"http://{in_uri(shown)}:{port}/"
         if (set_uri := os.environ.get("ROS_MASTER_URI", "").rstrip("/")) and not set_uri.endswith(f":{port}"):
             _log.warning("ROS_MASTER_URI is %s here: nodes with that do not find this master, at %s", set_uri, uri)
@@ -166,15 +160,20 @@ class Ros1Gateway(Gateway):
 
     async def _open_nodes(self, slave: Slave, bound: str, shown: str) -> None:
         """Serve the slave API, and listen for data."""
-        server = xmlrpc.XmlRpcServer(slave.answer)
-        try:
-            port = await server.open(bound, 0)
-        except OSError as error:
-            raise await self._not_opened(bound, error) from None
-        self._servers.append(server)
+        port = await self._listen(slave.answer, bound, 0)
         self._nodes_at = f"http://{in_uri(shown)}:{port}"
         await self._data.open()
         self._natives.service_uri = self._data.service_uri()
+
+    async def _listen(self, answer: xmlrpc.Answer, bound: str, port: int) -> int:
+        """The port. Raises Refused: it is taken."""
+        server = xmlrpc.XmlRpcServer(answer)
+        try:
+            port = await server.open(bound, port)
+        except OSError as error:
+            raise await self._not_opened(bound, error) from None
+        self._servers.append(server)
+        return port
 
     async def _not_opened(self, bound: str, error: OSError) -> Refused:
         port = self._options.port
@@ -246,6 +245,24 @@ class Ros1Gateway(Gateway):
         for name, value in own.items():
             if not await self._parameters.has(name):
                 await self._parameters.set(name, value)
+
+    async def _open_rosout(self) -> None:
+        """roscore's node, as a connection to the daemon. Raises Refused, NoDaemon."""
+        self._rosout = connection = await self._connect(_ROSOUT)
+        connection.advertise("/rosout_agg", "rosgraph_msgs/Log")
+
+        async def loggers(_: dict[str, Any]) -> dict[str, Any]:
+            return {"loggers": [{"name": "ros", "level": "info"}]}
+
+        async def set_level(_: dict[str, Any]) -> dict[str, Any]:
+            return {}
+
+        def take(published: dict[str, Any]) -> None:
+            connection.publish("/rosout_agg", published["msg"])
+
+        await connection.subscribe("/rosout", "rosgraph_msgs/Log", take)
+        await connection.advertise_service(f"{_ROSOUT}/get_loggers", "roscpp/GetLoggers", loggers)
+        await connection.advertise_service(f"{_ROSOUT}/set_logger_level", "roscpp/SetLoggerLevel", set_level)
 
     async def _follow_graph(self) -> None:
         while True:

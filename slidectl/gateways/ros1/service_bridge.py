@@ -15,13 +15,7 @@ from slidectl import msgs
 from slidectl.errors import BadMessage, NoDaemon, Refused, SlidectlError
 from slidectl.gateways.daemon_connection import DaemonConnection, Message
 from slidectl.gateways.ros1.ros1_types import Ros1Type, ros1_type
-from slidectl.gateways.ros1.tcpros import (
-    LONGEST_MESSAGE,
-    Fields,
-    OutgoingConnection,
-    TcprosConnection,
-    frame,
-)
+from slidectl.gateways.ros1.tcpros import LONGEST_MESSAGE, Fields, OutgoingConnection, TcprosConnection, frame
 
 ANY_MD5 = "*"
 _TRUE = ("1", "true")

@@ -8,40 +8,26 @@ from __future__ import annotations
 
 import logging
 import os
-from typing import Any, Protocol
+from typing import Any
 
 from slidectl.errors import cut
 from slidectl.gateways.ros1 import api_calls
 from slidectl.gateways.ros1.api_calls import Answered, Api
+from slidectl.gateways.ros1.data_plane import DataPlane
+from slidectl.gateways.ros1.joined_master import JoinedMaster
 from slidectl.gateways.ros1.native_graph import OWN_NODE, NativeGraph
 
 _log = logging.getLogger(__name__)
 
 
-class NodeLinks(Protocol):
-    """What carries the data of the daemon's nodes."""
-
-    def request_topic(self, caller: str, node: str, topic: str, protocols: Any) -> Answered: ...
-    def bus_info(self, node: str) -> list[Any]: ...
-    def bus_stats(self, node: str) -> list[Any]: ...
-
-
-class UpdateTaker(Protocol):
-    """Who is told of what changes at a master that is another program."""
-
-    def publisher_update(self, topic: str, publishers: list[str]) -> None: ...
-    def param_update(self, key: str, value: Any) -> None: ...
-    def shut_down(self, reason: str) -> None: ...
-
-
 class Slave:
-    """All nodes of the daemon. `updates` is there when their master is another program."""
+    """All nodes of the daemon. `joined` is their master where that is another program."""
 
-    def __init__(self, natives: NativeGraph, links: NodeLinks, master_uri: str, updates: UpdateTaker | None) -> None:
+    def __init__(self, natives: NativeGraph, data: DataPlane, master_uri: str, joined: JoinedMaster | None) -> None:
         self._natives = natives
-        self._links = links
+        self._data = data
         self._master_uri = master_uri
-        self._updates = updates
+        self._joined = joined
         self._api = Api()
         add = self._api.add
         add(self.getBusStats, [])
@@ -65,24 +51,24 @@ class Slave:
         return await self._api.answer(method, arguments, node)
 
     def getBusStats(self, node: str, _: str) -> Answered:  # noqa: N802
-        return 1, "", self._links.bus_stats(node)
+        return 1, "", self._data.bus_stats(node)
 
     def getBusInfo(self, node: str, _: str) -> Answered:  # noqa: N802
-        return 1, "bus info", self._links.bus_info(node)
+        return 1, "bus info", self._data.bus_info(node)
 
     def getMasterUri(self, _node: str, _: str) -> Answered:  # noqa: N802
         return 1, self._master_uri, self._master_uri
 
     def getUri(self, node: str, _: str) -> Answered:  # noqa: N802
-        return 1, "", self._natives.uri(node)
+        return 1, "", self._natives.uri_of(node)
 
     def getName(self, node: str, _: str) -> Answered:  # noqa: N802
         return 1, "", node
 
     def shutdown(self, node: str, caller: str, reason: Any) -> Answered:
         """Nobody ends the simulation, or a client of it, from here. A master may let go the node that joined it."""
-        if self._updates is not None and caller == "/master":
-            self._updates.shut_down(str(reason))
+        if self._joined is not None and caller == "/master":
+            self._joined.shut_down(str(reason))
             return 1, "shutdown", 0
         _log.info("%s asks %s to shut down: it goes on", cut(caller, 120), node or "a node")
         return -1, f"[{node}] is a node of slidectl; the simulation ends with: slidectl daemon stop", 0
@@ -97,15 +83,15 @@ class Slave:
         return 1, "publications", self._natives.published_by(node)
 
     def paramUpdate(self, _node: str, _: str, key: str, value: Any) -> Answered:  # noqa: N802
-        if self._updates is None:
+        if self._joined is None:
             return -1, "not subscribed", 0
-        self._updates.param_update(key, value)
+        self._joined.param_update(key, value)
         return 1, "", 0
 
     def publisherUpdate(self, _node: str, _: str, topic: str, publishers: list[str]) -> Answered:  # noqa: N802
-        if self._updates is not None:
-            self._updates.publisher_update(topic, publishers)
+        if self._joined is not None:
+            self._joined.publisher_update(topic, publishers)
         return 1, "", 0
 
-    def requestTopic(self, node: str, caller: str, topic: str, protocols: list[Any]) -> Answered:  # noqa: N802
-        return self._links.request_topic(caller, node, topic, protocols)
+    def requestTopic(self, _node: str, _: str, topic: str, protocols: list[Any]) -> Answered:  # noqa: N802
+        return self._data.request_topic(topic, protocols)

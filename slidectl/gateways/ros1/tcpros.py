@@ -116,7 +116,8 @@ class TcprosConnection(asyncio.Protocol):
         self._queued_bytes = 0
         self._may_write = asyncio.Event()
         self._may_write.set()
-        self._where = ""
+        self.where = ""
+        """As getBusInfo tells it."""
 
     # --- asyncio.Protocol ---------------------------------------------------------------------------------------
 
@@ -131,7 +132,7 @@ class TcprosConnection(asyncio.Protocol):
             end.setsockopt(socket.IPPROTO_TCP, option, value)
         peer = transport.get_extra_info("peername") or ("", 0)
         own = transport.get_extra_info("sockname") or ("", 0)
-        self._where = f"TCPROS connection on port {own[1]} to [{peer[0]}:{peer[1]} on socket {end.fileno()}]"
+        self.where = f"TCPROS connection on port {own[1]} to [{peer[0]}:{peer[1]} on socket {end.fileno()}]"
         self._limit = asyncio.get_running_loop().call_later(HANDSHAKE_LIMIT_S, self.close)
         self.on_opened(self)
 
@@ -208,11 +209,6 @@ class TcprosConnection(asyncio.Protocol):
         self.on_header(self, fields)
 
     # --- for those who use it -----------------------------------------------------------------------------------
-
-    @property
-    def where(self) -> str:
-        """As getBusInfo tells it."""
-        return self._where
 
     def send_header(self, fields: Fields) -> None:
         """Send the header of this side."""

@@ -9,20 +9,20 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections import deque
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from typing import Any
 
 from slidectl.errors import BadMessage, Refused, SlidectlError, listing
 from slidectl.gateways.daemon_connection import DaemonConnection, Message
+from slidectl.gateways.ros1 import xmlrpc
 from slidectl.gateways.ros1.ros1_types import Ros1Type, ros1_type
 from slidectl.gateways.ros1.tcpros import Fields, OutgoingConnection, TcprosConnection, frame
+from slidectl.gateways.tasks import Tasks
 
 _log = logging.getLogger(__name__)
 
 Row = tuple[int, str, str, str, str, bool, str]
 """One of getBusInfo: id, destination or source, direction, transport, topic, connected, text."""
-CallNode = Callable[..., Awaitable[Any]]
-"""Calls a method of a node: its URI, the method, the arguments."""
 
 ANY_TYPE = "*"
 _TRANSPORT = "TCPROS"
@@ -115,7 +115,7 @@ class TopicServer:
         self._asker: DaemonConnection | None = None
         """Asks for latched messages, one topic at a time."""
         self._asking = asyncio.Lock()
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._tasks = Tasks()
         self._lost = 0
 
     async def attach(self, connection: DaemonConnection, asker: DaemonConnection) -> None:
@@ -176,9 +176,7 @@ class TopicServer:
                 )
             return
         connection.ignore()
-        task = asyncio.get_running_loop().create_task(self._begin(connection, name, kind, caller, publishers))
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+        self._tasks.begin(self._begin(connection, name, kind, caller, publishers))
 
     async def _begin(
         self, connection: TcprosConnection, name: str, kind: Ros1Type, caller: str, publishers: list[str]
@@ -267,7 +265,6 @@ class Follower:
         node: str,
         uri: str,
         subscriber: str,
-        call: CallNode,
         take: Callable[[Message, bool], DaemonConnection | None],
     ) -> None:
         """`take` hands a message on, and whether it is latched, and returns the connection that has it now."""
@@ -278,7 +275,6 @@ class Follower:
         self.subscriber = subscriber
         """The native node that the publisher sees."""
         self.connection: TcprosConnection | None = None
-        self._call = call
         self._take = take
         self._is_latched = False
         self._unsettled = 0
@@ -314,7 +310,7 @@ class Follower:
 
     async def _connected(self) -> OutgoingConnection:
         """Raises SlidectlError: there is no connection, for now."""
-        answer = await self._call(self.uri, "requestTopic", self.subscriber, self.topic, [[_TRANSPORT]])
+        answer = await xmlrpc.call(self.uri, "requestTopic", self.subscriber, self.topic, [[_TRANSPORT]])
         host, port = _address(answer)
         kind = self.type
         outgoing = await OutgoingConnection.connect(

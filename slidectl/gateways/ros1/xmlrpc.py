@@ -233,7 +233,9 @@ def _scalar(tag: str, text: str) -> Any:
             raise ValueError(f"the integer {number} does not fit 64 bits")
         return number
     if tag == "boolean":
-        return {"0": False, "1": True}[text.strip()] if text.strip() in ("0", "1") else _refuse(f"boolean {text!r}")
+        if text.strip() not in ("0", "1"):
+            raise ValueError(f"no boolean: {cut(text, 80)!r}")
+        return text.strip() == "1"
     if tag == "double":
         return float(text)
     if tag == "base64":
@@ -241,10 +243,6 @@ def _scalar(tag: str, text: str) -> Any:
     if tag == "dateTime.iso8601":
         return DateTime(text.strip())
     return None if tag == "nil" else text.strip() if tag == "methodName" else text
-
-
-def _refuse(what: str) -> Any:
-    raise ValueError(cut(what, 80))
 
 
 # --- the server -----------------------------------------------------------------------------------------------------

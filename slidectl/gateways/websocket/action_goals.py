@@ -95,9 +95,9 @@ class ActionGoals:
 
     def forget(self, tell: Callable[[Message], None]) -> None:
         """A browser has gone. Its goals go on, as those of an actionlib client that ends."""
-        for goals in self._goals.values():
+        for action, goals in list(self._goals.items()):
             for name in [name for name, goal in goals.items() if goal.tell == tell]:
-                del goals[name]
+                self._end(action, name)
 
     def _take_feedback(self, action: str, published: Message) -> None:
         message = published["msg"]
@@ -109,18 +109,23 @@ class ActionGoals:
     def _take_result(self, action: str, published: Message) -> None:
         message = published["msg"]
         status = message["status"]
-        goals = self._goals.get(action, {})
-        goal = goals.pop(status["goal_id"]["id"], None)
+        goal = self._end(action, status["goal_id"]["id"])
         if goal is None:
             return
-        if not goals:
-            del self._goals[action]
-            self._daemon.unsubscribe(f"{action}/feedback")
-            self._daemon.unsubscribe(f"{action}/result")
         if status["status"] == _REJECTED:
             goal.tell(_result(goal, ABORTED, f"the goal was rejected: {status['text']}", False))
         else:
             goal.tell(_result(goal, _STATES.get(status["status"], ABORTED), message["result"], True))
+
+    def _end(self, action: str, name: str) -> SentGoal | None:
+        """Forget a goal, and let the topics of an action go that has no other. None: it is not one of ours."""
+        goals = self._goals.get(action, {})
+        goal = goals.pop(name, None)
+        if goal is not None and not goals:
+            del self._goals[action]
+            self._daemon.unsubscribe(f"{action}/feedback")
+            self._daemon.unsubscribe(f"{action}/result")
+        return goal
 
 
 def _result(goal: SentGoal, status: int, values: Any, is_result: bool) -> Message:

@@ -11,7 +11,7 @@ import math
 import zlib
 from binascii import a2b_base64, b2a_base64
 from collections.abc import Callable, Iterator
-from functools import cache
+from functools import cache, lru_cache
 from struct import Struct, pack
 from typing import Any
 
@@ -37,32 +37,21 @@ _RGB, _BITS = 2, 8
 
 Frame = tuple[bytes, bool]
 """What is sent, and whether it is text."""
+Encode = Callable[[bytes], Frame]
 Convert = Callable[[Any], Any]
 
 
-class Encoder:
-    """Packs publish lines; the last one is kept, since the next browser gets the same."""
-
-    def __init__(self, pack: Callable[[bytes], Frame]) -> None:
-        self._pack = pack
-        self._line = b""
-        self._frame: Frame = b"", True
-
-    def __call__(self, line: bytes) -> Frame:
-        """The frame for a line."""
-        if line != self._line:
-            self._line, self._frame = line, self._pack(line)
-        return self._frame
-
-
 @cache
-def encoder(compression: str, type_name: str) -> Encoder:
-    """The one for messages of a type; `compression` is one of COMPRESSIONS but "none". Raises UnknownName."""
+def encoder(compression: str, type_name: str) -> Encode:
+    """The one for messages of a type; `compression` is one of COMPRESSIONS but "none". Raises UnknownName.
+
+    It keeps its last frame: the next browser gets the same.
+    """
     if compression == "png":
-        return Encoder(lambda line: (_png(line), True))
+        return lru_cache(1)(lambda line: (_png(line), True))
     if compression == "cbor":
-        return Encoder(_cbor(_converter(type_name)))
-    return Encoder(_cbor_raw(ros1_type(type_name).pack))
+        return lru_cache(1)(_cbor(_converter(type_name)))
+    return lru_cache(1)(_cbor_raw(ros1_type(type_name).pack))
 
 
 def _png(line: bytes) -> bytes:
@@ -79,7 +68,7 @@ def _png(line: bytes) -> bytes:
     return b'{"op":"png","data":"' + b2a_base64(image, newline=False) + b'"}'
 
 
-def _cbor(convert: Convert) -> Callable[[bytes], Frame]:
+def _cbor(convert: Convert) -> Encode:
     def encode(line: bytes) -> Frame:
         message = decode(line)
         message["msg"] = convert(message["msg"])
@@ -88,7 +77,7 @@ def _cbor(convert: Convert) -> Callable[[bytes], Frame]:
     return encode
 
 
-def _cbor_raw(to_bytes: Callable[[Any], bytes]) -> Callable[[bytes], Frame]:
+def _cbor_raw(to_bytes: Callable[[Any], bytes]) -> Encode:
     """Of lines that have the simulated time. One that was on its way when that was asked for stays as it is."""
 
     def encode(line: bytes) -> Frame:

@@ -14,12 +14,12 @@ from slidectl import names
 from slidectl.client.lines import BadLine, check_size, decode, encode
 from slidectl.errors import SlidectlError, UsageError, listing
 from slidectl.gateways.daemon_connection import DaemonConnection
-from slidectl.gateways.reading_services import is_reading
+from slidectl.gateways.gateway import is_reading
 from slidectl.gateways.websocket.action_goals import ActionGoals
 from slidectl.gateways.websocket.encodings import (
     COMPRESSIONS,
     SMALLEST_FRAGMENT,
-    Encoder,
+    Encode,
     FragmentBuffer,
     encoder,
     fragments,
@@ -62,7 +62,7 @@ class RosbridgeSession:
         self._sent_in_fragments = count(1)
         self._wishes: dict[str, dict[str | None, str]] = {}
         """Topic -> id of a subscription -> its compression, of all that were subscribed with one."""
-        self._encoders: dict[bytes, Encoder] = {}
+        self._encoders: dict[bytes, Encode] = {}
 
     # --- from the browser ---------------------------------------------------------------------------------------
 
@@ -143,8 +143,7 @@ class RosbridgeSession:
 
     async def _unsubscribe(self, message: Message) -> None:
         topic = names.join("/", str(message.get("topic")))
-        wish_id, wishes = _wish_id(message), self._wishes.pop(topic, {})
-        self._encoders.pop(topic.encode(), None)
+        wish_id, wishes = _wish_id(message), self._wishes.get(topic, {})
         await self._choose(topic, {key: wish for key, wish in wishes.items() if wish_id not in (None, key)}, "")
 
     async def _choose(self, topic: str, wishes: dict[str | None, str], given: str) -> None:

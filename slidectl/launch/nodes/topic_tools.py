@@ -203,13 +203,13 @@ class Throttle(Relay):
     def _fits(self, type_name: str, message: Message, now_s: float) -> bool:
         if not self._window_s:
             return now_s - self._last_s > 1.0 / self._rate - _ROUNDING_S
-        from slidectl.msgs import fields, sizes
+        from slidectl.recording import codec
 
         while self._sent and self._sent[0][0] < now_s - self._window_s:
             self._sent.popleft()
         if sum(size for _, size in self._sent) >= self._rate:
             return False
-        self._sent.append((now_s, sizes.size(fields, type_name, message)))
+        self._sent.append((now_s, len(codec.of(type_name).encode(message))))
         return True
 
 

@@ -18,8 +18,8 @@ from slidectl.client import Client
 from slidectl.errors import NoDaemon, Refused, SlidectlError, UsageError, cut
 from slidectl.msgs.fill import Time, field_paths, fill
 from slidectl.msgs.forms import YamlForm
+from slidectl.msgs.message_expressions import Numbers
 from slidectl.msgs.schema import FLOATS, SCALAR, Field, Schema, from_typedefs
-from slidectl.msgs.templates import Template
 from slidectl.values import read
 from slidectl.viewing.page.page import SCROLLED, Page, Panel, WorldState, offer
 
@@ -68,7 +68,10 @@ class MessageForm:
             page.acting(handle, partial(chosen.__setitem__, path))
 
     def maker(self) -> Maker:
-        """Of what is in the inputs now. Raises UsageError: text that is no YAML, or no expression."""
+        """Of what is in the inputs now. Raises UsageError: text that is no YAML.
+
+        The maker raises UsageError, Refused: a text is no expression, or cannot be computed; BadMessage.
+        """
         values: dict[str, Any] = {}
         for path, field in self._fields.items():
             text = self._chosen[path]
@@ -83,9 +86,8 @@ class MessageForm:
                 inside[name] = text if is_text else read(str(text))
             except UsageError as error:
                 raise UsageError(f"{path}: {error.message}", error.hint) from None
-        schema = self._schema
-        template = Template(schema, [values], expressions=True, most_steps=_MOST_STEPS)
-        return lambda i, t, now: fill(schema.fields, schema.root, template.at(i, t), now)
+        schema, numbers = self._schema, Numbers(expressions=True, most_steps=_MOST_STEPS)
+        return lambda i, t, now: fill(schema.fields, schema.root, [values], now, numbers.at(i, t))
 
 
 def _field(schema: Schema, path: str) -> Field:

@@ -10,6 +10,7 @@ import ast
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
 from typing import Any
 
 from slidectl.errors import Refused, UnknownName, UsageError, closest
@@ -21,7 +22,6 @@ _LONGEST = 4000
 _MOST_STEPS = 10_000_000
 """More than a launch file may take: every element of an array of the message counts as one."""
 _NOT_FINITE = re.compile(r"\s*[-+]?(nan|inf)\s*\Z", re.IGNORECASE)
-_CLOCK_WORDS = ("now", "auto")
 _TIME_PARTS = ("secs", "nsecs", "to_sec", "to_nsec")
 
 
@@ -128,72 +128,33 @@ class Filter:
         return _Record(value, lambda name, inner: self._shown(inner, self._schema.field(field.type, name)))
 
 
-class Template:
-    """The values for a message of the schema's root type, in which texts stand where a number is due.
+class Numbers:
+    """What texts mean where numbers are due, for `fill`: `nan` and `inf`, and with `expressions` any in i and t.
 
-    `expressions` False reads only `nan` and `inf` as numbers, and leaves all other texts as they are. No expression may
-    take more than `most_steps`. Values are not checked here: `fill` does that with what comes out.
-
-    Raises:
-        UsageError: a text where a number is due that is no expression in i and t.
+    No expression may take more than `most_steps`.
     """
 
-    def __init__(
-        self, schema: Schema, values: Sequence[Any], expressions: bool = False, most_steps: int = _MOST_STEPS
-    ) -> None:
-        self._schema = schema
+    def __init__(self, expressions: bool, most_steps: int = _MOST_STEPS) -> None:
         self._expressions = expressions
         self._most_steps = most_steps
-        fields = schema.fields(schema.root)
-        if len(values) == 1 and isinstance(values[0], Mapping):
-            self._values = [self._parsed(values[0], schema.root, False)]
-        elif len(values) == 1 and [field.type for field in fields[:1]] == ["std_msgs/MultiArrayLayout"]:
-            self._values = [self._parsed(values[0], fields[1].type, True)]
-        else:
-            self._values = self._parsed(list(values), schema.root, False)
-        self.needs_clock = _mentions_clock(values)
-        """True when a value is `now` or `auto`."""
 
-    def at(self, index: int, seconds: float) -> Sequence[Any]:
-        """The values for i = index and t = seconds. Raises Refused."""
-        return [_at(value, index, seconds) for value in self._values]
+    def at(self, index: int, seconds: float) -> Callable[[str, str], Any]:
+        """Takes a text and the type that is due, for i = index and t = seconds. Other texts stay as they are.
 
-    def _parsed(self, value: Any, type_name: str, is_array: bool) -> Any:
-        """The value with functions of i and t in the place of expressions."""
-        if is_array:
-            return [self._parsed(each, type_name, False) for each in value] if isinstance(value, list) else value
-        fields = self._schema.fields(type_name)
-        if isinstance(value, Mapping):
-            kinds = {field.name: field for field in fields}
-            return {
-                name: self._parsed(each, kinds[name].type, kinds[name].array >= 0) if name in kinds else each
-                for name, each in value.items()
-            }
-        if isinstance(value, list) and len(value) == len(fields):
-            return [self._parsed(each, f.type, f.array >= 0) for each, f in zip(value, fields, strict=True)]
-        is_number = type_name in FLOATS or type_name in INTEGER_RANGES or type_name == "bool"
-        is_finite = not isinstance(value, str) or _NOT_FINITE.match(value) is None
-        if not is_number or not isinstance(value, str) or (is_finite and not self._expressions):
-            return value
-        expression = Expression(value if is_finite else value.lower(), ("i", "t"), self._most_steps)
-        return lambda i, t: _rounded(expression(i=i, t=t), type_name)
+        Raises UsageError: a text is no expression. Refused: it cannot be computed.
+        """
+
+        def number(text: str, type_name: str) -> Any:
+            is_finite = _NOT_FINITE.match(text) is None
+            if is_finite and not self._expressions:
+                return text
+            value = _in_i_and_t(text if is_finite else text.lower(), self._most_steps)(i=index, t=seconds)
+            is_whole = type_name in INTEGER_RANGES and isinstance(value, float) and value.is_integer()
+            return int(value) if is_whole else value
+
+        return number
 
 
-def _rounded(value: Any, type_name: str) -> Any:
-    return int(value) if type_name in INTEGER_RANGES and isinstance(value, float) and value.is_integer() else value
-
-
-def _at(value: Any, index: int, seconds: float) -> Any:
-    if callable(value):
-        return value(index, seconds)
-    if isinstance(value, dict):
-        return {name: _at(each, index, seconds) for name, each in value.items()}
-    return [_at(each, index, seconds) for each in value] if isinstance(value, list) else value
-
-
-def _mentions_clock(value: Any) -> bool:
-    if isinstance(value, Mapping):
-        return any(map(_mentions_clock, value.values()))
-    if isinstance(value, list | tuple):
-        return any(map(_mentions_clock, value))
-    return value in _CLOCK_WORDS
+@lru_cache(1000)
+def _in_i_and_t(text: str, most_steps: int) -> Expression:
+    return Expression(text, ("i", "t"), most_steps)

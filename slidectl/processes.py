@@ -1,0 +1,129 @@
+"""Processes that go on by themselves: who holds the lock of one, how one is started, and how it ends with another.
+
+A lock says that its process lives: the kernel takes it back when that ends, however it ends. It is a POSIX record lock,
+because F_GETLK names the holder without disturbing anybody. The lock file must not be opened elsewhere in the process
+that holds the lock: closing it there would let the lock go.
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import os
+import struct
+import sys
+from contextlib import suppress
+from typing import IO, TYPE_CHECKING, Any
+
+from slidectl.errors import Refused
+from slidectl.paths import with_package
+
+if TYPE_CHECKING:
+    import subprocess
+    from pathlib import Path
+
+# struct flock of a 64-bit Linux: type, whence, start, length, pid. Elsewhere it is laid out in other ways, and the
+# answers would be nonsense.
+assert sys.maxsize > 1 << 32, "slidectl needs a 64-bit Linux"
+_FLOCK = struct.Struct("hhqqi4x")
+_HELD = (errno.EAGAIN, errno.EACCES)
+"""errno values that mean another process holds the lock."""
+_LAST_LINES = 8
+_PR_SET_PDEATHSIG = 1
+
+
+def holder(path: Path) -> int | None:
+    """Process id of whoever holds the lock, or None. It is 0 when that is in another pid namespace.
+
+    Raises:
+        Refused: the file is there and cannot be asked.
+    """
+    try:
+        with open(path, "rb+", buffering=0) as file:
+            question = _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, 0, 0, 0)
+            kind, _, _, _, pid = _FLOCK.unpack(fcntl.fcntl(file, fcntl.F_GETLK, question))
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except OSError as error:
+        raise _lock_failed("ask", path, error) from None
+    return None if kind == fcntl.F_UNLCK else max(0, pid)
+
+
+def lock(path: Path) -> int | None:
+    """The descriptor of the locked file, which holds our process id as text; None when another process has the lock.
+
+    Raises:
+        Refused: no lock can be had.
+    """
+    while True:
+        try:
+            fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        except OSError as error:
+            raise _lock_failed("make", path, error) from None
+        try:
+            fcntl.lockf(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            os.close(fd)
+            if error.errno in _HELD:
+                return None
+            raise _lock_failed("take", path, error) from None
+        if is_at(path, os.fstat(fd)):
+            break
+        os.close(fd)  # its last owner removed the file between our open and our lock
+    # For people who look into the folder. The kernel knows better, so a full disk is no reason to give up.
+    with suppress(OSError):
+        os.ftruncate(fd, 0)
+        os.write(fd, f"{os.getpid()}\n".encode())
+    return fd
+
+
+def _lock_failed(what: str, path: Path, error: OSError) -> Refused:
+    hint = "is it on a file system that knows locks? XDG_RUNTIME_DIR or --socket name another place"
+    return Refused(f"cannot {what} the lock {path}: {error.strerror or error}", hint)
+
+
+def is_at(path: Path, file: os.stat_result | None) -> bool:
+    """True when the file is the one that others find at the path."""
+    try:
+        return file is not None and os.path.samestat(file, os.lstat(path))
+    except OSError:
+        return False
+
+
+def command_of(module: str, *arguments: str) -> list[str]:
+    """The command line that runs a module of the package."""
+    # -P: a file of the user's that is called like a library must not be taken for it.
+    return [sys.executable, "-P", "-m", module, *arguments]
+
+
+def start(command: list[str], output: IO[bytes], **more: Any) -> subprocess.Popen[bytes]:
+    """Start a program in the background, in a session of its own. It prints into `output`, and `more` goes to Popen."""
+    import subprocess
+
+    environment = with_package(os.environ)
+    return subprocess.Popen(command, env=environment, stdout=output, stderr=output, start_new_session=True, **more)
+
+
+def opened_log(path: Path) -> IO[bytes]:
+    """The log, private to the user, to be appended to; where it cannot be written, nothing."""
+    try:
+        return os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600), "wb")
+    except OSError:
+        return open(os.devnull, "wb")
+
+
+def last_lines(log: Path, after: int) -> str:
+    """The end of what stands in a log after so many bytes."""
+    try:
+        text = log.read_bytes()[after:].decode("utf-8", "replace")
+    except OSError:
+        text = ""
+    return "\n".join(text.splitlines()[-_LAST_LINES:]) or f"its log {log} says nothing"
+
+
+def end_with(parent: int, number: int) -> bool:
+    """Get this signal when the parent ends. False: it has ended already."""
+    import ctypes
+
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number)
+    return os.getppid() == parent
