@@ -17,7 +17,7 @@ from slidectl.cli.topic_measure import (
     spread_of,
 )
 from slidectl.cli.topic_streams import Event
-from slidectl.msgs.sizes import size as serialised_size
+from slidectl.msgs.serialization import packer
 
 
 def rates(times_ms: list[int], window: int = 1000) -> Record:
@@ -118,4 +118,4 @@ def test_percentiles_are_values_that_occurred() -> None:
 )  # fmt: skip
 def test_sizes_are_those_of_ros_serialisation(type_name: str, message: dict[str, object], size: int) -> None:
     types = schema(type_name)
-    assert serialised_size(types.fields, types.root, msgs.check(type_name, message)) == size
+    assert len(packer(types.root, types.fields)(msgs.check(type_name, message))) == size

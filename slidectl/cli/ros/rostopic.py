@@ -207,15 +207,15 @@ def bw(ctx: Context, argv: Sequence[str]) -> None:
     """How many bytes come, on the wall clock."""
     from slidectl.cli.topic_measure import SizeMeter, measure
     from slidectl.cli.topic_streams import Stream
-    from slidectl.msgs.sizes import size
+    from slidectl.msgs.serialization import packer
 
     parser = Parser("rostopic", "rostopic bw /topic", _WINDOW)
     complaints = "topic must be specified", "you may only specify one input topic"
     given = parser.parse(without_remappings(argv), 1, 1, *complaints)
     window = _window(parser, given.window, _BW_WINDOW)
     target = awaited(ctx, given.words[0])
-    schema = target.schema
-    meter = SizeMeter(target.topic, window, partial(size, schema.fields, schema.root), monotonic)
+    pack = packer(target.schema.root, target.schema.fields)
+    meter = SizeMeter(target.topic, window, lambda message: len(pack(message)), monotonic)
     measure(ctx, Stream(ctx, [target.topic]), [meter], _sizes_text, output.write)
 
 
