@@ -12,7 +12,6 @@ from bisect import bisect_right, insort
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from functools import partial
 from operator import itemgetter
 from random import Random
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
@@ -548,7 +547,7 @@ class Faults:
         """Of the robots that have faults, by name."""
         self._topics: dict[str, FaultyTopic] = {}
         simulation.kept["faults"] = self
-        simulation.robots.on_spawn.append(lambda robot: partial(self._forget_robot, robot))
+        simulation.robots.on_spawn.append(lambda robot: robot.taken.callback(self._forget_robot, robot))
         node = simulation.graph.node(names.join(names.OWN_NODE, "fault"), names.OWN_NODE)
         node.advertise_service("add", "slidectl/AddFault", self._serve_add)
         node.advertise_service("remove", "slidectl/RemoveFaults", self._serve_remove)

@@ -40,12 +40,11 @@ from slidectl.physics import World
 from slidectl.physics.changes import JointFriction, Payload, StuckJoint
 from slidectl.physics.robot_hw import Drive, HardwareJoint
 from slidectl.simulation.action_server import ActionGoal
-from slidectl.simulation.camera_topics import CameraTopics
 from slidectl.simulation.clock import NEVER, RepeatedCall, Timer, Timers
 from slidectl.simulation.cycle import ControlCycle
 from slidectl.simulation.faults import Fault, Faults, FaultyCycle, FaultyTopic
 from slidectl.simulation.graph import Graph, GraphNode
-from slidectl.simulation.sensor_topics import SensorTopic
+from slidectl.simulation.sensor_topics import CameraTopics, SensorTopic
 from slidectl.simulation.spawned_robots import SpawnedRobot
 from slidectl.simulation.topics import PeriodicTopic, TopicPublisher
 
