@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from slidectl import names
 from slidectl.control.duration import from_seconds
-from slidectl.control.hardware_interface import JointHandle
 from slidectl.control.node_handle import Message
 from slidectl.errors import Refused, SlidectlError, UnknownName, UsageError, quoted
 from slidectl.fault_kinds import KINDS, OPTIONS, QUANTITIES, REQUIRED, check_span, checked_options
@@ -79,10 +78,6 @@ class Fault:
     def end(self) -> None:
         """Leave no trace, and forget the past."""
 
-    def has_state(self) -> bool:
-        """Whether its attributes are such as it may have."""
-        return True
-
     def message(self, time_ns: int) -> Message:
         """As slidectl/Fault."""
         asked = self.asked
@@ -100,15 +95,6 @@ class Fault:
 
 
 # -- faults of robots --------------------------------------------------------------------------------------------------
-
-
-def _has_kinds(value: Any, *kinds: Any) -> bool:
-    """Is it a tuple of such elements?"""
-    return type(value) is tuple and len(value) == len(kinds) and all(map(isinstance, value, kinds))
-
-
-def _are_numbers(values: Any) -> bool:
-    return type(values) is list and all(isinstance(value, int | float) for value in values)
 
 
 class RobotFault(Fault):
@@ -226,9 +212,6 @@ class LostSignal(SignalFault):
     def end(self) -> None:
         self.kept = None
 
-    def has_state(self) -> bool:
-        return self.kept is None or _are_numbers(self.kept)
-
 
 class LateSignal(SignalFault):
     """The values are those of some time ago, or the first that are known."""
@@ -254,11 +237,6 @@ class LateSignal(SignalFault):
 
     def end(self) -> None:
         self.past.clear()
-
-    def has_state(self) -> bool:
-        return all(_has_kinds(one, int, list) and _are_numbers(one[1]) for one in self.past) and (
-            len({len(values) for _, values in self.past}) <= 1
-        )
 
 
 class ChangeFault(RobotFault):
@@ -421,10 +399,6 @@ class FaultyCycle:
             handle.position, handle.velocity, handle.effort = position, velocity, effort
         self._true = []
 
-    def has_state(self) -> bool:
-        """Whether its attributes are such as it may have."""
-        return all(_has_kinds(one, JointHandle, *3 * (float | int,)) for one in self._true)
-
     def _current(self, time_ns: int) -> list[RobotFault]:
         """The faults that are not over. Those that have just ended leave no trace."""
         over = [fault for fault in self._faults if fault.is_over(time_ns)]
@@ -489,11 +463,6 @@ class FaultyTopic:
         self._faults = faults
         self.waiting = [late for late in self.waiting if late[1] in faults]
         self._arm()
-
-    def has_state(self) -> bool:
-        """Whether what waits is what may."""
-        times = [late[0] for late in self.waiting if _has_kinds(late, int, TopicFault, dict)]
-        return len(times) == len(self.waiting) and times == sorted(times)
 
     def _hold(self, due_ns: int, fault: TopicFault, message: Message) -> None:
         if len(self.waiting) < _MOST_WAITING:
@@ -631,25 +600,12 @@ class Faults:
             self._install(fault)
 
     def go_on(self) -> None:
-        """Their state was put in: what they have changed is changed again, before the world gets its own state.
-
-        Raises Refused: it is none that they can have.
-        """
-        having: list[Fault | FaultyCycle | FaultyTopic] = [*self._faults.values(), *self._cycles.values()]
-        for one in (*having, *self._topics.values()):
-            if not one.has_state():
-                raise Refused(f"the snapshot has a state of a {type(one).__name__} that none has")
+        """Their state was put in: what they have changed is changed again, before the world gets its own state."""
         for fault in self._faults.values():
             if isinstance(fault, ChangeFault) and fault.change.is_held:
                 fault.change.hold()
         for cycle in self._cycles.values():
             cycle.follow()
-
-    def drop(self) -> None:
-        """Forget all of them, whatever their state is. The robots are about to go."""
-        for topic in self._topics:
-            self._graph.topics.intercept(topic, None)
-        self._faults, self._cycles, self._topics = {}, {}, {}
 
     def messages(self) -> list[Message]:
         """All of them, each as slidectl/Fault."""

@@ -15,7 +15,7 @@ import reprlib
 import sys
 from array import array
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import is_dataclass
 from enum import Enum
@@ -255,21 +255,17 @@ class Restoring:
     def values(self, saved: Mapping[Any, Any], live: Mapping[Any, Any]) -> dict[Any, Any]:
         """The same of a mapping."""
         keys = self.in_order(list(saved), list(live))
-        new = {key: self.value(value, live.get(key)) for key, value in zip(keys, saved.values(), strict=True)}
-        _check_kinds(new.values(), live.values())
-        return new
+        return {key: self.value(value, live.get(key)) for key, value in zip(keys, saved.values(), strict=True)}
 
     def in_order(self, saved: Sequence[Any], live: Sequence[Any]) -> list[Any]:
         """The same of elements in their order; what has been found otherwise, here and there, does not count."""
         rest = iter([one for one in live if id(one) not in self._used])
-        new = [
+        return [
             self._found[one.number]
             if type(one) is Ref and self._found[one.number] is not None
             else self.value(one, next(rest, None))
             for one in saved
         ]
-        _check_kinds(new, live)
-        return new
 
     def later(self, take: Callable[[], None]) -> None:
         """Call this when all objects have their values."""
@@ -325,15 +321,6 @@ class Restoring:
             return cls(value)
         lives = live if isinstance(live, cls) and len(live) == len(value) else [None] * len(value)
         return tuple.__new__(cls, map(self.value, value, lives))
-
-
-def _check_kinds(new: Iterable[Any], live: Iterable[Any]) -> None:
-    """Raises Refused: something else is among objects of `KEPT`, without which no cycle comes and no robot goes."""
-    kinds = {type(one) for one in live}
-    if any(base in KEPT for kind in kinds for base in kind.__mro__):
-        for one in new:
-            if type(one) not in kinds:
-                raise Refused(f"the snapshot has {reprlib.repr(one)} among objects of other classes")
 
 
 def _method(owner: Any, name: str) -> Any:

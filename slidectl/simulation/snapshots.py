@@ -87,6 +87,7 @@ class Snapshot:
     gravity: tuple[float, float, float]
     ground: bool
     is_from_file: bool
+    """Its values may be such as no simulation has."""
     robots: list[SpawnedAs]
     faults: list[Asked]
     parameters: dict[str, Any]
@@ -116,7 +117,7 @@ def take(simulation: Simulation) -> Snapshot:
         simulation.timestep_ns,
         simulation.world.gravity,
         simulation.world.has_ground,
-        simulation.snapshots.is_of_file,
+        False,
         [SpawnedAs.of(robot) for robot in simulation.robots],
         simulation.faults.asked(),
         simulation.parameters.tree(),
@@ -150,34 +151,17 @@ def put(simulation: Simulation, snapshot: Snapshot) -> list[str]:
         except SlidectlError as error:
             text = f"cannot load a snapshot: should that fail, the world could not be as it is now: {error.message}"
             raise Refused(text, error.hint) from None
-        except Exception:
-            if not simulation.snapshots.is_of_file:
-                raise
     try:
-        made = _put_in(simulation, snapshot, simulation.snapshots.is_of_file)
+        made = _put(simulation, snapshot)
     except BaseException as error:
         if before is not None:
-            _put_in(simulation, before, before.is_from_file or snapshot.is_from_file)
+            _put(simulation, before)
         if isinstance(error, Exception) and not isinstance(error, SlidectlError):
             raise Refused(f"the snapshot does not fit: {type(error).__name__}: {error}") from error
         raise
-    simulation.snapshots.is_of_file |= snapshot.is_from_file
     simulation.run.trouble = ""
     simulation.graph.clock_topic.publish_now(simulation.time_ns)
     return made
-
-
-def _put_in(simulation: Simulation, snapshot: Snapshot, is_of_file: bool) -> list[str]:
-    """Where the state that is there came from a file, it may be why it fails; then no object of it stays."""
-    try:
-        return _put(simulation, snapshot)
-    except Exception:
-        if not is_of_file:
-            raise
-    simulation.faults.drop()
-    for name in simulation.robots.names():
-        simulation.robots.delete(name)
-    return _put(simulation, snapshot)
 
 
 def _put(simulation: Simulation, snapshot: Snapshot) -> list[str]:
@@ -352,8 +336,6 @@ class Snapshots:
     def __init__(self, simulation: Simulation) -> None:
         self._simulation = simulation
         self._kept: dict[str, Snapshot] = {}
-        self.is_of_file = False
-        """Whether the state of the simulation has once come from a file, with whatever values that had."""
 
     def __iter__(self) -> Any:
         return iter(tuple(self._kept.items()))
