@@ -18,7 +18,7 @@ from slidectl.description.robot import BaseDrive, PlanarMove, WheelDrive, namesp
 from slidectl.errors import MessageRefused
 from slidectl.rotations import Pose, Vector, from_rpy, to_rpy
 from slidectl.simulation.clock import EACH_STEP_NS, SECOND, Timer, period_ns_of
-from slidectl.simulation.gazebo_frames import pose_message, vector_message
+from slidectl.simulation.gazebo_frames import pose_message, transform_message
 from slidectl.simulation.spawned_robots import SpawnedRobot
 from slidectl.simulation.state_publisher import tf_prefix
 from slidectl.simulation.topics import PeriodicTopic
@@ -123,8 +123,7 @@ class RunningDrive:
 
     def _transform(self) -> Message:
         header, base = self._header()
-        (place, turn) = self._place()[0]
-        transform = {"translation": vector_message(place), "rotation": dict(zip("xyzw", turn, strict=True))}
+        transform = transform_message(self._place()[0])
         return {"transforms": [{"header": header, "child_frame_id": base, "transform": transform}]}
 
 

@@ -10,6 +10,7 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager, suppre
 from typing import Any, ParamSpec, TypeVar
 
 from slidectl import names
+from slidectl.control.duration import header_of
 from slidectl.control.node_handle import (
     MISSING,
     GoalCallback,
@@ -21,7 +22,7 @@ from slidectl.control.node_handle import (
 )
 from slidectl.errors import Refused, SlidectlError, cut
 from slidectl.simulation.action_server import ActionServer
-from slidectl.simulation.clock import Clock, ClockTopic, RepeatedCall, Timers, stamp
+from slidectl.simulation.clock import Clock, ClockTopic, RepeatedCall, Timers
 from slidectl.simulation.parameters import Parameters
 from slidectl.simulation.services import Handler, Services
 from slidectl.simulation.topics import NodePublisher, Topics
@@ -137,8 +138,7 @@ class Log:
         if not self._publisher.wanted:
             self._publisher.sequence += 1
             return
-        header = {"seq": 0, "stamp": stamp(now), "frame_id": ""}
-        line: Message = {"header": header, "level": level, "name": node, "msg": text}
+        line: Message = {"header": header_of(now), "level": level, "name": node, "msg": text}
         self._publisher.publish({**line, "file": "", "function": "", "line": 0, "topics": []})
 
     @contextmanager

@@ -23,8 +23,9 @@ from slidectl.control.duration import header_of
 from slidectl.control.node_handle import Message
 from slidectl.description.robot import Bumper, Camera, ForceTorque, GroundTruth, Imu, JointStates, Laser, Sensor
 from slidectl.physics import rendering, sensing
-from slidectl.rotations import Quaternion, Vector, add, cross, message, subtract
+from slidectl.rotations import Vector, add, cross, subtract
 from slidectl.simulation.clock import period_ns_of
+from slidectl.simulation.gazebo_frames import pose_message, twist_message, vector_message
 from slidectl.simulation.pending import Pending
 from slidectl.simulation.spawned_robots import SpawnedRobot
 from slidectl.simulation.topics import PeriodicTopic
@@ -124,12 +125,9 @@ class SensorTopic:
         return {
             "header": self._header(),
             "child_frame_id": self._sensor.link,
-            "pose": {"pose": _pose(position, pose[1]), "covariance": covariance},
+            "pose": {"pose": pose_message((position, pose[1])), "covariance": covariance},
             "twist": {
-                "twist": {
-                    "linear": _vector(sensing.noisy(linear, draw)),
-                    "angular": _vector(sensing.noisy(angular, draw)),
-                },
+                "twist": twist_message((sensing.noisy(linear, draw), sensing.noisy(angular, draw))),
                 "covariance": covariance,
             },
         }
@@ -150,15 +148,15 @@ class SensorTopic:
         for touch in touches:
             torque = cross(subtract(touch.position, origin), touch.force)
             total_force, total_torque = add(total_force, touch.force), add(total_torque, torque)
-            wrenches.append({"force": _vector(touch.force), "torque": _vector(torque)})
+            wrenches.append({"force": vector_message(touch.force), "torque": vector_message(torque)})
         return {
             "info": f"{len(touches)} contact points",
             "collision1_name": touches[0].own,
             "collision2_name": other,
             "wrenches": wrenches,
-            "total_wrench": {"force": _vector(total_force), "torque": _vector(total_torque)},
-            "contact_positions": [_vector(touch.position) for touch in touches],
-            "contact_normals": [_vector(touch.normal) for touch in touches],
+            "total_wrench": {"force": vector_message(total_force), "torque": vector_message(total_torque)},
+            "contact_positions": [vector_message(touch.position) for touch in touches],
+            "contact_normals": [vector_message(touch.normal) for touch in touches],
             "depths": [touch.depth for touch in touches],
         }
 
@@ -264,14 +262,6 @@ class CameraTopics:
 def _inside(namespace: str, topic: str) -> str:
     """The topic in the namespace of the robot, which a model that is spawned in the root names itself."""
     return names.join("/" if f"/{topic}".startswith(f"{namespace}/") else namespace, topic)
-
-
-def _vector(vector: Vector) -> Message:
-    return dict(zip("xyz", vector, strict=True))
-
-
-def _pose(position: Vector, attitude: Quaternion) -> Message:
-    return {"position": _vector(position), "orientation": message(attitude)}
 
 
 def bring_up(simulation: Simulation, robot: SpawnedRobot) -> None:

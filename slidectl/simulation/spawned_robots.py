@@ -17,7 +17,7 @@ from typing import NamedTuple
 from slidectl import description, names
 from slidectl.control import hardware_types
 from slidectl.control.controller_manager import ControllerManager
-from slidectl.control.duration import from_seconds
+from slidectl.control.duration import from_seconds, header_of
 from slidectl.control.node_handle import Message
 from slidectl.control.user_classes import file_of, watched_for, watched_hardware
 from slidectl.description import source_note
@@ -29,7 +29,7 @@ from slidectl.physics.body import Body
 from slidectl.physics.hulls import Hulls
 from slidectl.physics.robot_hw import MujocoRobotHW
 from slidectl.rotations import ORIGIN, Pose
-from slidectl.simulation.clock import SECOND, stamp
+from slidectl.simulation.clock import SECOND
 from slidectl.simulation.cycle import ControlCycle
 from slidectl.simulation.graph import GraphNode
 from slidectl.simulation.loop import Loop
@@ -446,7 +446,7 @@ def _actuator_states(robot: SpawnedRobot) -> Message:
     """As sensor_msgs/JointState."""
     states = robot.hardware.actuator_states()
     return {
-        "header": {"stamp": stamp(robot.node.now_ns()), "frame_id": ""},
+        "header": header_of(robot.node.now_ns()),
         "name": [state.name for state in states],
         "position": [state.position for state in states],
         "velocity": [state.velocity for state in states],

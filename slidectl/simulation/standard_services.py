@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from functools import cache, wraps
+from functools import cache
 from itertools import count
 from typing import TYPE_CHECKING, Any
 
@@ -16,11 +16,11 @@ import numpy as np
 
 import slidectl
 from slidectl import msgs, names
+from slidectl.control.duration import header_of
 from slidectl.control.node_handle import Message
 from slidectl.errors import BadName, Refused, SlidectlError, UnknownName, quoted
 from slidectl.physics import bounding, sensing
 from slidectl.rotations import ORIGIN, Pose, compose
-from slidectl.simulation.clock import stamp
 from slidectl.simulation.gazebo_frames import pose, pose_message, twist, twist_message, vector_message
 from slidectl.simulation.pending import Pending
 from slidectl.simulation.posix_pattern import PosixPattern
@@ -99,12 +99,7 @@ class StandardServices:
     # Coming and going
 
     def _spawn(self, request: Message) -> Pending:
-        try:
-            answer = self._spawn_one(request)
-        except SlidectlError as error:
-            answer = Pending()
-            answer.reject(error)
-        return answer.converted(_spawn_result)
+        return Pending.attempt(lambda: self._spawn_one(request)).converted(_spawn_result)
 
     def _spawn_one(self, request: Message) -> Pending:
         """Resolved with the entity's name. All parts of it are spawned, or none."""
@@ -253,7 +248,7 @@ class StandardServices:
         frame = self._entities.model_frame(robot.name)
         acceleration = sensing.link_acceleration(self._world, robot.name, robot.paper.root)
         return {
-            "header": {"stamp": stamp(self._simulation.time_ns), "frame_id": "world"},
+            "header": header_of(self._simulation.time_ns, "world"),
             "pose": pose_message(frame.pose),
             "twist": twist_message(frame.twist),
             "acceleration": twist_message(acceleration),
@@ -370,23 +365,12 @@ class StandardServices:
 def _answering(handler: Callable[[Message], Message | Pending]) -> Handler:
     """The handler with its result, or with the one that its error says."""
 
-    @wraps(handler)
-    def answer(request: Message) -> Message | Pending:
-        try:
-            given = handler(request)
-        except SlidectlError as error:
-            return {"result": _failed(error)}
-        if not isinstance(given, Pending):
-            return _with_result(given)
-        return given.converted(
-            lambda done: {"result": _failed(done.error)} if done.error else _with_result(done.result())
-        )
+    def respond(done: Pending) -> Message:
+        if done.error is not None:
+            return {"result": _failed(done.error)}
+        return {"result": _result(constant("Result", "RESULT_OK")), **done.result()}
 
-    return answer
-
-
-def _with_result(fields: Message) -> Message:
-    return {"result": _result(constant("Result", "RESULT_OK")), **fields}
+    return lambda request: Pending.attempt(lambda: handler(request)).converted(respond)
 
 
 def _result(code: int, text: str = "") -> Message:

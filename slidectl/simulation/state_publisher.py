@@ -11,10 +11,12 @@ import math
 from typing import TYPE_CHECKING
 
 from slidectl import names
+from slidectl.control.duration import header_of
 from slidectl.control.node_handle import Message
 from slidectl.description.robot import Joint
 from slidectl.rotations import IDENTITY, Pose, compose, from_rpy, relative
-from slidectl.simulation.clock import SECOND, period_ns_of, stamp
+from slidectl.simulation.clock import SECOND, period_ns_of
+from slidectl.simulation.gazebo_frames import transform_message
 from slidectl.simulation.spawned_robots import SpawnedRobot
 from slidectl.simulation.topics import NodePublisher, PeriodicTopic, TopicPublisher
 
@@ -137,15 +139,8 @@ class StatePublisher:
         return compose(_origin(joint), _displacement(joint, world.joint_state(robot, joint.name)[0]))
 
     def _transform(self, joint: Joint, place: Pose) -> Message:
-        (x, y, z), (qx, qy, qz, qw) = place
-        return {
-            "header": {"seq": 0, "stamp": stamp(self._simulation.time_ns), "frame_id": self._frame(joint.parent)},
-            "child_frame_id": self._frame(joint.child),
-            "transform": {
-                "translation": {"x": x, "y": y, "z": z},
-                "rotation": {"x": qx, "y": qy, "z": qz, "w": qw},
-            },
-        }
+        header = header_of(self._simulation.time_ns, self._frame(joint.parent))
+        return {"header": header, "child_frame_id": self._frame(joint.child), "transform": transform_message(place)}
 
 
 def _origin(joint: Joint) -> Pose:
