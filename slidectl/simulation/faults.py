@@ -246,6 +246,15 @@ class ChangeFault(RobotFault):
         super().__init__(asked, robot)
         self.change = change
 
+    def excludes(self, other: ChangeFault) -> bool:
+        """Both change the same in the model, at one time."""
+        last_start_ns = max(self.asked.start_ns, other.asked.start_ns)
+        if self.robot is not other.robot or last_start_ns >= min(self.asked.end_ns, other.asked.end_ns):
+            return False
+        if isinstance(self.change, Payload):
+            return isinstance(other.change, Payload) and self.change.body == other.change.body
+        return self.part == other.part and not isinstance(other.change, Payload)
+
     def after_read(self, time_ns: int, acts: bool) -> None:  # noqa: ARG002
         if acts and isinstance(self.change, StuckJoint) and (effort := self.change.effort()) is not None:
             for handle in self.robot.parts.hardware.handles(self.part):
@@ -340,11 +349,12 @@ class FaultyCycle:
 
     def follow(self) -> None:
         """The robot's cycle has these stages while there are faults, and its own when there are none."""
-        self._robot.parts.cycle.intercept(self._around if self._faults else None)
 
-    def _around(self, own: Stages) -> Stages:
-        self._stages = own
-        return own._replace(read=self.read, update=self.update, write=self.write)
+        def around(own: Stages) -> Stages:
+            self._stages = own
+            return own._replace(read=self.read, update=self.update, write=self.write)
+
+        self._robot.parts.cycle.intercept(around if self._faults else None)
 
     def read(self, time_ns: int, period_s: float) -> None:
         if any(fault.busy_until_ns for fault in self._faults):
@@ -519,8 +529,8 @@ class Faults:
         simulation.robots.on_spawn.append(lambda robot: robot.taken.callback(self._forget_robot, robot))
         node = simulation.graph.node(names.join(names.OWN_NODE, "fault"), names.OWN_NODE)
         node.advertise_service("add", "slidectl/AddFault", self._serve_add)
-        node.advertise_service("remove", "slidectl/RemoveFaults", self._serve_remove)
-        node.advertise_service("list", "slidectl/ListFaults", self._serve_list)
+        node.advertise_service("remove", "slidectl/RemoveFaults", lambda r: {"names": self.remove(*r["names"])})
+        node.advertise_service("list", "slidectl/ListFaults", lambda _: {"faults": self.messages()})
         node.advertise_service("kinds", "slidectl/ListFaultKinds", _serve_kinds)
 
     def add(
@@ -558,8 +568,14 @@ class Faults:
         owner = robot.name if robot is not None else ""
         asked = Asked(self._free_name(name, kind), kind, full, owner, part, start_ns, end_ns, seed, checked)
         fault = self._made(asked)
+        if isinstance(fault, ChangeFault):
+            fault.change.check()
+            for other in self._faults.values():
+                if isinstance(other, ChangeFault) and fault.excludes(other):
+                    text = f"{other.asked.kind} {other.asked.name!r} is on {other.asked.target} in that time"
+                    hint = "give other times, or remove that one first"
+                    raise Refused(f"{text}, and the two exclude each other", hint)
         if isinstance(fault, RobotFault):
-            self._check(fault)
             fault.robot.node.enter()  # its handles are to be what they should be
             fault.after_read(now_ns, False)
             fault.before_write(now_ns, False)
@@ -696,18 +712,12 @@ class Faults:
             change = Payload(world, robot.body, asked.part, options["mass"], options["at"])
         return ChangeFault(asked, robot, change)
 
-    def _check(self, fault: RobotFault) -> None:
-        """Raises Refused: another fault excludes it, or it would do nothing."""
-        if not isinstance(fault, ChangeFault):
-            return
-        fault.change.check()
-        for other in self._faults.values():
-            if isinstance(other, ChangeFault) and _exclude(fault, other):
-                text = f"{other.asked.kind} {other.asked.name!r} is on {other.asked.target} in that time"
-                raise Refused(f"{text}, and the two exclude each other", "give other times, or remove that one first")
-
     def _serve_add(self, request: Message) -> Message:
-        start, end = (_at_most_one(request[field], field) for field in ("start", "end"))
+        times = {field: request[field] for field in ("start", "end")}
+        for field, given in times.items():
+            if len(given) > 1:
+                raise UsageError(f"{field} is one time, or none, not {len(given)}")
+        start, end = (given[0] if given else None for given in times.values())
         try:
             options = json.loads(request["options"] or "{}")
         except (ValueError, RecursionError):
@@ -717,12 +727,6 @@ class Faults:
         checked_options(request["kind"], options)  # before they are keywords
         named = request["name"], request["namespace"] or "/"
         return {"fault": self.add(request["target"], request["kind"], start, end, request["seed"], *named, **options)}
-
-    def _serve_remove(self, request: Message) -> Message:
-        return {"names": self.remove(*request["names"])}
-
-    def _serve_list(self, _: Message) -> Message:
-        return {"faults": self.messages()}
 
 
 def _serve_kinds(_: Message) -> Message:
@@ -734,20 +738,3 @@ def _serve_kinds(_: Message) -> Message:
         ]
         kinds.append({"name": name, "target": kind.target, "text": kind.text, "options": texts})
     return {"kinds": kinds}
-
-
-def _at_most_one(numbers: Sequence[float], field: str) -> float | None:
-    if len(numbers) > 1:
-        raise UsageError(f"{field} is one time, or none, not {len(numbers)}")
-    return numbers[0] if numbers else None
-
-
-def _exclude(one: ChangeFault, other: ChangeFault) -> bool:
-    """Both change the same in the model, at one time."""
-    if one.robot is not other.robot or max(one.asked.start_ns, other.asked.start_ns) >= min(
-        one.asked.end_ns, other.asked.end_ns
-    ):
-        return False
-    if isinstance(one.change, Payload):
-        return isinstance(other.change, Payload) and one.change.body == other.change.body
-    return one.part == other.part and not isinstance(other.change, Payload)

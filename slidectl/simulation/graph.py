@@ -61,7 +61,9 @@ class Graph:
         self.log = Log(self.topics, self.clock.now_ns)
         clock = self.topics.advertise("/clock", "rosgraph_msgs/Clock", WORLD_NODE, kind=NodePublisher)
         self.clock_topic = ClockTopic(clock)
-        self.parameters.watch(CLOCK_FREQUENCY, self._take_clock_frequency)
+        self.parameters.watch(
+            CLOCK_FREQUENCY, lambda: self.clock_topic.set_frequency(self.parameters.get(CLOCK_FREQUENCY, 0))
+        )
         self.topics.on_change = self.services.on_change = lambda: self.topics.hand_on(GRAPH_CHANGES, {})
         self.parameters.on_change = lambda changed: self.topics.hand_on(PARAMETER_CHANGES, {"names": changed})
 
@@ -108,9 +110,6 @@ class Graph:
         self.services.close_node(name)
         for callback in self.on_node_closed:
             callback(name)
-
-    def _take_clock_frequency(self) -> None:
-        self.clock_topic.set_frequency(self.parameters.get(CLOCK_FREQUENCY, 0))
 
 
 class Log:
@@ -197,10 +196,10 @@ class GraphNode:
         return self._graph.parameters.search(self.namespace, name)
 
     def watch_param(self, name: str, callback: Callable[[], None]) -> None:
-        self._taken.append(self._graph.parameters.watch(self._absolute(name), self._entering(callback)).close)
+        self._taken.append(self._graph.parameters.watch(self._absolute(name), self._entering(callback)))
 
     def guard_params(self, judge: ParameterJudge) -> None:
-        self._taken.append(self._graph.parameters.guard(self.namespace, judge).close)
+        self._taken.append(self._graph.parameters.guard(self.namespace, judge))
 
     def advertise(self, topic: str, type_name: str, latch: bool = False) -> Publisher:
         publisher = self._graph.topics.advertise(self._absolute(topic), type_name, self.name, latch, NodePublisher)

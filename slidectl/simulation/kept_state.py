@@ -176,10 +176,9 @@ class Saving:
         """What is saved of attributes, or of a mapping."""
         saved = {}
         for name, value in values.items():
-            kind = type(value)
             try:
                 key = name if type(name) in _SCALARS else self.element(name, of_user)
-                saved[key] = value if kind in _SCALARS else rule_of(kind).save(self, value, of_user)
+                saved[key] = value if type(value) in _SCALARS else self.value(value, of_user)
             except CannotSave as error:
                 raise error.below(str(name)) from None
         return saved
@@ -215,18 +214,20 @@ class Restoring:
         self._users = users
         self._found: list[Any] = [None] * len(entries)
         self._used: set[int] = set()
-        self._set: list[tuple[int, int, Timer]] = []
-        """Numbers, due times, timers."""
-        self._latched: list[TopicPublisher] = []
-        self._taking: list[Callable[[], None]] = []
+        self.set_timers: list[tuple[int, int, Timer]] = []
+        """Those that are to be set: the numbers that say in which order, due times, timers."""
+        self.latched: list[TopicPublisher] = []
+        """Those with another latched message than before."""
+        self.later: list[Callable[[], None]] = []
+        """Called when all objects have their values."""
 
     def finish(self) -> None:
         """Set the timers in the order in which they were set, and tell subscribers of latched messages."""
-        for take in self._taking:
+        for take in self.later:
             take()
-        for _, due_ns, timer in sorted(self._set, key=lambda entry: entry[0]):
+        for _, due_ns, timer in sorted(self.set_timers, key=lambda entry: entry[0]):
             self._timers.arm(timer, due_ns)
-        for publisher in self._latched:
+        for publisher in self.latched:
             if (last := publisher.last) is None:
                 continue
             for callback in publisher.topic.callbacks:
@@ -236,8 +237,6 @@ class Restoring:
     def value(self, saved: Any, live: Any) -> Any:
         """Raises Refused: what is there is not like what was saved."""
         kind = type(saved)
-        if kind in _SCALARS:
-            return saved
         if kind is Ref:
             return self._object(saved.number, live)
         if kind is tuple:
@@ -267,35 +266,21 @@ class Restoring:
             for one in saved
         ]
 
-    def later(self, take: Callable[[], None]) -> None:
-        """Call this when all objects have their values."""
-        self._taking.append(take)
-
-    def set(self, timer: Timer, due_ns: int, number: int) -> None:
-        """The timer is to be set; lower numbers first."""
-        self._set.append((number, due_ns, timer))
-
-    def tell(self, publisher: TopicPublisher) -> None:
-        """Another message is latched than before."""
-        self._latched.append(publisher)
-
     def _object(self, number: int, live: Any) -> Any:
         found = self._found[number]
         if found is None:
             kind, content = self._entries[number]
             if type(live).__qualname__ != kind or id(live) in self._used or kind in VALUES:
-                live = self._made(kind, content)
+                if kind in _MAKERS:
+                    live = _MAKERS[kind](content)
+                else:
+                    cls = self._class(kind)
+                    live = cls.__new__(cls)
             rule = rule_of(type(live))
             found = self._found[number] = rule.fit(live, content)
             self._used.add(id(found))
             rule.fill(self, found, content)
         return found
-
-    def _made(self, kind: str, content: Any) -> Any:
-        if kind in _MAKERS:
-            return _MAKERS[kind](content)
-        cls = self._class(kind)
-        return cls.__new__(cls)
 
     def _class(self, name: str) -> Any:
         """What a module merely imports does not count: its constructor may do anything."""
@@ -467,7 +452,7 @@ class _SetTimer(Rule):
         live.cancel()
         is_active, due_ns, number = content
         if is_active:
-            restoring.set(live, due_ns, number)
+            restoring.set_timers.append((number, due_ns, live))
 
 
 class _Publisher(Rule):
@@ -480,7 +465,7 @@ class _Publisher(Rule):
         live.sequence, last = content
         if last is not live.last and last != live.last:
             live.last = last
-            restoring.tell(live)
+            restoring.latched.append(live)
 
 
 class _Attributes(Rule):
@@ -536,17 +521,17 @@ class _OwnState(Rule):
         # The present state shows which objects the values go into. `load_state` is called last, when all other objects
         # are restored.
         state = restoring.value(content, _state_of(live))
-        restoring.later(lambda: _give_state(live, state))
+
+        def load() -> None:
+            with watched_for("load_state of", type(live).__name__):
+                live.load_state(state)
+
+        restoring.later.append(load)
 
 
 def _state_of(value: Any) -> Any:
     with watched_for("save_state of", type(value).__name__):
         return value.save_state()
-
-
-def _give_state(value: Any, state: Any) -> None:
-    with watched_for("load_state of", type(value).__name__):
-        value.load_state(state)
 
 
 _MAKERS: dict[str, Callable[[Any], Any]] = {

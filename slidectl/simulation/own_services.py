@@ -367,7 +367,7 @@ class OwnServices:
 
     def _update_times(self, request: Message) -> Message:
         robot = self._robot(request["robot"])
-        compiled = self._simulation.loop.compiled_controllers(robot)
+        compiled = self._simulation.loop.runner.compiled_controllers(robot)
         times = robot.manager.update_times() if robot.is_controlled else []
         return {"controllers": [{**one, "compiled": one["name"] in compiled} for one in times]}
 

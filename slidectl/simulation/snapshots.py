@@ -13,6 +13,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from operator import attrgetter
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -68,13 +69,8 @@ class SpawnedAs:
 
     def is_like(self, other: SpawnedAs) -> bool:
         """Do both make the same robot, whatever its controllers are?"""
-        return (self.name, self.namespace, self.is_controlled, self.pose, self.xml) == (
-            other.name,
-            other.namespace,
-            other.is_controlled,
-            other.pose,
-            other.xml,
-        )
+        made_by = attrgetter("name", "namespace", "is_controlled", "pose", "xml")
+        return bool(made_by(self) == made_by(other))
 
 
 @dataclass(frozen=True)
@@ -282,9 +278,8 @@ def _make(simulation: Simulation, snapshot: Snapshot) -> list[str]:
 
 def _are_alike(present: list[SpawnedAs], wanted: list[SpawnedAs]) -> bool:
     """Are the same robots and controllers there?"""
-    pairs = zip(present, wanted, strict=False)
     return len(present) == len(wanted) and all(
-        one.is_like(other) and one.controllers == other.controllers for one, other in pairs
+        one.is_like(other) and one.controllers == other.controllers for one, other in zip(present, wanted, strict=True)
     )
 
 

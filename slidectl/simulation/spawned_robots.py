@@ -93,10 +93,6 @@ class SpawnedRobot:
         self.warnings: list[str] = []
         """What was wrong with its spawn: its place, or what it has and cannot use there."""
 
-    def watch_entries(self, callback: Callable[[], None]) -> None:
-        """Call back before anybody outside of the cycle looks at the robot's control, or changes it."""
-        self.node.before_entry = callback
-
     @property
     def kind(self) -> str:
         """What it is: `robot`, `model` (without a controller manager), or `static` (a model that does not move)."""

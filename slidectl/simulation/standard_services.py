@@ -76,24 +76,25 @@ class StandardServices:
         self._entities = simulation.entities
         node = simulation.graph.node(names.OWN_NODE, names.OWN_NODE)
         answered: dict[str, Callable[[Message], Message | Pending]] = {
-            "SpawnEntity": self._spawn,
-            "SpawnEntities": self._spawn_several,
-            "GetSpawnables": self._spawnables,
-            "DeleteEntity": self._delete,
-            "GetEntities": self._names,
-            "GetEntitiesStates": self._states,
-            "GetEntityState": lambda request: {"state": self._state(self._robots.get(request["entity"]))},
-            "SetEntityState": self._set_state,
-            "GetEntityInfo": lambda request: {"info": _info(self._robots.get(request["entity"]))},
-            "SetEntityInfo": self._set_info,
-            "GetEntityBounds": self._bounds,
-            "GetSimulationState": lambda _: {"state": {"state": constant("SimulationState", self._run_state)}},
-            "SetSimulationState": self._set_run_state,
-            "StepSimulation": self._step,
-            "ResetSimulation": self._reset,
+            "spawn_entity": self._spawn,
+            "spawn_entities": self._spawn_several,
+            "get_spawnables": self._spawnables,
+            "delete_entity": self._delete,
+            "get_entities": self._names,
+            "get_entities_states": self._states,
+            "get_entity_state": lambda request: {"state": self._state(self._robots.get(request["entity"]))},
+            "set_entity_state": self._set_state,
+            "get_entity_info": lambda request: {"info": _info(self._robots.get(request["entity"]))},
+            "set_entity_info": self._set_info,
+            "get_entity_bounds": self._bounds,
+            "get_simulation_state": lambda _: {"state": {"state": constant("SimulationState", self._run_state)}},
+            "set_simulation_state": self._set_run_state,
+            "step_simulation": self._step,
+            "reset_simulation": self._reset,
         }
-        for kind, handler in answered.items():
-            node.advertise_service(_snake(kind), f"{_PACKAGE}/{kind}", _answering(handler))
+        for name, handler in answered.items():
+            kind = name.title().replace("_", "")
+            node.advertise_service(name, f"{_PACKAGE}/{kind}", _answering(handler))
         node.advertise_service("get_simulator_features", f"{_PACKAGE}/GetSimulatorFeatures", lambda _: _features())
 
     # Coming and going
@@ -409,11 +410,6 @@ def _features() -> Message:
             "custom_info": f"slidectl {slidectl.__version__}",
         }
     }
-
-
-def _snake(kind: str) -> str:
-    """`GetEntities` as `get_entities`."""
-    return "".join(f"_{sign.lower()}" if sign.isupper() else sign for sign in kind).lstrip("_")
 
 
 def _valid_pose(message: Message) -> Pose:

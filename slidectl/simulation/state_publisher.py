@@ -77,7 +77,7 @@ class StatePublisher:
         self._static: TopicPublisher | None = None
         robot.taken.callback(self._silence)
         self._configure()
-        robot.taken.callback(simulation.parameters.watch(self._node, self._configure).close)
+        robot.taken.callback(simulation.parameters.watch(self._node, self._configure))
 
     def frames(self) -> set[str]:
         """All frames but the world's."""
