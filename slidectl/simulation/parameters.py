@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from copy import deepcopy
 from typing import Any, Generic, TypeVar
 
@@ -140,11 +140,15 @@ class Parameters:
         copy: dict[str, Any] = _copied(self._root)
         return copy
 
-    def replace(self, tree: dict[str, Any]) -> None:
-        """Have this tree, whatever guards say of it. Watchers of what is different are told.
+    def replace(self, tree: dict[str, Any], without: Iterable[str] = ()) -> None:
+        """Have this tree, but for these names, whatever guards say of it. Watchers of what is different are told.
 
         Raises UsageError: a value that no parameter can have.
         """
+        if without:
+            tree = _copied(tree)
+            for name in without:
+                _assign(tree, _path(name), MISSING)
         if _is_same(self._root, tree):
             return
         before, after = (

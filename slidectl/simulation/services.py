@@ -27,7 +27,17 @@ def answering(handler: Callable[[Message], Answer | Pending], text: str) -> Hand
         said, fields = done.result()
         return {**fields, "success": True, text: said}
 
-    return lambda request: Pending.attempt(lambda: handler(request)).converted(respond)
+    return responding(handler, respond)
+
+
+def responding(handler: Callable[[Message], Any], respond: Callable[[Pending], Message]) -> Handler:
+    """A handler whose responses `respond` makes of what the handler gives, now or later, or of its error."""
+
+    def answer(request: Message) -> Message | Pending:
+        answered = Pending.attempt(lambda: handler(request))
+        return respond(answered) if answered.done else answered.converted(respond)
+
+    return answer
 
 
 class Service:

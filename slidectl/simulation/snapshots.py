@@ -67,6 +67,11 @@ class SpawnedAs:
             list(robot.parts.manager.loaded()) if robot.is_controlled else [],
         )
 
+    def parsed(self) -> ParsedRobot:
+        """The robot, to be spawned again."""
+        paper, place = description.parse(source_note.join(self.xml, self.note)), names.check(self.namespace)
+        return ParsedRobot(self.name, place, paper, self.xml, self.note, self.caller, self.is_controlled)
+
     def is_like(self, other: SpawnedAs) -> bool:
         """Do both make the same robot, whatever its controllers are?"""
         made_by = attrgetter("name", "namespace", "is_controlled", "pose", "xml")
@@ -251,7 +256,7 @@ def _make(simulation: Simulation, snapshot: Snapshot) -> list[str]:
     robots, wanted = simulation.robots, snapshot.robots
     present = [SpawnedAs.of(robot) for robot in robots]
     if _are_alike(present, wanted):
-        _replace_parameters(simulation, snapshot)
+        simulation.parameters.replace(snapshot.parameters)
         return []
     for one in wanted:
         for name, type_name in one.controllers:
@@ -266,13 +271,13 @@ def _make(simulation: Simulation, snapshot: Snapshot) -> list[str]:
         if count < len(one.controllers):
             robots.get(one.name).manager.keep_only(kept[one.name])
     late = {name for one in wanted[same:] for name in one.made_parameters}
-    _replace_parameters(simulation, snapshot, late)
+    simulation.parameters.replace(snapshot.parameters, late)
     for one in wanted:
-        robot = robots.get(one.name) if one.name in robots else _spawn(simulation, one)
+        robot = robots.get(one.name) if one.name in robots else robots.spawn_read(one.parsed(), one.pose, one.hulls)
         for name, _ in one.controllers:
             if name not in kept.get(one.name, ()):
                 robot.manager.load_again(name)
-    _replace_parameters(simulation, snapshot)
+    simulation.parameters.replace(snapshot.parameters)
     return [one.name for one in wanted[same:]]
 
 
@@ -286,27 +291,6 @@ def _are_alike(present: list[SpawnedAs], wanted: list[SpawnedAs]) -> bool:
 def _common(equal: list[bool]) -> int:
     """How many are equal from the beginning."""
     return next((place for place, one in enumerate(equal) if not one), len(equal))
-
-
-def _replace_parameters(simulation: Simulation, snapshot: Snapshot, without: set[str] = frozenset()) -> None:  # type: ignore[assignment]
-    tree = snapshot.parameters
-    for name in without:
-        tree = _without(tree, [part for part in name.split("/") if part])
-    simulation.parameters.replace(tree)
-
-
-def _without(tree: dict[str, Any], path: list[str]) -> dict[str, Any]:
-    """A copy of the tree without what stands there."""
-    first, *rest = path
-    if not rest or not isinstance(tree.get(first), dict):
-        return {key: value for key, value in tree.items() if key != first}
-    return {**tree, first: _without(tree[first], rest)}
-
-
-def _spawn(simulation: Simulation, one: SpawnedAs) -> SpawnedRobot:
-    paper = description.parse(source_note.join(one.xml, one.note))
-    parsed = ParsedRobot(one.name, names.check(one.namespace), paper, one.xml, one.note, one.caller, one.is_controlled)
-    return simulation.robots.spawn_read(parsed, one.pose, one.hulls)
 
 
 def _check_type(robot: str, name: str, type_name: str) -> None:

@@ -248,7 +248,7 @@ class Robots:
             BadFile: the URDF is broken (file, line). Refused: the name or the namespace is taken. BadName.
             SlidectlError: the world or the hardware cannot take it. Nothing is left behind then.
         """
-        return self._spawn(self.read(xml, name, namespace), pose, hulls)
+        return self.spawn_read(self.read(xml, name, namespace), pose, hulls)
 
     def read(self, xml: str, name: str, namespace: str | None = None, *, is_model: bool = False) -> ParsedRobot:
         """A robot that may be spawned as far as one can tell without its meshes. Raises as `spawn`.
@@ -275,13 +275,10 @@ class Robots:
         self._check_namespace(parsed)
         return parsed
 
-    def spawn_read(self, parsed: ParsedRobot, pose: Pose, hulls: Hulls) -> SpawnedRobot:
-        """Spawn what was read some cycles ago. Raises as `spawn`: others may have come meanwhile."""
+    def spawn_read(self, parsed: ParsedRobot, pose: Pose, hulls: Hulls | None) -> SpawnedRobot:
+        """Spawn what was read, some cycles ago perhaps. Raises as `spawn`: others may have come meanwhile."""
         self._check_name(parsed.name)
         self._check_namespace(parsed)
-        return self._spawn(parsed, pose, hulls)
-
-    def _spawn(self, parsed: ParsedRobot, pose: Pose, hulls: Hulls | None) -> SpawnedRobot:
         self._loop.between_cycles("spawn a robot")
         robot = SpawnedRobot(parsed, self._loop.graph.node(parsed.namespace), next(self._serials))
         with self._world.attached(parsed.paper, parsed.name, pose, hulls) as robot.body, robot.taken:

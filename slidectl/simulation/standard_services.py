@@ -24,7 +24,7 @@ from slidectl.rotations import ORIGIN, Pose, compose
 from slidectl.simulation.gazebo_frames import pose, pose_message, twist, twist_message, vector_message
 from slidectl.simulation.pending import Pending
 from slidectl.simulation.posix_pattern import PosixPattern
-from slidectl.simulation.services import Handler
+from slidectl.simulation.services import responding
 from slidectl.simulation.spawnables import FORMATS, SpawnFailure, failure, read, spawnables
 from slidectl.simulation.spawned_robots import RESERVED, SpawnedRobot
 
@@ -94,7 +94,7 @@ class StandardServices:
         }
         for name, handler in answered.items():
             kind = name.title().replace("_", "")
-            node.advertise_service(name, f"{_PACKAGE}/{kind}", _answering(handler))
+            node.advertise_service(name, f"{_PACKAGE}/{kind}", responding(handler, _respond))
         node.advertise_service("get_simulator_features", f"{_PACKAGE}/GetSimulatorFeatures", lambda _: _features())
 
     # Coming and going
@@ -160,11 +160,8 @@ class StandardServices:
         results: list[Message] = []
         answer = Pending()
 
-        def take(done: Pending) -> None:
-            results.append(done.result())
-
         def take_and_go_on(done: Pending) -> None:
-            take(done)
+            results.append(done.result())
             go_on()
 
         def go_on() -> None:
@@ -174,18 +171,19 @@ class StandardServices:
                 if not spawning.done:
                     spawning.then(take_and_go_on)
                     return
-                take(spawning)
-            is_ok = all(one["result"]["result"] == constant("Result", "RESULT_OK") for one in results)
-            name, kind = ("RESULT_OK", "Result") if is_ok else ("ENTITIES_SPAWN_FAILED", "SpawnEntitiesResponse")
-            text = "" if is_ok else "the results say which were not spawned, and why"
-            answer.resolve({"result": _result(constant(kind, name), text), "results": results})
+                results.append(spawning.result())
+            result = _ok()
+            if any(one["result"]["result"] != result["result"] for one in results):
+                code = constant("SpawnEntitiesResponse", "ENTITIES_SPAWN_FAILED")
+                result = _result(code, "the results say which were not spawned, and why")
+            answer.resolve({"result": result, "results": results})
 
         go_on()
         return answer
 
     def _spawnables(self, request: Message) -> Message:
         found, text = spawnables(request["sources"])
-        return {"spawnables": found, "result": _result(constant("Result", "RESULT_OK"), text)}
+        return {"spawnables": found, "result": _ok(text)}
 
     def _delete(self, request: Message) -> Message:
         self._simulation.delete(request["entity"])
@@ -272,7 +270,7 @@ class StandardServices:
         moving = twist(state["twist"]) if request["set_twist"] else None
         self._entities.put(name, place, moving, self._entities.frame(state["header"]["frame_id"]))
         text = "an acceleration follows from forces and is not set" if "set_acceleration" in pushes else ""
-        return {"result": _result(constant("Result", "RESULT_OK"), text)}
+        return {"result": _ok(text)}
 
     def _set_info(self, request: Message) -> Message:
         robot, info = self._robots.get(request["entity"]), request["info"]
@@ -363,19 +361,19 @@ class StandardServices:
 # Requests and responses
 
 
-def _answering(handler: Callable[[Message], Message | Pending]) -> Handler:
-    """The handler with its result, or with the one that its error says."""
-
-    def respond(done: Pending) -> Message:
-        if done.error is not None:
-            return {"result": _failed(done.error)}
-        return {"result": _result(constant("Result", "RESULT_OK")), **done.result()}
-
-    return lambda request: Pending.attempt(lambda: handler(request)).converted(respond)
+def _respond(done: Pending) -> Message:
+    """The fields of the response with its result, or with the one that the error says."""
+    if done.error is not None:
+        return {"result": _failed(done.error)}
+    return {"result": _ok(), **done.result()}
 
 
 def _result(code: int, text: str = "") -> Message:
     return {"result": code, "error_message": text}
+
+
+def _ok(text: str = "") -> Message:
+    return _result(constant("Result", "RESULT_OK"), text)
 
 
 def _failed(error: SlidectlError) -> Message:
@@ -388,7 +386,7 @@ def _failed(error: SlidectlError) -> Message:
 def _spawn_result(done: Pending) -> Message:
     """simulation_interfaces/SpawnResult."""
     if done.error is None:
-        return {"result": _result(constant("Result", "RESULT_OK")), "entity_name": done.result()}
+        return {"result": _ok(), "entity_name": done.result()}
     if isinstance(done.error, UnknownName):
         return {"result": _failed(done.error)}
     error = failure(done.error)
