@@ -7,7 +7,7 @@ becomes of it is up to whoever has its handle. It knows topics and simulated tim
 from __future__ import annotations
 
 from slidectl import msgs
-from slidectl.control.duration import NANOSECONDS, from_stamp, to_stamp
+from slidectl.control.duration import NANOSECONDS, from_stamp, header_of, to_stamp
 from slidectl.control.node_handle import GoalCallback, GoalStatus, Message, NodeHandle
 
 STATUS_PERIOD_NS = NANOSECONDS // 5
@@ -122,12 +122,12 @@ class ActionServer:
         now_ns = self.now_ns()
         shown = [goal.message() for goal in self._goals]
         self._goals = [goal for goal in self._goals if goal.ended_ns is None or 0 <= now_ns - goal.ended_ns <= KEPT_NS]
-        self._status.publish({"header": _header(now_ns), "status_list": shown})
+        self._status.publish({"header": header_of(now_ns), "status_list": shown})
 
     def publish_result(self, goal: ActionGoal, result: Message | None) -> None:
         """The result of a goal that has ended, then the list."""
         message = msgs.default(f"{self._type}Result") if result is None else result
-        self._results.publish({"header": _header(self.now_ns()), "status": goal.message(), "result": message})
+        self._results.publish({"header": header_of(self.now_ns()), "status": goal.message(), "result": message})
         self.publish_status()
 
     @property
@@ -142,7 +142,7 @@ class ActionServer:
 
     def publish_feedback(self, goal: ActionGoal, feedback: Message) -> None:
         """How far a goal is."""
-        self._feedback.publish({"header": _header(self.now_ns()), "status": goal.message(), "feedback": feedback})
+        self._feedback.publish({"header": header_of(self.now_ns()), "status": goal.message(), "feedback": feedback})
 
     def _take_goal(self, message: Message) -> None:
         self._look_at_clock()
@@ -188,7 +188,3 @@ class ActionServer:
         if now_ns < self._latest_ns:
             self._last_cancel_ns = 0
         self._latest_ns = now_ns
-
-
-def _header(time_ns: int) -> Message:
-    return {"seq": 0, "stamp": to_stamp(time_ns), "frame_id": ""}

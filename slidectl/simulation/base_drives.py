@@ -18,7 +18,7 @@ from slidectl.description.robot import BaseDrive, PlanarMove, WheelDrive, namesp
 from slidectl.errors import MessageRefused
 from slidectl.rotations import Pose, Vector, from_rpy, to_rpy
 from slidectl.simulation.clock import EACH_STEP_NS, SECOND, Timer, period_ns_of
-from slidectl.simulation.gazebo_frames import pose_message, vector_message
+from slidectl.simulation.gazebo_frames import pose_message, transform_message
 from slidectl.simulation.spawned_robots import SpawnedRobot
 from slidectl.simulation.state_publisher import tf_prefix
 from slidectl.simulation.topics import PeriodicTopic
@@ -33,7 +33,7 @@ REACHED = 0.01
 
 
 class RunningDrive:
-    """One drive of one robot, until `close`. An emergency stop ends its command, as a reset does."""
+    """One drive of one robot, until that goes. An emergency stop ends its command, as a reset does."""
 
     def __init__(self, simulation: Simulation, robot: SpawnedRobot, drive: BaseDrive) -> None:
         self._simulation = simulation
@@ -50,18 +50,13 @@ class RunningDrive:
         self._timer = Timer(0, self._update)
         """Set when there is something to do."""
         self._timer.active = False
+        robot.taken.callback(lambda: self._timer.cancel())  # it is another one by then
         robot.node.subscribe(self._absolute(drive.command_topic), "geometry_msgs/Twist", self._receive)
         if drive.has_odometry:
             self._publish(drive.odometry_topic, "nav_msgs/Odometry", drive.odometry_rate_hz, self._odometry)
         if drive.has_odometry_tf:
             self._publish("/tf", "tf2_msgs/TFMessage", drive.odometry_rate_hz, self._transform)
         robot.on_reset.append(self.reset)
-
-    def close(self) -> None:
-        """Take the topics back, and drive no more."""
-        self._timer.cancel()
-        for topic in self._topics:
-            topic.close()
 
     def _update(self) -> None:
         """Follow the command."""
@@ -81,6 +76,7 @@ class RunningDrive:
     def _publish(self, topic: str, kind: str, rate_hz: float, build: Callable[[], Message]) -> None:
         node, graph = names.join(self._robot.namespace, "gazebo"), self._simulation.graph
         self._topics.append(PeriodicTopic(graph, self._absolute(topic), kind, node, period_ns_of(rate_hz), build))
+        self._robot.taken.callback(self._topics[-1].close)
 
     def _receive(self, message: Message) -> None:
         velocities = (message["linear"]["x"], message["linear"]["y"], message["angular"]["z"])
@@ -127,8 +123,7 @@ class RunningDrive:
 
     def _transform(self) -> Message:
         header, base = self._header()
-        (place, turn) = self._place()[0]
-        transform = {"translation": vector_message(place), "rotation": dict(zip("xyzw", turn, strict=True))}
+        transform = transform_message(self._place()[0])
         return {"transforms": [{"header": header, "child_frame_id": base, "transform": transform}]}
 
 
@@ -255,8 +250,8 @@ def _covariance(variances: Vector) -> list[float]:
     return matrix_of([x, y, UNKNOWN, UNKNOWN, UNKNOWN, yaw])
 
 
-def bring_up(simulation: Simulation, robot: SpawnedRobot) -> Callable[[], None]:
-    """Let the drives of a robot run. Returns what ends them."""
+def bring_up(simulation: Simulation, robot: SpawnedRobot) -> None:
+    """Let the drives of a robot run."""
     running: list[RunningDrive] = []
     for drive in robot.paper.drives:
         if isinstance(drive, WheelDrive):
@@ -267,9 +262,3 @@ def bring_up(simulation: Simulation, robot: SpawnedRobot) -> Callable[[], None]:
             running.append(PlanarDrive(simulation, robot, drive))
 
     robot.kept["drives"] = running
-
-    def end() -> None:
-        for one in running:
-            one.close()
-
-    return end

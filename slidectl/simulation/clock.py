@@ -17,8 +17,6 @@ SECOND = NANOSECONDS
 NEVER = 1 << 62
 EACH_STEP_NS = 1
 """A period that is over at the end of each cycle."""
-stamp = to_stamp
-"""The time as it stands on messages."""
 _FEW = 64
 
 
@@ -63,12 +61,12 @@ class ClockTopic:
         """A cycle has begun. Phases are multiples of the period, whoever listened before."""
         period = self._period_ns
         if not period or time_ns // period != (time_ns - step_ns) // period:
-            self.publisher.publish({"clock": stamp(time_ns)})
+            self.publisher.publish({"clock": to_stamp(time_ns)})
 
     def publish_now(self, time_ns: int) -> None:
         """After the time was set, so that listeners need not wait for the next cycle."""
         if self.publisher.wanted:
-            self.publisher.publish({"clock": stamp(time_ns)})
+            self.publisher.publish({"clock": to_stamp(time_ns)})
 
 
 class Timer:

@@ -177,6 +177,10 @@ class Runner:
     def follow_world(self) -> None:
         """The world was rebuilt: robots may have other places in it."""
 
+    def compiled_controllers(self, robot: SpawnedRobot) -> frozenset[str]:  # noqa: ARG002
+        """The names of the robot's controllers that run as machine code."""
+        return frozenset()
+
 
 class PlainRunner(Runner):
     """The interpreter. Robots are always as they should be."""

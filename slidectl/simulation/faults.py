@@ -12,14 +12,12 @@ from bisect import bisect_right, insort
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from functools import partial
 from operator import itemgetter
 from random import Random
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from slidectl import names
 from slidectl.control.duration import from_seconds
-from slidectl.control.hardware_interface import JointHandle
 from slidectl.control.node_handle import Message
 from slidectl.errors import Refused, SlidectlError, UnknownName, UsageError, quoted
 from slidectl.fault_kinds import KINDS, OPTIONS, QUANTITIES, REQUIRED, check_span, checked_options
@@ -80,10 +78,6 @@ class Fault:
     def end(self) -> None:
         """Leave no trace, and forget the past."""
 
-    def has_state(self) -> bool:
-        """Whether its attributes are such as it may have."""
-        return True
-
     def message(self, time_ns: int) -> Message:
         """As slidectl/Fault."""
         asked = self.asked
@@ -101,15 +95,6 @@ class Fault:
 
 
 # -- faults of robots --------------------------------------------------------------------------------------------------
-
-
-def _has_kinds(value: Any, *kinds: Any) -> bool:
-    """Is it a tuple of such elements?"""
-    return type(value) is tuple and len(value) == len(kinds) and all(map(isinstance, value, kinds))
-
-
-def _are_numbers(values: Any) -> bool:
-    return type(values) is list and all(isinstance(value, int | float) for value in values)
 
 
 class RobotFault(Fault):
@@ -227,9 +212,6 @@ class LostSignal(SignalFault):
     def end(self) -> None:
         self.kept = None
 
-    def has_state(self) -> bool:
-        return self.kept is None or _are_numbers(self.kept)
-
 
 class LateSignal(SignalFault):
     """The values are those of some time ago, or the first that are known."""
@@ -256,11 +238,6 @@ class LateSignal(SignalFault):
     def end(self) -> None:
         self.past.clear()
 
-    def has_state(self) -> bool:
-        return all(_has_kinds(one, int, list) and _are_numbers(one[1]) for one in self.past) and (
-            len({len(values) for _, values in self.past}) <= 1
-        )
-
 
 class ChangeFault(RobotFault):
     """Something is changed in the world while it lasts."""
@@ -268,6 +245,15 @@ class ChangeFault(RobotFault):
     def __init__(self, asked: Asked, robot: SpawnedRobot, change: Change) -> None:
         super().__init__(asked, robot)
         self.change = change
+
+    def excludes(self, other: ChangeFault) -> bool:
+        """Both change the same in the model, at one time."""
+        last_start_ns = max(self.asked.start_ns, other.asked.start_ns)
+        if self.robot is not other.robot or last_start_ns >= min(self.asked.end_ns, other.asked.end_ns):
+            return False
+        if isinstance(self.change, Payload):
+            return isinstance(other.change, Payload) and self.change.body == other.change.body
+        return self.part == other.part and not isinstance(other.change, Payload)
 
     def after_read(self, time_ns: int, acts: bool) -> None:  # noqa: ARG002
         if acts and isinstance(self.change, StuckJoint) and (effort := self.change.effort()) is not None:
@@ -363,11 +349,12 @@ class FaultyCycle:
 
     def follow(self) -> None:
         """The robot's cycle has these stages while there are faults, and its own when there are none."""
-        self._robot.parts.cycle.intercept(self._around if self._faults else None)
 
-    def _around(self, own: Stages) -> Stages:
-        self._stages = own
-        return own._replace(read=self.read, update=self.update, write=self.write)
+        def around(own: Stages) -> Stages:
+            self._stages = own
+            return own._replace(read=self.read, update=self.update, write=self.write)
+
+        self._robot.parts.cycle.intercept(around if self._faults else None)
 
     def read(self, time_ns: int, period_s: float) -> None:
         if any(fault.busy_until_ns for fault in self._faults):
@@ -421,10 +408,6 @@ class FaultyCycle:
         for handle, position, velocity, effort in self._true:
             handle.position, handle.velocity, handle.effort = position, velocity, effort
         self._true = []
-
-    def has_state(self) -> bool:
-        """Whether its attributes are such as it may have."""
-        return all(_has_kinds(one, JointHandle, *3 * (float | int,)) for one in self._true)
 
     def _current(self, time_ns: int) -> list[RobotFault]:
         """The faults that are not over. Those that have just ended leave no trace."""
@@ -491,11 +474,6 @@ class FaultyTopic:
         self.waiting = [late for late in self.waiting if late[1] in faults]
         self._arm()
 
-    def has_state(self) -> bool:
-        """Whether what waits is what may."""
-        times = [late[0] for late in self.waiting if _has_kinds(late, int, TopicFault, dict)]
-        return len(times) == len(self.waiting) and times == sorted(times)
-
     def _hold(self, due_ns: int, fault: TopicFault, message: Message) -> None:
         if len(self.waiting) < _MOST_WAITING:
             insort(self.waiting, (due_ns, fault, message), key=_DUE)
@@ -548,11 +526,11 @@ class Faults:
         """Of the robots that have faults, by name."""
         self._topics: dict[str, FaultyTopic] = {}
         simulation.kept["faults"] = self
-        simulation.robots.on_spawn.append(lambda robot: partial(self._forget_robot, robot))
+        simulation.robots.on_spawn.append(lambda robot: robot.taken.callback(self._forget_robot, robot))
         node = simulation.graph.node(names.join(names.OWN_NODE, "fault"), names.OWN_NODE)
         node.advertise_service("add", "slidectl/AddFault", self._serve_add)
-        node.advertise_service("remove", "slidectl/RemoveFaults", self._serve_remove)
-        node.advertise_service("list", "slidectl/ListFaults", self._serve_list)
+        node.advertise_service("remove", "slidectl/RemoveFaults", lambda r: {"names": self.remove(*r["names"])})
+        node.advertise_service("list", "slidectl/ListFaults", lambda _: {"faults": self.messages()})
         node.advertise_service("kinds", "slidectl/ListFaultKinds", _serve_kinds)
 
     def add(
@@ -590,8 +568,14 @@ class Faults:
         owner = robot.name if robot is not None else ""
         asked = Asked(self._free_name(name, kind), kind, full, owner, part, start_ns, end_ns, seed, checked)
         fault = self._made(asked)
+        if isinstance(fault, ChangeFault):
+            fault.change.check()
+            for other in self._faults.values():
+                if isinstance(other, ChangeFault) and fault.excludes(other):
+                    text = f"{other.asked.kind} {other.asked.name!r} is on {other.asked.target} in that time"
+                    hint = "give other times, or remove that one first"
+                    raise Refused(f"{text}, and the two exclude each other", hint)
         if isinstance(fault, RobotFault):
-            self._check(fault)
             fault.robot.node.enter()  # its handles are to be what they should be
             fault.after_read(now_ns, False)
             fault.before_write(now_ns, False)
@@ -632,25 +616,12 @@ class Faults:
             self._install(fault)
 
     def go_on(self) -> None:
-        """Their state was put in: what they have changed is changed again, before the world gets its own state.
-
-        Raises Refused: it is none that they can have.
-        """
-        having: list[Fault | FaultyCycle | FaultyTopic] = [*self._faults.values(), *self._cycles.values()]
-        for one in (*having, *self._topics.values()):
-            if not one.has_state():
-                raise Refused(f"the snapshot has a state of a {type(one).__name__} that none has")
+        """Their state was put in: what they have changed is changed again, before the world gets its own state."""
         for fault in self._faults.values():
             if isinstance(fault, ChangeFault) and fault.change.is_held:
                 fault.change.hold()
         for cycle in self._cycles.values():
             cycle.follow()
-
-    def drop(self) -> None:
-        """Forget all of them, whatever their state is. The robots are about to go."""
-        for topic in self._topics:
-            self._graph.topics.intercept(topic, None)
-        self._faults, self._cycles, self._topics = {}, {}, {}
 
     def messages(self) -> list[Message]:
         """All of them, each as slidectl/Fault."""
@@ -741,18 +712,12 @@ class Faults:
             change = Payload(world, robot.body, asked.part, options["mass"], options["at"])
         return ChangeFault(asked, robot, change)
 
-    def _check(self, fault: RobotFault) -> None:
-        """Raises Refused: another fault excludes it, or it would do nothing."""
-        if not isinstance(fault, ChangeFault):
-            return
-        fault.change.check()
-        for other in self._faults.values():
-            if isinstance(other, ChangeFault) and _exclude(fault, other):
-                text = f"{other.asked.kind} {other.asked.name!r} is on {other.asked.target} in that time"
-                raise Refused(f"{text}, and the two exclude each other", "give other times, or remove that one first")
-
     def _serve_add(self, request: Message) -> Message:
-        start, end = (_at_most_one(request[field], field) for field in ("start", "end"))
+        times = {field: request[field] for field in ("start", "end")}
+        for field, given in times.items():
+            if len(given) > 1:
+                raise UsageError(f"{field} is one time, or none, not {len(given)}")
+        start, end = (given[0] if given else None for given in times.values())
         try:
             options = json.loads(request["options"] or "{}")
         except (ValueError, RecursionError):
@@ -762,12 +727,6 @@ class Faults:
         checked_options(request["kind"], options)  # before they are keywords
         named = request["name"], request["namespace"] or "/"
         return {"fault": self.add(request["target"], request["kind"], start, end, request["seed"], *named, **options)}
-
-    def _serve_remove(self, request: Message) -> Message:
-        return {"names": self.remove(*request["names"])}
-
-    def _serve_list(self, _: Message) -> Message:
-        return {"faults": self.messages()}
 
 
 def _serve_kinds(_: Message) -> Message:
@@ -779,20 +738,3 @@ def _serve_kinds(_: Message) -> Message:
         ]
         kinds.append({"name": name, "target": kind.target, "text": kind.text, "options": texts})
     return {"kinds": kinds}
-
-
-def _at_most_one(numbers: Sequence[float], field: str) -> float | None:
-    if len(numbers) > 1:
-        raise UsageError(f"{field} is one time, or none, not {len(numbers)}")
-    return numbers[0] if numbers else None
-
-
-def _exclude(one: ChangeFault, other: ChangeFault) -> bool:
-    """Both change the same in the model, at one time."""
-    if one.robot is not other.robot or max(one.asked.start_ns, other.asked.start_ns) >= min(
-        one.asked.end_ns, other.asked.end_ns
-    ):
-        return False
-    if isinstance(one.change, Payload):
-        return isinstance(other.change, Payload) and one.change.body == other.change.body
-    return one.part == other.part and not isinstance(other.change, Payload)

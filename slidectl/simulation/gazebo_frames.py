@@ -19,6 +19,7 @@ from slidectl.rotations import (
     rotate,
     subtract,
 )
+from slidectl.rotations import message as quaternion_message
 
 STILL: Twist = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
@@ -52,8 +53,12 @@ def pose(message: Message) -> Pose:
 
 def pose_message(values: Pose) -> Message:
     """geometry_msgs/Pose."""
-    x, y, z, w = values[1]
-    return {"position": vector_message(values[0]), "orientation": {"x": x, "y": y, "z": z, "w": w}}
+    return {"position": vector_message(values[0]), "orientation": quaternion_message(values[1])}
+
+
+def transform_message(values: Pose) -> Message:
+    """geometry_msgs/Transform."""
+    return {"translation": vector_message(values[0]), "rotation": quaternion_message(values[1])}
 
 
 def twist(message: Message) -> Twist:

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import wraps
 from typing import TYPE_CHECKING, Any
 
+from slidectl.control.duration import from_stamp, header_of
 from slidectl.control.node_handle import Message
-from slidectl.errors import Refused, SlidectlError
+from slidectl.errors import Refused
 from slidectl.rotations import IDENTITY, Pose, Vector, add, compose, cross, from_rpy, rotate, subtract
-from slidectl.simulation.clock import SECOND, stamp
+from slidectl.simulation.clock import EACH_STEP_NS
 from slidectl.simulation.entities import WORLD_FRAMES
 from slidectl.simulation.gazebo_frames import (
     Frame,
@@ -29,20 +29,16 @@ from slidectl.simulation.gazebo_frames import (
 from slidectl.simulation.graph import WORLD_NODE
 from slidectl.simulation.loop import check_timestep
 from slidectl.simulation.pending import Pending
-from slidectl.simulation.services import Handler
+from slidectl.simulation.services import Answer, Handler, answering
 from slidectl.simulation.spawned_robots import SpawnedRobot
 from slidectl.simulation.topics import PeriodicTopic
 
 if TYPE_CHECKING:
     from slidectl.simulation.simulation import Simulation
 
-Answer = tuple[str, Message]
-"""What was done, and the other fields of the response."""
-
 JOINT_TYPES = {"revolute": 0, "continuous": 1, "prismatic": 2, "fixed": 3, "floating": 4, "planar": 5}
 """Of gazebo_msgs/GetJointProperties. Gazebo knows no floating joint, a ball is the nearest; nor a planar one: a
 universal."""
-_EVERY_CYCLE_NS = 1
 
 
 class GazeboServices:
@@ -74,7 +70,7 @@ class GazeboServices:
             "set_physics_properties": ("SetPhysicsProperties", self._set_physics),
         }
         for name, (kind, handler) in answered.items():
-            node.advertise_service(name, f"gazebo_msgs/{kind}", _answering(handler))
+            node.advertise_service(name, f"gazebo_msgs/{kind}", answering(handler, "status_message"))
         for name, kind, action in (
             ("clear_joint_forces", "gazebo_msgs/JointRequest", self._clear_joint),
             ("clear_joint_efforts", "gazebo_msgs/JointRequest", self._clear_joint),
@@ -95,7 +91,7 @@ class GazeboServices:
             ("link_states", "LinkStates", self._link_states),
         ):
             name = f"{WORLD_NODE}/{topic}"
-            PeriodicTopic(simulation.graph, name, f"gazebo_msgs/{kind}", WORLD_NODE, _EVERY_CYCLE_NS, build)
+            PeriodicTopic(simulation.graph, name, f"gazebo_msgs/{kind}", WORLD_NODE, EACH_STEP_NS, build)
 
     # Spawning and deleting
 
@@ -149,8 +145,7 @@ class GazeboServices:
     def _model_state(self, request: Message) -> Answer:
         viewer = self._entities.frame(request["relative_entity_name"])
         state = seen_from(self._entities.model_frame(request["model_name"]), viewer)
-        frame_id = request["relative_entity_name"] or "world"
-        header = {"stamp": stamp(self._simulation.time_ns), "frame_id": frame_id}
+        header = header_of(self._simulation.time_ns, request["relative_entity_name"] or "world")
         fields = {"header": header, "pose": pose_message(state.pose), "twist": twist_message(state.twist)}
         return f"got the state of {request['model_name']!r}", fields
 
@@ -242,9 +237,7 @@ class GazeboServices:
 
     def _span(self, request: Message) -> tuple[int, int]:
         """Start and duration in ns; a start that has passed means now, a negative duration until it is cleared."""
-        start, duration = request["start_time"], request["duration"]
-        start_ns = start["secs"] * SECOND + start["nsecs"]
-        return max(start_ns, self._simulation.time_ns), duration["secs"] * SECOND + duration["nsecs"]
+        return max(from_stamp(request["start_time"]), self._simulation.time_ns), from_stamp(request["duration"])
 
     def _clear_joint(self, request: Message) -> None:
         self._world.clear_joint_forces(*self._entities.find("joint", request["joint_name"]))
@@ -287,22 +280,6 @@ class GazeboServices:
         return _states({f"{robot}::{link}": self._entities.link_frame(robot, link) for robot, link in links})
 
 
-def _answering(handler: Callable[[Message], Answer | Pending]) -> Handler:
-    """The handler with its answer, or its error, in the shape of Gazebo's responses."""
-
-    @wraps(handler)
-    def answer(request: Message) -> Message | Pending:
-        try:
-            given = handler(request)
-        except SlidectlError as error:
-            return _failure(error)
-        if not isinstance(given, Pending):
-            return _success(given)
-        return given.converted(lambda done: _failure(done.error) if done.error else _success(done.result()))
-
-    return answer
-
-
 def _acting(action: Callable[[Message], None]) -> Handler:
     """The handler of a service with an empty response."""
 
@@ -311,15 +288,6 @@ def _acting(action: Callable[[Message], None]) -> Handler:
         return {}
 
     return act
-
-
-def _success(answer: Answer) -> Message:
-    text, fields = answer
-    return {**fields, "success": True, "status_message": text}
-
-
-def _failure(error: SlidectlError) -> Message:
-    return {"success": False, "status_message": str(error)}
 
 
 def _spawned(done: Pending) -> Answer:

@@ -10,6 +10,7 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager, suppre
 from typing import Any, ParamSpec, TypeVar
 
 from slidectl import names
+from slidectl.control.duration import header_of
 from slidectl.control.node_handle import (
     MISSING,
     GoalCallback,
@@ -21,7 +22,7 @@ from slidectl.control.node_handle import (
 )
 from slidectl.errors import Refused, SlidectlError, cut
 from slidectl.simulation.action_server import ActionServer
-from slidectl.simulation.clock import Clock, ClockTopic, RepeatedCall, Timers, stamp
+from slidectl.simulation.clock import Clock, ClockTopic, RepeatedCall, Timers
 from slidectl.simulation.parameters import Parameters
 from slidectl.simulation.services import Handler, Services
 from slidectl.simulation.topics import NodePublisher, Topics
@@ -60,7 +61,9 @@ class Graph:
         self.log = Log(self.topics, self.clock.now_ns)
         clock = self.topics.advertise("/clock", "rosgraph_msgs/Clock", WORLD_NODE, kind=NodePublisher)
         self.clock_topic = ClockTopic(clock)
-        self.parameters.watch(CLOCK_FREQUENCY, self._take_clock_frequency)
+        self.parameters.watch(
+            CLOCK_FREQUENCY, lambda: self.clock_topic.set_frequency(self.parameters.get(CLOCK_FREQUENCY, 0))
+        )
         self.topics.on_change = self.services.on_change = lambda: self.topics.hand_on(GRAPH_CHANGES, {})
         self.parameters.on_change = lambda changed: self.topics.hand_on(PARAMETER_CHANGES, {"names": changed})
 
@@ -108,9 +111,6 @@ class Graph:
         for callback in self.on_node_closed:
             callback(name)
 
-    def _take_clock_frequency(self) -> None:
-        self.clock_topic.set_frequency(self.parameters.get(CLOCK_FREQUENCY, 0))
-
 
 class Log:
     """Lines from nodes, out on `/rosout` and to `sink` (the daemon's file), whether somebody subscribes or not.
@@ -137,8 +137,7 @@ class Log:
         if not self._publisher.wanted:
             self._publisher.sequence += 1
             return
-        header = {"seq": 0, "stamp": stamp(now), "frame_id": ""}
-        line: Message = {"header": header, "level": level, "name": node, "msg": text}
+        line: Message = {"header": header_of(now), "level": level, "name": node, "msg": text}
         self._publisher.publish({**line, "file": "", "function": "", "line": 0, "topics": []})
 
     @contextmanager
@@ -197,10 +196,10 @@ class GraphNode:
         return self._graph.parameters.search(self.namespace, name)
 
     def watch_param(self, name: str, callback: Callable[[], None]) -> None:
-        self._taken.append(self._graph.parameters.watch(self._absolute(name), self._entering(callback)).close)
+        self._taken.append(self._graph.parameters.watch(self._absolute(name), self._entering(callback)))
 
     def guard_params(self, judge: ParameterJudge) -> None:
-        self._taken.append(self._graph.parameters.guard(self.namespace, judge).close)
+        self._taken.append(self._graph.parameters.guard(self.namespace, judge))
 
     def advertise(self, topic: str, type_name: str, latch: bool = False) -> Publisher:
         publisher = self._graph.topics.advertise(self._absolute(topic), type_name, self.name, latch, NodePublisher)

@@ -15,7 +15,7 @@ import reprlib
 import sys
 from array import array
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import is_dataclass
 from enum import Enum
@@ -40,12 +40,11 @@ from slidectl.physics import World
 from slidectl.physics.changes import JointFriction, Payload, StuckJoint
 from slidectl.physics.robot_hw import Drive, HardwareJoint
 from slidectl.simulation.action_server import ActionGoal
-from slidectl.simulation.camera_topics import CameraTopics
 from slidectl.simulation.clock import NEVER, RepeatedCall, Timer, Timers
 from slidectl.simulation.cycle import ControlCycle
 from slidectl.simulation.faults import Fault, Faults, FaultyCycle, FaultyTopic
 from slidectl.simulation.graph import Graph, GraphNode
-from slidectl.simulation.sensor_topics import SensorTopic
+from slidectl.simulation.sensor_topics import CameraTopics, SensorTopic
 from slidectl.simulation.spawned_robots import SpawnedRobot
 from slidectl.simulation.topics import PeriodicTopic, TopicPublisher
 
@@ -177,10 +176,9 @@ class Saving:
         """What is saved of attributes, or of a mapping."""
         saved = {}
         for name, value in values.items():
-            kind = type(value)
             try:
                 key = name if type(name) in _SCALARS else self.element(name, of_user)
-                saved[key] = value if kind in _SCALARS else rule_of(kind).save(self, value, of_user)
+                saved[key] = value if type(value) in _SCALARS else self.value(value, of_user)
             except CannotSave as error:
                 raise error.below(str(name)) from None
         return saved
@@ -216,18 +214,20 @@ class Restoring:
         self._users = users
         self._found: list[Any] = [None] * len(entries)
         self._used: set[int] = set()
-        self._set: list[tuple[int, int, Timer]] = []
-        """Numbers, due times, timers."""
-        self._latched: list[TopicPublisher] = []
-        self._taking: list[Callable[[], None]] = []
+        self.set_timers: list[tuple[int, int, Timer]] = []
+        """Those that are to be set: the numbers that say in which order, due times, timers."""
+        self.latched: list[TopicPublisher] = []
+        """Those with another latched message than before."""
+        self.later: list[Callable[[], None]] = []
+        """Called when all objects have their values."""
 
     def finish(self) -> None:
         """Set the timers in the order in which they were set, and tell subscribers of latched messages."""
-        for take in self._taking:
+        for take in self.later:
             take()
-        for _, due_ns, timer in sorted(self._set, key=lambda entry: entry[0]):
+        for _, due_ns, timer in sorted(self.set_timers, key=lambda entry: entry[0]):
             self._timers.arm(timer, due_ns)
-        for publisher in self._latched:
+        for publisher in self.latched:
             if (last := publisher.last) is None:
                 continue
             for callback in publisher.topic.callbacks:
@@ -237,8 +237,6 @@ class Restoring:
     def value(self, saved: Any, live: Any) -> Any:
         """Raises Refused: what is there is not like what was saved."""
         kind = type(saved)
-        if kind in _SCALARS:
-            return saved
         if kind is Ref:
             return self._object(saved.number, live)
         if kind is tuple:
@@ -256,51 +254,33 @@ class Restoring:
     def values(self, saved: Mapping[Any, Any], live: Mapping[Any, Any]) -> dict[Any, Any]:
         """The same of a mapping."""
         keys = self.in_order(list(saved), list(live))
-        new = {key: self.value(value, live.get(key)) for key, value in zip(keys, saved.values(), strict=True)}
-        _check_kinds(new.values(), live.values())
-        return new
+        return {key: self.value(value, live.get(key)) for key, value in zip(keys, saved.values(), strict=True)}
 
     def in_order(self, saved: Sequence[Any], live: Sequence[Any]) -> list[Any]:
         """The same of elements in their order; what has been found otherwise, here and there, does not count."""
         rest = iter([one for one in live if id(one) not in self._used])
-        new = [
+        return [
             self._found[one.number]
             if type(one) is Ref and self._found[one.number] is not None
             else self.value(one, next(rest, None))
             for one in saved
         ]
-        _check_kinds(new, live)
-        return new
-
-    def later(self, take: Callable[[], None]) -> None:
-        """Call this when all objects have their values."""
-        self._taking.append(take)
-
-    def set(self, timer: Timer, due_ns: int, number: int) -> None:
-        """The timer is to be set; lower numbers first."""
-        self._set.append((number, due_ns, timer))
-
-    def tell(self, publisher: TopicPublisher) -> None:
-        """Another message is latched than before."""
-        self._latched.append(publisher)
 
     def _object(self, number: int, live: Any) -> Any:
         found = self._found[number]
         if found is None:
             kind, content = self._entries[number]
             if type(live).__qualname__ != kind or id(live) in self._used or kind in VALUES:
-                live = self._made(kind, content)
+                if kind in _MAKERS:
+                    live = _MAKERS[kind](content)
+                else:
+                    cls = self._class(kind)
+                    live = cls.__new__(cls)
             rule = rule_of(type(live))
             found = self._found[number] = rule.fit(live, content)
             self._used.add(id(found))
             rule.fill(self, found, content)
         return found
-
-    def _made(self, kind: str, content: Any) -> Any:
-        if kind in _MAKERS:
-            return _MAKERS[kind](content)
-        cls = self._class(kind)
-        return cls.__new__(cls)
 
     def _class(self, name: str) -> Any:
         """What a module merely imports does not count: its constructor may do anything."""
@@ -326,15 +306,6 @@ class Restoring:
             return cls(value)
         lives = live if isinstance(live, cls) and len(live) == len(value) else [None] * len(value)
         return tuple.__new__(cls, map(self.value, value, lives))
-
-
-def _check_kinds(new: Iterable[Any], live: Iterable[Any]) -> None:
-    """Raises Refused: something else is among objects of `KEPT`, without which no cycle comes and no robot goes."""
-    kinds = {type(one) for one in live}
-    if any(base in KEPT for kind in kinds for base in kind.__mro__):
-        for one in new:
-            if type(one) not in kinds:
-                raise Refused(f"the snapshot has {reprlib.repr(one)} among objects of other classes")
 
 
 def _method(owner: Any, name: str) -> Any:
@@ -481,7 +452,7 @@ class _SetTimer(Rule):
         live.cancel()
         is_active, due_ns, number = content
         if is_active:
-            restoring.set(live, due_ns, number)
+            restoring.set_timers.append((number, due_ns, live))
 
 
 class _Publisher(Rule):
@@ -494,7 +465,7 @@ class _Publisher(Rule):
         live.sequence, last = content
         if last is not live.last and last != live.last:
             live.last = last
-            restoring.tell(live)
+            restoring.latched.append(live)
 
 
 class _Attributes(Rule):
@@ -550,17 +521,17 @@ class _OwnState(Rule):
         # The present state shows which objects the values go into. `load_state` is called last, when all other objects
         # are restored.
         state = restoring.value(content, _state_of(live))
-        restoring.later(lambda: _give_state(live, state))
+
+        def load() -> None:
+            with watched_for("load_state of", type(live).__name__):
+                live.load_state(state)
+
+        restoring.later.append(load)
 
 
 def _state_of(value: Any) -> Any:
     with watched_for("save_state of", type(value).__name__):
         return value.save_state()
-
-
-def _give_state(value: Any, state: Any) -> None:
-    with watched_for("load_state of", type(value).__name__):
-        value.load_state(state)
 
 
 _MAKERS: dict[str, Callable[[Any], Any]] = {

@@ -72,10 +72,10 @@ class LockStepService:
     def let_go(self, member: LockStepMember) -> None:
         """It has held the world for longer than its time-out."""
         self.on_let_go(member.node)
-        text = f"{member.node} has left the lock-step: it held the world for more than {member.timeout_s:g} s"
-        self._graph.log("warn", OWN_NODE, text)
+        why = f"it held the world for more than {member.timeout_s:g} s"
+        self._graph.log("warn", OWN_NODE, f"{member.node} has left the lock-step: {why}")
         self._leave(member.node)
-        self._let_go[member.node] = f"it held the world for more than {member.timeout_s:g} s"
+        self._let_go[member.node] = why
 
     def _take(self, request: Message) -> Message | Pending:
         if not self._loop.driven:
@@ -87,7 +87,11 @@ class LockStepService:
         elif request["period"]:
             self._join(node, request["period"], request["timeout"] or _TIMEOUT_S)
         else:
-            return self._done(self._member(node))
+            member = self._member(node)
+            _check_not_waiting(member)
+            member.pending = Pending()
+            self._graph.timers.arm(member.timer, self._graph.clock.time_ns + member.period_ns)
+            return member.pending
         clock, message = self._graph.clock, "left" if request["leave"] else "joined"
         return {"success": True, "message": message, "time": clock.seconds, "cycles": clock.cycles}
 
@@ -104,18 +108,11 @@ class LockStepService:
                 raise Refused(f"{name} is a time above 0 s and at most {_LONGEST_S:g} s, not {value:g}")
         period_ns = from_seconds(period_s)
         whole_cycles(period_ns, self._loop.step_ns)
-        if node in self.members and self.members[node].pending is not None:
-            raise Refused(f"{node} waits for the end of its period already")
+        if node in self.members:
+            _check_not_waiting(self.members[node])
         self.members[node] = LockStepMember(node, period_ns, timeout_s, self._graph.clock)
         self._let_go.pop(node, None)
         self._loop.run.lockstep = self
-
-    def _done(self, member: LockStepMember) -> Pending:
-        if member.pending is not None:
-            raise Refused(f"{member.node} waits for the end of its period already")
-        member.pending = Pending()
-        self._graph.timers.arm(member.timer, self._graph.clock.time_ns + member.period_ns)
-        return member.pending
 
     def _leave(self, node: str) -> None:
         member = self.members.pop(node)
@@ -130,3 +127,8 @@ class LockStepService:
         if node in self.members:
             self._graph.log("warn", OWN_NODE, f"{node} has gone; the lock-step goes on without it")
             self._leave(node)
+
+
+def _check_not_waiting(member: LockStepMember) -> None:
+    if member.pending is not None:
+        raise Refused(f"{member.node} waits for the end of its period already")

@@ -220,6 +220,8 @@ class Loop:
         self.robots: tuple[SpawnedRobot, ...] = ()
         self.history = History(world)
         self.plain = PlainRunner(self)
+        self.runner: Runner = self.plain
+        """Who runs cycles where there are more than a few."""
         self._memory = world.data, world.views
         self.engine = Engine(self, engine)
         world.on_rebuild(self._world_changed)
@@ -227,17 +229,10 @@ class Loop:
     def take_robots(self, robots: tuple[SpawnedRobot, ...]) -> None:
         """These are the robots from now on, in this order."""
         self.robots = robots
-        for runner in self._runners():
+        for runner in (self.plain, self.runner):
             runner.take_robots(robots)
         for robot in robots:
-            robot.watch_entries(partial(self._give_back, robot))
-
-    def _runners(self) -> list[Runner]:
-        return [self.plain] if self.engine.compiled is None else [self.plain, self.engine.compiled]
-
-    def _give_back(self, robot: SpawnedRobot) -> None:
-        if self.engine.compiled is not None:
-            self.engine.compiled.give_back(robot)
+            robot.node.before_entry = partial(self.runner.give_back, robot)
 
     def _world_changed(self) -> None:
         data, views = self._memory
@@ -245,13 +240,7 @@ class Loop:
             self.history.begin()
         if self.world.data is not data or self.world.views is not views:  # arrays lie elsewhere
             self._memory = self.world.data, self.world.views
-            for runner in self._runners():
-                runner.follow_world()
-
-    def compiled_controllers(self, robot: SpawnedRobot) -> frozenset[str]:
-        """The names of the robot's controllers that run as machine code."""
-        compiled = self.engine.compiled
-        return frozenset() if compiled is None else compiled.compiled_controllers(robot)
+            self.runner.follow_world()
 
     @property
     def stands_still(self) -> bool:
@@ -279,8 +268,7 @@ class Loop:
 
     def settle(self) -> None:
         """Somebody is about to look at handles and controllers that he holds: let them be what they should be."""
-        for runner in self._runners():
-            runner.give_back_all()
+        self.runner.give_back_all()
 
     def step(self, cycles: int = 1) -> int:
         """Run so many cycles. Returns how many: fewer when there is `enough`, or the physics diverges and `driven`.
@@ -292,8 +280,7 @@ class Loop:
             self.between_cycles("step")
         if not self.engine.is_settled:
             self.engine.advance(cycles)
-        compiled = self.engine.compiled
-        runner = self.plain if compiled is None or not (self.driven or cycles >= FEW) else compiled
+        runner = self.runner if self.driven or cycles >= FEW else self.plain
         left, run = cycles, self.run
         try:
             while left > 0:

@@ -1,13 +1,15 @@
 """The services of `/slidectl` but `wait`, which has a module of its own, and `shutdown`, which is the daemon's.
 
 These are not in ROS: status, step, sleep, set_speed, set_params, list_robots, scene, joint_states, sources, resolve,
-estop, rest_joints, start_joints, load_controller_file, reload_controller, update_times, graph.
+estop, rest_joints, start_joints, load_controller_file, reload_controller, update_times, graph; and of snapshots save,
+load, snapshots, delete_snapshots, export_snapshot.
 """
 
 from __future__ import annotations
 
 import math
 import re
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import slidectl
@@ -16,12 +18,16 @@ from slidectl.control.duration import from_seconds
 from slidectl.control.node_handle import Message
 from slidectl.description import interfaces, source_note
 from slidectl.description.robot import MOVING, Joint
-from slidectl.errors import Refused, SlidectlError, UnknownName, Unused, UsageError, closest, listing
+from slidectl.errors import Refused, UnknownName, Unused, UsageError, closest, listing
 from slidectl.physics import sensing
-from slidectl.simulation.gazebo_frames import pose_message
+from slidectl.simulation import snapshot_files
+from slidectl.simulation.clock import SECOND
+from slidectl.simulation.gazebo_frames import pose_message, vector_message
 from slidectl.simulation.loop import whole_cycles
 from slidectl.simulation.pending import Pending
 from slidectl.simulation.rosapi import absolute, from_json, typedefs
+from slidectl.simulation.services import Answer, Handler, answering
+from slidectl.simulation.snapshots import put
 from slidectl.simulation.spawned_robots import SpawnedRobot
 
 if TYPE_CHECKING:
@@ -45,25 +51,35 @@ class OwnServices:
         self._simulation = simulation
         self._graph = simulation.graph
         self._robots = simulation.robots
-        node = simulation.graph.node(names.OWN_NODE, names.OWN_NODE)
-        node.advertise_service("status", "slidectl/Status", self._status)
-        node.advertise_service("step", "slidectl/Step", self._step)
+        self._snapshots = simulation.snapshots
         self._graph.on_node_closed.append(simulation.run.holders.discard)
-        node.advertise_service("sleep", "slidectl/Sleep", self._sleep)
-        node.advertise_service("set_speed", "slidectl/SetSpeed", self._set_speed)
-        node.advertise_service("set_params", "slidectl/SetParams", self._set_params)
-        node.advertise_service("list_robots", "slidectl/ListRobots", self._list_robots)
-        node.advertise_service("scene", "slidectl/Scene", self._scene)
-        node.advertise_service("joint_states", "slidectl/JointStates", self._joint_states)
-        node.advertise_service("sources", "slidectl/Sources", self._sources)
-        node.advertise_service("resolve", "slidectl/Resolve", self._resolve)
-        node.advertise_service("estop", "slidectl/EmergencyStop", self._stop)
-        node.advertise_service("rest_joints", "slidectl/RestJoints", self._rest)
-        node.advertise_service("start_joints", "slidectl/StartJoints", self._start_joints)
-        node.advertise_service("load_controller_file", "slidectl/LoadControllerFile", self._load_file)
-        node.advertise_service("reload_controller", "slidectl/ReloadController", self._reload)
-        node.advertise_service("graph", "slidectl/GraphState", lambda _: self._graph.state())
-        node.advertise_service("update_times", "slidectl/ListUpdateTimes", self._update_times)
+        node = simulation.graph.node(names.OWN_NODE, names.OWN_NODE)
+        offers: dict[str, tuple[str, Handler]] = {
+            "status": ("Status", self._status),
+            "step": ("Step", self._step),
+            "sleep": ("Sleep", self._sleep),
+            "set_speed": ("SetSpeed", answering(self._set_speed, "message")),
+            "set_params": ("SetParams", self._set_params),
+            "list_robots": ("ListRobots", self._list_robots),
+            "scene": ("Scene", self._scene),
+            "joint_states": ("JointStates", self._joint_states),
+            "sources": ("Sources", self._sources),
+            "resolve": ("Resolve", self._resolve),
+            "estop": ("EmergencyStop", answering(self._stop, "message")),
+            "rest_joints": ("RestJoints", answering(self._rest, "message")),
+            "start_joints": ("StartJoints", answering(self._start_joints, "message")),
+            "load_controller_file": ("LoadControllerFile", self._load_file),
+            "reload_controller": ("ReloadController", self._reload),
+            "graph": ("GraphState", lambda _: self._graph.state()),
+            "update_times": ("ListUpdateTimes", self._update_times),
+            "save": ("Save", self._save),
+            "load": ("Load", self._load),
+            "snapshots": ("ListSnapshots", self._list_snapshots),
+            "delete_snapshots": ("DeleteSnapshots", self._delete_snapshots),
+            "export_snapshot": ("ExportSnapshot", self._export_snapshot),
+        }
+        for name, (kind, handler) in offers.items():
+            node.advertise_service(name, f"slidectl/{kind}", handler)
 
     def _status(self, _: Message) -> Message:
         simulation = self._simulation
@@ -135,15 +151,11 @@ class OwnServices:
             wake()
         return pending
 
-    def _set_speed(self, request: Message) -> Message:
-        try:
-            self._simulation.set_speed(request["speed"])
-        except Refused as error:
-            return {"success": False, "message": str(error)}
+    def _set_speed(self, request: Message) -> Answer:
+        self._simulation.set_speed(request["speed"])
         self._simulation.chosen.add("speed")
         speed = self._simulation.run.speed
-        text = "as fast as possible" if math.isinf(speed) else f"real-time factor {speed:g}"
-        return {"success": True, "message": text}
+        return "as fast as possible" if math.isinf(speed) else f"real-time factor {speed:g}", {}
 
     # Parameters and names
 
@@ -304,8 +316,8 @@ class OwnServices:
             "descriptions": [source_note.join(robot.xml, robot.note) for robot in robots if request["descriptions"]],
             "links": [f"{robot}::{link}" for robot, link in places],
             "poses": [pose_message(world.link_pose(robot, link)) for robot, link in places],
-            "contact_points": [dict(zip("xyz", point, strict=True)) for point, _ in contacts],
-            "contact_forces": [dict(zip("xyz", force, strict=True)) for _, force in contacts],
+            "contact_points": [vector_message(point) for point, _ in contacts],
+            "contact_forces": [vector_message(force) for _, force in contacts],
         }
 
     def _joint_states(self, _: Message) -> Message:
@@ -321,70 +333,103 @@ class OwnServices:
 
     # What joints do when nobody is to move them
 
-    def _stop(self, request: Message) -> Message:
+    def _stop(self, request: Message) -> Answer:
         """The emergency stop of DefaultRobotHWSim, which the topic that a robot's plugin names sets too.
 
         All robots in one cycle, or none where a name is unknown.
         """
-        try:
-            controlled = [robot for robot in self._robots if robot.is_controlled]
-            meant = [self._robot(name) for name in dict.fromkeys(request["names"])] or controlled
-            if not meant:
-                raise Refused("no robots in the world")
-            for robot in meant:
-                robot.check_controlled()
-        except SlidectlError as error:
-            return {"success": False, "message": str(error), "robots": []}
+        controlled = [robot for robot in self._robots if robot.is_controlled]
+        meant = [self._robot(name) for name in dict.fromkeys(request["names"])] or controlled
+        if not meant:
+            raise Refused("no robots in the world")
+        for robot in meant:
+            robot.check_controlled()
         for robot in meant:
             robot.emergency_stop = request["stop"]
         listed = [robot.name for robot in meant]
         what = "emergency stop" if request["stop"] else "released"
-        return {"success": True, "message": f"{', '.join(listed)}: {what}", "robots": listed}
+        return f"{', '.join(listed)}: {what}", {"robots": listed}
 
-    def _rest(self, request: Message) -> Message:
+    def _rest(self, request: Message) -> Answer:
         """A stopped controller leaves its last command with the hardware, as in ros_control; this sets another one."""
-        try:
-            if request["command"] not in ("zero", "hold"):
-                raise UnknownName("command", request["command"], ["zero", "hold"])
-            robot = self._robot(request["robot"])
-            claims = _resting_claims(robot, request)
-            if not request["check_only"]:
-                robot.look()
-            commands = robot.hardware.resting_commands(claims, request["command"] == "hold")
-            if not request["check_only"]:
-                robot.hardware.command(commands)
-        except SlidectlError as error:
-            return {"success": False, "message": str(error), "joints": []}
+        if request["command"] not in ("zero", "hold"):
+            raise UnknownName("command", request["command"], ["zero", "hold"])
+        robot = self._robot(request["robot"])
+        claims = _resting_claims(robot, request)
+        if not request["check_only"]:
+            robot.look()
+        commands = robot.hardware.resting_commands(claims, request["command"] == "hold")
+        if not request["check_only"]:
+            robot.hardware.command(commands)
         joints = list(dict.fromkeys(joint for _, joint in commands))
         text = "; ".join(f"{joint} keeps {_PHRASES[kind]} {value:g}" for (kind, joint), value in commands.items())
-        return {"success": True, "message": text or "no joint is concerned", "joints": joints}
+        return text or "no joint is concerned", {"joints": joints}
 
     def _update_times(self, request: Message) -> Message:
         robot = self._robot(request["robot"])
-        compiled = self._simulation.loop.compiled_controllers(robot)
+        compiled = self._simulation.loop.runner.compiled_controllers(robot)
         times = robot.manager.update_times() if robot.is_controlled else []
         return {"controllers": [{**one, "compiled": one["name"] in compiled} for one in times]}
 
-    def _start_joints(self, request: Message) -> Message:
-        try:
-            robot = self._robot(request["robot"])
-            self._robots.put_joints(robot.name, request["joint_names"], request["joint_positions"], is_start=True)
-        except SlidectlError as error:
-            return {"success": False, "message": str(error)}
+    def _start_joints(self, request: Message) -> Answer:
+        robot = self._robot(request["robot"])
+        self._robots.put_joints(robot.name, request["joint_names"], request["joint_positions"], is_start=True)
         text = f"{robot.name}: {len(request['joint_names'])} joints start elsewhere"
-        return {"success": True, "message": "\n".join([text, *robot.warnings])}
+        return "\n".join([text, *robot.warnings]), {}
 
     # Controllers of users
 
     def _load_file(self, request: Message) -> Pending:
-        if not request["file"].startswith("/"):
-            raise UsageError(f"the file {request['file']!r} is not an absolute path")
-        robot = self._robot(request["robot"])
-        return robot.services.load_file(request["name"], request["file"], request["class_name"])
+        file = _absolute(request["file"])
+        return self._robot(request["robot"]).services.load_file(request["name"], file, request["class_name"])
 
     def _reload(self, request: Message) -> Pending:
         robot = self._robot(request["robot"])
         return robot.services.reload(request["name"], robot.parts.cycle.control_period_ns)
+
+    # Snapshots
+
+    def _save(self, request: Message) -> Message:
+        file = request["file"] and _absolute(request["file"])
+        write = partial(snapshot_files.write, path=file) if file else lambda _: None
+        return {"time": self._snapshots.save(request["name"], write).time_ns / SECOND}
+
+    def _load(self, request: Message) -> Message:
+        name, file = request["name"], request["file"]
+        if bool(name) == bool(file):
+            raise UsageError("give the name of a snapshot that is kept, or a file")
+        made = self._snapshots.load(name) if name else put(self._simulation, snapshot_files.read(_absolute(file)))
+        return {"time": self._graph.clock.seconds, "robots": made}
+
+    def _list_snapshots(self, _: Message) -> Message:
+        infos = [
+            {
+                "name": name,
+                "time": snapshot.time_ns / SECOND,
+                "cycles": snapshot.cycles,
+                "robots": [robot.name for robot in snapshot.robots],
+            }
+            for name, snapshot in self._snapshots
+        ]
+        return {"snapshots": infos}
+
+    def _delete_snapshots(self, request: Message) -> Message:
+        for name in request["names"]:
+            self._snapshots.get(name)
+        for name in dict.fromkeys(request["names"]):
+            self._snapshots.delete(name)
+        return {}
+
+    def _export_snapshot(self, request: Message) -> Message:
+        snapshot_files.write(self._snapshots.get(request["name"]), _absolute(request["file"]))
+        return {}
+
+
+def _absolute(file: str) -> str:
+    """The path. Raises UsageError: the daemon is not where its clients are."""
+    if not file.startswith("/"):
+        raise UsageError(f"the file {file!r} is not an absolute path")
+    return file
 
 
 def _resting_claims(robot: SpawnedRobot, request: Message) -> list[Claim]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from copy import deepcopy
 from typing import Any, Generic, TypeVar
 
@@ -37,16 +37,12 @@ class UnknownParameter(UnknownName, KeyError):
 class Hook(Generic[C]):
     """One watcher or guard of one name."""
 
-    __slots__ = ("_hooks", "callback", "path")
+    __slots__ = ("callback", "is_open", "path")
 
-    def __init__(self, path: Path, callback: C, hooks: Hooks[C]) -> None:
+    def __init__(self, path: Path, callback: C) -> None:
         self.path = path
         self.callback = callback
-        self._hooks = hooks
-
-    def close(self) -> None:
-        """The callback is not called any more."""
-        self._hooks.forget(self)
+        self.is_open = True
 
 
 class Hooks(Generic[C]):
@@ -55,26 +51,27 @@ class Hooks(Generic[C]):
     def __init__(self) -> None:
         self._groups: dict[str, dict[Hook[C], None]] = {}
 
-    def add(self, path: Path, callback: C) -> Hook[C]:
-        """Call back for what happens at `path`, below it or above it, until the hook is closed."""
-        hook = Hook(path, callback, self)
-        self._groups.setdefault(_first(path), {})[hook] = None
-        return hook
+    def add(self, path: Path, callback: C) -> Callable[[], None]:
+        """Call back for what happens at `path`, below it or above it, until what this returns is called."""
+        hook, first = Hook(path, callback), _first(path)
+        self._groups.setdefault(first, {})[hook] = None
+
+        def close() -> None:
+            hook.is_open = False
+            group = self._groups.get(first, {})
+            group.pop(hook, None)
+            if not group:
+                self._groups.pop(first, None)
+
+        return close
 
     def concerned(self, changed: list[Path]) -> Iterator[Hook[C]]:
         """The hooks that a change of these paths concerns. One that is closed on the way is passed over."""
         firsts = {"", *map(_first, changed)} if all(changed) else self._groups.keys()
         near = [hook for first in firsts if first in self._groups for hook in self._groups[first]]
         for hook in near:
-            is_open = hook in self._groups.get(_first(hook.path), ())
-            if is_open and any(_related(hook.path, path) for path in changed):
+            if hook.is_open and any(_related(hook.path, path) for path in changed):
                 yield hook
-
-    def forget(self, hook: Hook[C]) -> None:
-        group = self._groups.get(_first(hook.path), {})
-        group.pop(hook, None)
-        if not group:
-            self._groups.pop(_first(hook.path), None)
 
 
 class Parameters:
@@ -143,11 +140,15 @@ class Parameters:
         copy: dict[str, Any] = _copied(self._root)
         return copy
 
-    def replace(self, tree: dict[str, Any]) -> None:
-        """Have this tree, whatever guards say of it. Watchers of what is different are told.
+    def replace(self, tree: dict[str, Any], without: Iterable[str] = ()) -> None:
+        """Have this tree, but for these names, whatever guards say of it. Watchers of what is different are told.
 
         Raises UsageError: a value that no parameter can have.
         """
+        if without:
+            tree = _copied(tree)
+            for name in without:
+                _assign(tree, _path(name), MISSING)
         if _is_same(self._root, tree):
             return
         before, after = (
@@ -187,8 +188,7 @@ class Parameters:
         found = self._find(path)
         result: list[str] = []
         if found is not MISSING and (path or found):
-            _collect_names(found, "".join(f"/{part}" for part in path), result)
-            result.sort()
+            result = sorted("/" + "/".join(leaf) for leaf, _ in _leaves(found, path))
         if not path:
             self._names = list(result)
         return result
@@ -204,12 +204,18 @@ class Parameters:
                 return "/" + "/".join((*base[:depth], *wanted))
         return None
 
-    def watch(self, name: str, callback: Callable[[], None]) -> Hook[Callable[[], None]]:
-        """Call back whenever the parameter, one below or a namespace above it is set or deleted; once for each call."""
+    def watch(self, name: str, callback: Callable[[], None]) -> Callable[[], None]:
+        """Call back whenever the parameter, one below or a namespace above it is set or deleted; once for each call.
+
+        Returns what ends that.
+        """
         return self._watches.add(_path(name), callback)
 
-    def guard(self, name: str, judge: ParameterJudge) -> Hook[ParameterJudge]:
-        """Ask `judge` before the parameter, one below or a namespace above it is set or deleted; once for each call."""
+    def guard(self, name: str, judge: ParameterJudge) -> Callable[[], None]:
+        """Ask `judge` before the parameter, one below or a namespace above it is set or deleted; once for each call.
+
+        Returns what ends that.
+        """
         return self._guards.add(_path(name), judge)
 
     def is_guarded(self, name: str) -> bool:
@@ -344,14 +350,6 @@ def _leaves(value: Any, path: Path) -> Iterator[tuple[Path, Any]]:
         yield path, value
 
 
-def _collect_names(value: Any, name: str, result: list[str]) -> None:
-    if isinstance(value, dict) and value:
-        for key, below in value.items():
-            _collect_names(below, f"{name}/{key}", result)
-    else:
-        result.append(name)
-
-
 def _checked(value: Any, where: str, depth: int) -> Any:
     """A copy with keys that hold slashes taken apart, or an error that says where it is wrong."""
     if depth > DEEPEST:
@@ -366,7 +364,14 @@ def _checked(value: Any, where: str, depth: int) -> Any:
     if isinstance(value, str):
         return _checked_text(value, where)
     if isinstance(value, bool | int | float):
-        return _checked_number(value, where)
+        try:
+            if math.isfinite(value):
+                return value
+            shown = str(value)
+        except OverflowError:
+            shown = "an integer beyond 1e308"
+        # JSON has no other numbers, and no control law has a use for them.
+        raise UsageError(f"parameter {where}: {shown} is no finite number, and parameters hold no others")
     kind = "null" if value is None else type(value).__name__
     raise UsageError(
         f"parameter {where}: {kind} is no value", "a parameter is a bool, a number, a string, a list or a mapping"
@@ -377,17 +382,6 @@ def _is_plain(value: Any) -> bool:
     """True for the numbers that are sound at first sight: of these there may be very many."""
     kind = type(value)
     return kind is bool or (kind is float and value - value == 0.0) or (kind is int and -_LARGE < value < _LARGE)
-
-
-def _checked_number(value: float, where: str) -> float:
-    """JSON has no other numbers, and no control law has a use for them."""
-    try:
-        if math.isfinite(value):
-            return value
-        shown = str(value)
-    except OverflowError:
-        shown = "an integer beyond 1e308"
-    raise UsageError(f"parameter {where}: {shown} is no finite number, and parameters hold no others")
 
 
 def _checked_text(text: str, where: str) -> str:

@@ -32,6 +32,17 @@ class Pending:
         pending.resolve(value)
         return pending
 
+    @classmethod
+    def attempt(cls, call: Callable[[], Any]) -> Pending:
+        """What the call gives: that answer if it is one (a Pending), else one that is there, or refused as the call."""
+        pending = cls()
+        try:
+            given = call()
+        except SlidectlError as error:
+            pending.reject(error)
+            return pending
+        return given if isinstance(given, Pending) else cls.of(given)
+
     def resolve(self, value: Any) -> None:
         """The answer. Callbacks run before this returns."""
         if not self.done:
@@ -43,6 +54,15 @@ class Pending:
         if not self.done:
             self.error = error
             self._settle()
+
+    def settle(self, call: Callable[[], Any]) -> None:
+        """The answer is what the call gives; a SlidectlError that it raises fails it."""
+        try:
+            value = call()
+        except SlidectlError as error:
+            self.reject(error)
+        else:
+            self.resolve(value)
 
     def cancel(self) -> None:
         """The asker has gone: no callback is called any more, and the answering side is told."""
@@ -68,16 +88,7 @@ class Pending:
         Cancelling it cancels this one.
         """
         answer = Pending(on_cancel=self.cancel)
-
-        def settle(done: Pending) -> None:
-            try:
-                value = convert(done)
-            except SlidectlError as error:
-                answer.reject(error)
-            else:
-                answer.resolve(value)
-
-        self.then(settle)
+        self.then(lambda done: answer.settle(lambda: convert(done)))
         return answer
 
     def result(self) -> Any:

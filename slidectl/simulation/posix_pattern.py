@@ -1,22 +1,19 @@
 """POSIX extended regular expressions, within bounds: a pattern of a client's must not hold up the world.
 
-Python's `re` has another grammar, and patterns that take it for ever. This goes through the text once, with all states
-that are possible at a time, and counts what it does.
+Python's `re` has another grammar, and patterns that take it for ever. Here each part of a pattern leads from all places
+where it may begin to all places where it may end: no way through the text is gone twice, and the places are counted.
 """
 
 from __future__ import annotations
 
 import string
 from collections.abc import Callable
-from typing import NamedTuple
 
 from slidectl.errors import UsageError, quoted
 
-MOST_INSTRUCTIONS = 2000
-MOST_STEPS = 100_000
+MOST_STEPS = 200_000
 """Of one pattern, over all texts: some tenths of a second."""
 _MOST_REPEATS = 255
-_DEEPEST = 50
 _CLASSES = {
     "alpha": str.isalpha,
     "digit": lambda sign: sign in string.digits,
@@ -33,19 +30,8 @@ _CLASSES = {
 }
 Accepts = Callable[[str], bool]
 """Whether a single character is one of those that are meant."""
-
-
-class _Instruction(NamedTuple):
-    """What `accepts` takes a character and leads to the next one; any other leads `to` others, if `place` is here."""
-
-    accepts: Accepts | None = None
-    to: tuple[int, ...] = ()
-    place: str = ""
-    """`^`: only at the beginning of the text. `$`: only at its end."""
-
-
-Part = Callable[[], None]
-"""Writes the instructions of a part of the pattern."""
+Part = Callable[[str, set[int]], set[int]]
+"""A part of the pattern: where in a text it may end, of where it may begin. 0 is before the first character."""
 
 
 class PosixPattern:
@@ -54,51 +40,33 @@ class PosixPattern:
     def __init__(self, text: str) -> None:
         self._text = text
         self._at = 0
-        self._depth = 0
         self._steps = 0
-        self._program: list[_Instruction] = []
-        whole = self._alternatives()
+        try:
+            self._whole = self._alternatives()
+        except RecursionError:
+            raise self._too_large() from None
         if self._at < len(text):
             raise self._error("')' without '('")
-        whole()
 
     def is_in(self, text: str) -> bool:
-        """Whether some part of the text matches. Raises UsageError: it takes too long to say."""
-        states: set[int] = set()
-        for at in range(len(text) + 1):
-            states = self._reached({0, *states}, at == 0, at == len(text))
-            if len(self._program) in states:
-                return True
-            if at < len(text):
-                states = {state + 1 for state in states if self._takes(state, text[at])}
-        return False
+        """Whether some part of the text matches. Raises UsageError: it takes too long to say, or is too large."""
+        try:
+            return bool(self._whole(text, set(range(len(text) + 1))))
+        except RecursionError:
+            raise self._too_large() from None
 
-    def _takes(self, state: int, sign: str) -> bool:
-        accepts = self._program[state].accepts
-        return accepts is not None and accepts(sign)
+    def _count(self, starts: set[int]) -> None:
+        self._steps += 1 + len(starts)
+        if self._steps > MOST_STEPS:
+            raise UsageError(f"the pattern {quoted(self._text)} takes too long", "write a simpler one")
 
-    def _reached(self, states: set[int], is_begin: bool, is_end: bool) -> set[int]:
-        """These states and all that follow from them without a character."""
-        reached, open_ = set(states), list(states)
-        while open_:
-            self._steps += 1
-            if self._steps > MOST_STEPS:
-                raise UsageError(f"the pattern {quoted(self._text)} takes too long", "write a simpler one")
-            state = open_.pop()
-            if state == len(self._program):
-                continue
-            instruction = self._program[state]
-            if (instruction.place == "^" and not is_begin) or (instruction.place == "$" and not is_end):
-                continue
-            new = set(instruction.to) - reached
-            reached |= new
-            open_ += new
-        return reached
-
-    # The grammar
+    def _too_large(self) -> UsageError:
+        return UsageError(f"the pattern {quoted(self._text)} is too large", "write a simpler one")
 
     def _error(self, why: str) -> UsageError:
         return UsageError(f"{quoted(self._text)} is no POSIX extended regular expression: {why}")
+
+    # The grammar
 
     def _peek(self) -> str:
         return self._text[self._at : self._at + 1]
@@ -112,46 +80,38 @@ class PosixPattern:
         while self._peek() == "|":
             self._at += 1
             branches.append(self._branch())
-
-        def write() -> None:
-            jumps = []
-            for branch in branches[:-1]:
-                fork = self._write(_Instruction())
-                branch()
-                jumps.append(self._write(_Instruction()))
-                self._program[fork] = _Instruction(to=(fork + 1, len(self._program)))
-            branches[-1]()
-            for jump in jumps:
-                self._program[jump] = _Instruction(to=(len(self._program),))
-
-        return write
+        return lambda text, starts: set().union(*(branch(text, starts) for branch in branches))
 
     def _branch(self) -> Part:
         parts: list[Part] = []
         while (sign := self._peek()) and sign not in "|)":
             if sign in "*+?{":
                 raise self._error(f"nothing before {sign!r} to repeat")
-            parts.append(self._repeated(self._atom()))
+            part = self._atom()
+            while (sign := self._peek()) and sign in "*+?{":
+                self._at += 1
+                least, most = {"*": (0, None), "+": (1, None), "?": (0, 1)}.get(sign) or self._counts()
+                part = self._times(part, least, most)
+            parts.append(part)
 
-        def write() -> None:
+        def ends(text: str, places: set[int]) -> set[int]:
             for part in parts:
-                part()
+                places = part(text, places)
+            return places
 
-        return write
+        return ends
 
     def _atom(self) -> Part:
         sign = self._next()
         if sign == "(":
-            self._depth += 1
-            if self._depth > _DEEPEST:
-                raise self._error(f"more than {_DEEPEST} brackets in each other")
             inside = self._alternatives()
             if self._next() != ")":
                 raise self._error("'(' without ')'")
-            self._depth -= 1
             return inside
-        if sign in "^$":
-            return lambda: self._place(sign)
+        if sign == "^":
+            return lambda _, starts: starts & {0}
+        if sign == "$":
+            return lambda text, starts: starts & {len(text)}
         if sign == "[":
             return self._one(self._bracket())
         if sign == ".":
@@ -192,13 +152,6 @@ class PosixPattern:
             raise self._error(f"the range {first}-{last} is the wrong way round")
         return lambda sign: first <= sign <= last
 
-    def _repeated(self, part: Part) -> Part:
-        while (sign := self._peek()) and sign in "*+?{":
-            self._at += 1
-            least, most = {"*": (0, None), "+": (1, None), "?": (0, 1)}.get(sign) or self._counts()
-            part = self._times(part, least, most)
-        return part
-
     def _counts(self) -> tuple[int, int | None]:
         """What stands behind `{`."""
         text, end, _ = self._text[self._at :].partition("}")
@@ -212,40 +165,30 @@ class PosixPattern:
         self._at += len(text) + 1
         return low, high
 
-    # The instructions
-
-    def _write(self, instruction: _Instruction) -> int:
-        if len(self._program) >= MOST_INSTRUCTIONS:
-            raise UsageError(f"the pattern {quoted(self._text)} is too large", "write a simpler one")
-        self._program.append(instruction)
-        return len(self._program) - 1
+    # Its parts in a text
 
     def _one(self, accepts: Accepts) -> Part:
+        """A single character."""
 
-        def write() -> None:
-            self._write(_Instruction(accepts))
+        def ends(text: str, starts: set[int]) -> set[int]:
+            self._count(starts)
+            return {at + 1 for at in starts if at < len(text) and accepts(text[at])}
 
-        return write
-
-    def _place(self, place: str) -> None:
-        self._write(_Instruction(to=(len(self._program) + 1,), place=place))
+        return ends
 
     def _times(self, part: Part, least: int, most: int | None) -> Part:
-        def write() -> None:
+        def ends(text: str, places: set[int]) -> set[int]:
             for _ in range(least):
-                self._place("")  # what is empty counts too
-                part()
-            if most is None:
-                fork = self._write(_Instruction())
-                part()
-                back = self._write(_Instruction(to=(fork,)))
-                self._program[fork] = _Instruction(to=(fork + 1, back + 1))
-                return
-            forks = []
-            for _ in range(most - least):
-                forks.append(self._write(_Instruction()))
-                part()
-            for fork in forks:
-                self._program[fork] = _Instruction(to=(fork + 1, len(self._program)))
+                if not places:
+                    break
+                self._count(places)  # what is empty counts too
+                places = part(text, places)
+            reached, left = places, None if most is None else most - least
+            while places and left != 0:
+                self._count(places)
+                places = part(text, places) - reached
+                reached = reached | places
+                left = left and left - 1
+            return reached
 
-        return write
+        return ends

@@ -14,7 +14,6 @@ from slidectl import msgs, names
 from slidectl.control.node_handle import MISSING, Message
 from slidectl.errors import BadMessage, Refused, quoted
 from slidectl.msgs.schema import TIMES
-from slidectl.simulation.clock import stamp
 from slidectl.simulation.graph import Graph
 from slidectl.simulation.parameters import Parameters
 
@@ -71,7 +70,7 @@ def _graph_services(graph: Graph) -> dict[str, Offer]:
         }
 
     return {
-        "get_time": ("GetTime", lambda _: {"time": stamp(graph.clock.time_ns)}),
+        "get_time": ("GetTime", lambda _: {"time": graph.clock.stamp()}),
         "topics": ("Topics", lambda _: listing()),
         "topics_and_raw_types": ("TopicsAndRawTypes", lambda _: listing_with_text()),
         "action_servers": ("GetActionServers", lambda _: action_servers()),

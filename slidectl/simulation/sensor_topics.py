@@ -6,6 +6,7 @@ Every run gives the same bits, whoever listens.
 from __future__ import annotations
 
 import math
+import zlib
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
@@ -21,16 +22,18 @@ from slidectl.control.controllers.sensor_controllers import (
 from slidectl.control.duration import header_of
 from slidectl.control.node_handle import Message
 from slidectl.description.robot import Bumper, Camera, ForceTorque, GroundTruth, Imu, JointStates, Laser, Sensor
-from slidectl.physics import sensing
-from slidectl.rotations import Quaternion, Vector, add, cross, message, subtract
-from slidectl.simulation.camera_topics import CameraTopics
+from slidectl.physics import rendering, sensing
+from slidectl.rotations import Vector, add, cross, subtract
 from slidectl.simulation.clock import period_ns_of
+from slidectl.simulation.gazebo_frames import pose_message, twist_message, vector_message
+from slidectl.simulation.pending import Pending
 from slidectl.simulation.spawned_robots import SpawnedRobot
 from slidectl.simulation.topics import PeriodicTopic
 
 if TYPE_CHECKING:
     from slidectl.simulation.simulation import Simulation
 
+_CHANNELS = {"mono8": 1, "rgb8": 3, "bgr8": 3}
 _TYPES = {
     Laser: "sensor_msgs/LaserScan",
     Imu: ImuSensorController.message_type,
@@ -42,7 +45,7 @@ _TYPES = {
 
 
 class SensorTopic:
-    """One sensor of one robot, on its topic until `close`."""
+    """One sensor of one robot, on its topic until the robot goes."""
 
     def __init__(self, simulation: Simulation, robot: SpawnedRobot, sensor: Sensor) -> None:
         self._simulation = simulation
@@ -68,10 +71,7 @@ class SensorTopic:
             period_ns_of(sensor.rate_hz, simulation.timestep_ns),
             build[type(sensor)],
         )
-
-    def close(self) -> None:
-        """Take the topic back."""
-        self._topic.close()
+        robot.taken.callback(self._topic.close)
 
     def _header(self) -> Message:
         return header_of(self._simulation.time_ns, self._sensor.frame)
@@ -125,12 +125,9 @@ class SensorTopic:
         return {
             "header": self._header(),
             "child_frame_id": self._sensor.link,
-            "pose": {"pose": _pose(position, pose[1]), "covariance": covariance},
+            "pose": {"pose": pose_message((position, pose[1])), "covariance": covariance},
             "twist": {
-                "twist": {
-                    "linear": _vector(sensing.noisy(linear, draw)),
-                    "angular": _vector(sensing.noisy(angular, draw)),
-                },
+                "twist": twist_message((sensing.noisy(linear, draw), sensing.noisy(angular, draw))),
                 "covariance": covariance,
             },
         }
@@ -151,15 +148,15 @@ class SensorTopic:
         for touch in touches:
             torque = cross(subtract(touch.position, origin), touch.force)
             total_force, total_torque = add(total_force, touch.force), add(total_torque, torque)
-            wrenches.append({"force": _vector(touch.force), "torque": _vector(torque)})
+            wrenches.append({"force": vector_message(touch.force), "torque": vector_message(torque)})
         return {
             "info": f"{len(touches)} contact points",
             "collision1_name": touches[0].own,
             "collision2_name": other,
             "wrenches": wrenches,
-            "total_wrench": {"force": _vector(total_force), "torque": _vector(total_torque)},
-            "contact_positions": [_vector(touch.position) for touch in touches],
-            "contact_normals": [_vector(touch.normal) for touch in touches],
+            "total_wrench": {"force": vector_message(total_force), "torque": vector_message(total_torque)},
+            "contact_positions": [vector_message(touch.position) for touch in touches],
+            "contact_normals": [vector_message(touch.normal) for touch in touches],
             "depths": [touch.depth for touch in touches],
         }
 
@@ -177,28 +174,102 @@ class SensorTopic:
         }
 
 
-def _vector(vector: Vector) -> Message:
-    return dict(zip("xyz", vector, strict=True))
+class CameraTopics:
+    """The picture and the geometry of one camera, on their topics until the robot goes.
+
+    A picture comes when it is rendered; while one is being rendered the next ones are left out. So how many there are
+    depends on the machine, and what is on them does not.
+    """
+
+    def __init__(self, simulation: Simulation, robot: SpawnedRobot, camera: Camera) -> None:
+        self._simulation = simulation
+        self._robot = robot
+        self._camera = camera
+        self._has_failed = self._is_broken = False
+        self._rendering: Pending | None = None
+        """The picture that is being made."""
+        if not rendering.gl_backend():
+            text = f"{robot.name}: camera {camera.name} makes no pictures, there is no OpenGL: {rendering.INSTALL}"
+            robot.warnings.append(text)
+            robot.node.log("warn", text)
+            self._is_broken = True
+        node = names.join(robot.namespace, "gazebo")
+        period_ns = period_ns_of(camera.rate_hz)
+        topic, info = (_inside(robot.namespace, topic) for topic in (camera.topic, camera.info_topic))
+        self._pictures = PeriodicTopic(simulation.graph, topic, "sensor_msgs/Image", node, period_ns, self._take)
+        robot.taken.callback(self._pictures.close)
+        self._info = PeriodicTopic(simulation.graph, info, "sensor_msgs/CameraInfo", node, period_ns, self._geometry)
+        robot.taken.callback(self._info.close)
+        robot.taken.callback(self._cancel)
+
+    def _header(self) -> Message:
+        return header_of(self._simulation.time_ns, self._camera.frame)
+
+    def _take(self) -> None:
+        """Begin a picture of now; it is published when it is there."""
+        if self._rendering is not None or self._is_broken:
+            return
+        simulation, camera, robot = self._simulation, self._camera, self._robot.name
+        pose = sensing.sensor_pose(simulation.world, robot, camera)
+        header, seed = self._header(), zlib.crc32(f"{robot}/{camera.name}/{simulation.time_ns}".encode())
+        self._rendering = simulation.render(camera, pose, seed)
+        self._rendering.then(lambda done: self._publish(header, done))
+
+    def _cancel(self) -> None:
+        if self._rendering is not None:
+            self._rendering.cancel()
+
+    def _publish(self, header: Message, done: Pending) -> None:
+        self._rendering = None
+        if done.error is not None:  # a process that was killed is started again, once
+            self._has_failed, self._is_broken = True, self._has_failed
+            last = "; it makes no more pictures" if self._is_broken else ""
+            self._robot.node.log("error", f"camera {self._camera.name}: {done.error}{last}")
+            return
+        self._has_failed = False
+        camera = self._camera
+        self._pictures.publish(
+            {
+                "header": header,
+                "height": camera.height,
+                "width": camera.width,
+                "encoding": camera.encoding,
+                "is_bigendian": 0,
+                "step": camera.width * _CHANNELS[camera.encoding],
+                "data": done.result(),
+            }
+        )
+
+    def _geometry(self) -> Message:
+        camera = self._camera
+        length = camera.width / (2.0 * math.tan(camera.field_of_view / 2.0))
+        x, y = (camera.width + 1) / 2.0, (camera.height + 1) / 2.0
+        return {
+            "header": self._header(),
+            "height": camera.height,
+            "width": camera.width,
+            "distortion_model": "plumb_bob",
+            "D": [0.0] * 5,
+            "K": [length, 0.0, x, 0.0, length, y, 0.0, 0.0, 1.0],
+            "R": [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+            "P": [length, 0.0, x, -length * camera.baseline, 0.0, length, y, 0.0, 0.0, 0.0, 1.0, 0.0],
+            "binning_x": 0,
+            "binning_y": 0,
+            "roi": {"x_offset": 0, "y_offset": 0, "height": 0, "width": 0, "do_rectify": False},
+        }
 
 
-def _pose(position: Vector, attitude: Quaternion) -> Message:
-    return {"position": _vector(position), "orientation": message(attitude)}
+def _inside(namespace: str, topic: str) -> str:
+    """The topic in the namespace of the robot, which a model that is spawned in the root names itself."""
+    return names.join("/" if f"/{topic}".startswith(f"{namespace}/") else namespace, topic)
 
 
-def bring_up(simulation: Simulation, robot: SpawnedRobot) -> Callable[[], None]:
-    """Give a robot the topics of its sensors. Returns what takes them back."""
-    topics = [
+def bring_up(simulation: Simulation, robot: SpawnedRobot) -> None:
+    """Give a robot the topics of its sensors."""
+    robot.kept["sensors"] = [
         CameraTopics(simulation, robot, sensor)
         if isinstance(sensor, Camera)
         else SensorTopic(simulation, robot, sensor)
         for sensor in robot.paper.sensors
         if sensor.topic
     ]
-
-    robot.kept["sensors"] = topics
-
-    def take_back() -> None:
-        for topic in topics:
-            topic.close()
-
-    return take_back

@@ -10,10 +10,34 @@ from typing import Any
 
 from slidectl import msgs, names
 from slidectl.control.node_handle import Message
-from slidectl.errors import Refused, SlidectlError, UnknownName
+from slidectl.errors import Refused, UnknownName
 from slidectl.simulation.pending import Pending
 
 Handler = Callable[[Message], Message | Pending]
+Answer = tuple[str, Message]
+"""What was done, and the other fields of the response."""
+
+
+def answering(handler: Callable[[Message], Answer | Pending], text: str) -> Handler:
+    """A handler whose responses have `success`, and in the field `text` what was done, or the error."""
+
+    def respond(done: Pending) -> Message:
+        if done.error is not None:
+            return {"success": False, text: str(done.error)}
+        said, fields = done.result()
+        return {**fields, "success": True, text: said}
+
+    return responding(handler, respond)
+
+
+def responding(handler: Callable[[Message], Any], respond: Callable[[Pending], Message]) -> Handler:
+    """A handler whose responses `respond` makes of what the handler gives, now or later, or of its error."""
+
+    def answer(request: Message) -> Message | Pending:
+        answered = Pending.attempt(lambda: handler(request))
+        return respond(answered) if answered.done else answered.converted(respond)
+
+    return answer
 
 
 class Service:
@@ -70,16 +94,15 @@ class Services:
 
     def call(self, name: str, request: Any = None) -> Pending:
         """Ask. Failures are in the answer, which is settled already unless it needs simulated time."""
-        try:
+
+        def ask() -> Message | Pending:
             service = self._known(name)
             answer = service.handler(msgs.check(service.request_type, {} if request is None else request))
             if isinstance(answer, Pending):
                 return _follow(service, answer)
-            return Pending.of(msgs.check(service.response_type, answer))
-        except SlidectlError as error:
-            pending = Pending()
-            pending.reject(error)
-            return pending
+            return msgs.check(service.response_type, answer)
+
+        return Pending.attempt(ask)
 
     def names(self) -> list[str]:
         """All services, sorted."""
@@ -135,12 +158,7 @@ def _follow(service: Service, inner: Pending) -> Pending:
 
     def settle(answered: Pending) -> None:
         service.open.pop(outer, None)
-        try:
-            value = msgs.check(service.response_type, answered.result())
-        except SlidectlError as error:
-            outer.reject(error)
-        else:
-            outer.resolve(value)
+        outer.settle(lambda: msgs.check(service.response_type, answered.result()))
 
     def cancel() -> None:
         service.open.pop(outer, None)

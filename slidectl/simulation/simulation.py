@@ -14,7 +14,7 @@ from slidectl.control import registry
 from slidectl.control.duration import from_seconds
 from slidectl.control.node_handle import Message, MessageCallback
 from slidectl.description.robot import Camera
-from slidectl.errors import Refused, SlidectlError
+from slidectl.errors import Refused
 from slidectl.physics import World, hulls
 from slidectl.physics.hulls import MeshSource
 from slidectl.physics.rendering import RenderProcess
@@ -31,7 +31,6 @@ from slidectl.simulation.own_services import OwnServices
 from slidectl.simulation.parameters import Parameters
 from slidectl.simulation.pending import Pending
 from slidectl.simulation.sensor_topics import bring_up as bring_up_sensors
-from slidectl.simulation.snapshot_services import SnapshotServices
 from slidectl.simulation.snapshots import Snapshots
 from slidectl.simulation.spawned_robots import Robots, SpawnedRobot
 from slidectl.simulation.standard_services import StandardServices
@@ -100,7 +99,6 @@ class Simulation:
         self.lockstep = LockStepService(self.graph, self.loop)
         OwnServices(self)
         StandardServices(self)
-        SnapshotServices(self)
         waits.advertise(self.graph)
         joint_traces.advertise(self)
         GazeboServices(self)
@@ -179,12 +177,7 @@ class Simulation:
         self.check_trouble()
         if self.driven:
             return self.run.ask_steps(cycles, reader)
-        pending = Pending()
-        try:
-            pending.resolve(self.step(cycles))
-        except SlidectlError as error:
-            pending.reject(error)
-        return pending
+        return Pending.attempt(lambda: self.step(cycles))
 
     def spawn(self, xml: str, name: str, namespace: str | None = None, pose: Pose = ORIGIN) -> SpawnedRobot:
         """A robot from the text of its URDF, with its meshes read here and now; see Robots.spawn."""
@@ -257,16 +250,15 @@ class Simulation:
 
     def _render_here(self, camera: Camera, pose: Pose, seed: int) -> Pending:
         """Waits for the picture."""
-        self._renderer = self._renderer or RenderProcess()
-        try:
-            self._renderer.ask(self._renderer.look(self.world, camera, pose, seed))
-            while (picture := self._renderer.take()) is None:
+        renderer = self._renderer = self._renderer or RenderProcess()
+
+        def render() -> str:
+            renderer.ask(renderer.look(self.world, camera, pose, seed))
+            while (picture := renderer.take()) is None:
                 pass
-        except Refused as error:
-            pending = Pending()
-            pending.reject(error)
-            return pending
-        return Pending.of(picture)
+            return picture
+
+        return Pending.attempt(render)
 
     def reset_simulation(self) -> None:
         """Time and world back to the beginning, at once, all or nothing; controllers stay loaded and running.

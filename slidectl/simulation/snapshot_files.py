@@ -14,7 +14,6 @@ import os
 import stat
 import zlib
 from array import array
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -86,7 +85,11 @@ def read(path: str) -> Snapshot:
     if hashlib.sha256(content).hexdigest() != digest:
         raise BadFile("the snapshot is damaged: its content is not what was written", path)
     try:
-        snapshot = _unpack_all(json.loads(_expanded(content)))
+        expander = zlib.decompressobj()
+        expanded = expander.decompress(content, LARGEST)
+        if expander.unconsumed_tail:
+            raise ValueError(f"more than {LARGEST} bytes")
+        snapshot = _unpack_all(json.loads(expanded))
         _check(snapshot)
         return snapshot
     except (ValueError, LookupError, TypeError, AttributeError, RecursionError, zlib.error, SlidectlError) as error:
@@ -108,23 +111,18 @@ def _content(path: str) -> tuple[str, str]:
         return "", f"cannot be read: {error.strerror or error}"
 
 
-def _expanded(content: bytes) -> bytes:
-    expander = zlib.decompressobj()
-    expanded = expander.decompress(content, LARGEST)
-    if expander.unconsumed_tail:
-        raise ValueError(f"more than {LARGEST} bytes")
-    return expanded
-
-
 def _pack_all(snapshot: Snapshot) -> _Packed:
-    values = {field.name: getattr(snapshot, field.name) for field in fields(Snapshot)}
-    robots = [{field.name: getattr(one, field.name) for field in fields(SpawnedAs)} for one in snapshot.robots]
-    for one in robots:
-        one["hulls"] = [
-            [*source, [hull.name, hull.stl] if isinstance(hull, Hull) else hull.reason]
-            for source, hull in one["hulls"].items()
-        ]
-    return _pack(values | {"robots": robots, "entries": [list(entry) for entry in snapshot.entries]})
+    robots = [
+        vars(one)
+        | {
+            "hulls": [
+                [*source, [hull.name, hull.stl] if isinstance(hull, Hull) else hull.reason]
+                for source, hull in one.hulls.items()
+            ]
+        }
+        for one in snapshot.robots
+    ]
+    return _pack(vars(snapshot) | {"robots": robots, "entries": [list(entry) for entry in snapshot.entries]})
 
 
 def _unpack_all(packed: _Packed) -> Snapshot:

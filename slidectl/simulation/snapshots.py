@@ -13,6 +13,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from operator import attrgetter
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -66,15 +67,15 @@ class SpawnedAs:
             list(robot.parts.manager.loaded()) if robot.is_controlled else [],
         )
 
+    def parsed(self) -> ParsedRobot:
+        """The robot, to be spawned again."""
+        paper, place = description.parse(source_note.join(self.xml, self.note)), names.check(self.namespace)
+        return ParsedRobot(self.name, place, paper, self.xml, self.note, self.caller, self.is_controlled)
+
     def is_like(self, other: SpawnedAs) -> bool:
         """Do both make the same robot, whatever its controllers are?"""
-        return (self.name, self.namespace, self.is_controlled, self.pose, self.xml) == (
-            other.name,
-            other.namespace,
-            other.is_controlled,
-            other.pose,
-            other.xml,
-        )
+        made_by = attrgetter("name", "namespace", "is_controlled", "pose", "xml")
+        return bool(made_by(self) == made_by(other))
 
 
 @dataclass(frozen=True)
@@ -87,6 +88,7 @@ class Snapshot:
     gravity: tuple[float, float, float]
     ground: bool
     is_from_file: bool
+    """Its values may be such as no simulation has."""
     robots: list[SpawnedAs]
     faults: list[Asked]
     parameters: dict[str, Any]
@@ -116,7 +118,7 @@ def take(simulation: Simulation) -> Snapshot:
         simulation.timestep_ns,
         simulation.world.gravity,
         simulation.world.has_ground,
-        simulation.snapshots.is_of_file,
+        False,
         [SpawnedAs.of(robot) for robot in simulation.robots],
         simulation.faults.asked(),
         simulation.parameters.tree(),
@@ -150,34 +152,17 @@ def put(simulation: Simulation, snapshot: Snapshot) -> list[str]:
         except SlidectlError as error:
             text = f"cannot load a snapshot: should that fail, the world could not be as it is now: {error.message}"
             raise Refused(text, error.hint) from None
-        except Exception:
-            if not simulation.snapshots.is_of_file:
-                raise
     try:
-        made = _put_in(simulation, snapshot, simulation.snapshots.is_of_file)
+        made = _put(simulation, snapshot)
     except BaseException as error:
         if before is not None:
-            _put_in(simulation, before, before.is_from_file or snapshot.is_from_file)
+            _put(simulation, before)
         if isinstance(error, Exception) and not isinstance(error, SlidectlError):
             raise Refused(f"the snapshot does not fit: {type(error).__name__}: {error}") from error
         raise
-    simulation.snapshots.is_of_file |= snapshot.is_from_file
     simulation.run.trouble = ""
     simulation.graph.clock_topic.publish_now(simulation.time_ns)
     return made
-
-
-def _put_in(simulation: Simulation, snapshot: Snapshot, is_of_file: bool) -> list[str]:
-    """Where the state that is there came from a file, it may be why it fails; then no object of it stays."""
-    try:
-        return _put(simulation, snapshot)
-    except Exception:
-        if not is_of_file:
-            raise
-    simulation.faults.drop()
-    for name in simulation.robots.names():
-        simulation.robots.delete(name)
-    return _put(simulation, snapshot)
 
 
 def _put(simulation: Simulation, snapshot: Snapshot) -> list[str]:
@@ -271,7 +256,7 @@ def _make(simulation: Simulation, snapshot: Snapshot) -> list[str]:
     robots, wanted = simulation.robots, snapshot.robots
     present = [SpawnedAs.of(robot) for robot in robots]
     if _are_alike(present, wanted):
-        _replace_parameters(simulation, snapshot)
+        simulation.parameters.replace(snapshot.parameters)
         return []
     for one in wanted:
         for name, type_name in one.controllers:
@@ -286,48 +271,26 @@ def _make(simulation: Simulation, snapshot: Snapshot) -> list[str]:
         if count < len(one.controllers):
             robots.get(one.name).manager.keep_only(kept[one.name])
     late = {name for one in wanted[same:] for name in one.made_parameters}
-    _replace_parameters(simulation, snapshot, late)
+    simulation.parameters.replace(snapshot.parameters, late)
     for one in wanted:
-        robot = robots.get(one.name) if one.name in robots else _spawn(simulation, one)
+        robot = robots.get(one.name) if one.name in robots else robots.spawn_read(one.parsed(), one.pose, one.hulls)
         for name, _ in one.controllers:
             if name not in kept.get(one.name, ()):
                 robot.manager.load_again(name)
-    _replace_parameters(simulation, snapshot)
+    simulation.parameters.replace(snapshot.parameters)
     return [one.name for one in wanted[same:]]
 
 
 def _are_alike(present: list[SpawnedAs], wanted: list[SpawnedAs]) -> bool:
     """Are the same robots and controllers there?"""
-    pairs = zip(present, wanted, strict=False)
     return len(present) == len(wanted) and all(
-        one.is_like(other) and one.controllers == other.controllers for one, other in pairs
+        one.is_like(other) and one.controllers == other.controllers for one, other in zip(present, wanted, strict=True)
     )
 
 
 def _common(equal: list[bool]) -> int:
     """How many are equal from the beginning."""
     return next((place for place, one in enumerate(equal) if not one), len(equal))
-
-
-def _replace_parameters(simulation: Simulation, snapshot: Snapshot, without: set[str] = frozenset()) -> None:  # type: ignore[assignment]
-    tree = snapshot.parameters
-    for name in without:
-        tree = _without(tree, [part for part in name.split("/") if part])
-    simulation.parameters.replace(tree)
-
-
-def _without(tree: dict[str, Any], path: list[str]) -> dict[str, Any]:
-    """A copy of the tree without what stands there."""
-    first, *rest = path
-    if not rest or not isinstance(tree.get(first), dict):
-        return {key: value for key, value in tree.items() if key != first}
-    return {**tree, first: _without(tree[first], rest)}
-
-
-def _spawn(simulation: Simulation, one: SpawnedAs) -> SpawnedRobot:
-    paper = description.parse(source_note.join(one.xml, one.note))
-    parsed = ParsedRobot(one.name, names.check(one.namespace), paper, one.xml, one.note, one.caller, one.is_controlled)
-    return simulation.robots.spawn_read(parsed, one.pose, one.hulls)
 
 
 def _check_type(robot: str, name: str, type_name: str) -> None:
@@ -352,8 +315,6 @@ class Snapshots:
     def __init__(self, simulation: Simulation) -> None:
         self._simulation = simulation
         self._kept: dict[str, Snapshot] = {}
-        self.is_of_file = False
-        """Whether the state of the simulation has once come from a file, with whatever values that had."""
 
     def __iter__(self) -> Any:
         return iter(tuple(self._kept.items()))

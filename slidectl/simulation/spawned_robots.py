@@ -17,7 +17,7 @@ from typing import NamedTuple
 from slidectl import description, names
 from slidectl.control import hardware_types
 from slidectl.control.controller_manager import ControllerManager
-from slidectl.control.duration import from_seconds
+from slidectl.control.duration import from_seconds, header_of
 from slidectl.control.node_handle import Message
 from slidectl.control.user_classes import file_of, watched_for, watched_hardware
 from slidectl.description import source_note
@@ -29,11 +29,12 @@ from slidectl.physics.body import Body
 from slidectl.physics.hulls import Hulls
 from slidectl.physics.robot_hw import MujocoRobotHW
 from slidectl.rotations import ORIGIN, Pose
-from slidectl.simulation.clock import SECOND, stamp
+from slidectl.simulation.clock import SECOND
 from slidectl.simulation.cycle import ControlCycle
 from slidectl.simulation.graph import GraphNode
 from slidectl.simulation.loop import Loop
 from slidectl.simulation.manager_services import ManagerServices
+from slidectl.simulation.parameters import Parameters
 from slidectl.simulation.topics import PeriodicTopic
 
 DESCRIPTION = "robot_description"
@@ -56,7 +57,7 @@ class ControlParts:
 
 
 class SpawnedRobot:
-    """One robot in the world with all that belongs to it. `taken` gives everything back, the last first.
+    """One robot in the world with all that belongs to it.
 
     `parts` are for whoever runs the cycles. Everybody else comes in by `hardware`, `manager`, `cycle` or a callback of
     the node, so that those who run the cycles hear of it before.
@@ -79,6 +80,7 @@ class SpawnedRobot:
         self.serial = serial
         """No other robot of this world has or had it."""
         self.taken = ExitStack()
+        """Whoever gives the robot something registers here what takes it back; the last is the first."""
         self.parts = ControlParts()
         self.on_reset: list[Callable[[], None]] = []
         """Called when the robot is to be as it was spawned, after the world is."""
@@ -90,10 +92,6 @@ class SpawnedRobot:
         """Those that its spawn has set, and that its end takes away."""
         self.warnings: list[str] = []
         """What was wrong with its spawn: its place, or what it has and cannot use there."""
-
-    def watch_entries(self, callback: Callable[[], None]) -> None:
-        """Call back before anybody outside of the cycle looks at the robot's control, or changes it."""
-        self.node.before_entry = callback
 
     @property
     def kind(self) -> str:
@@ -214,8 +212,9 @@ class Robots:
         self._loop = loop
         self._robots: dict[str, SpawnedRobot] = {}
         self._serials = count(1)
-        self.on_spawn: list[Callable[[SpawnedRobot], Callable[[], None]]] = []
-        """Called with each robot that is brought up. What they return takes back what they did."""
+        self.on_spawn: list[Callable[[SpawnedRobot], object]] = []
+        """Called with each robot that is brought up. They register in `SpawnedRobot.taken` what takes back what they
+        did, each thing as soon as it is done: what comes next may fail."""
         self.sources = Sources()
 
     def __iter__(self) -> Iterator[SpawnedRobot]:
@@ -249,7 +248,7 @@ class Robots:
             BadFile: the URDF is broken (file, line). Refused: the name or the namespace is taken. BadName.
             SlidectlError: the world or the hardware cannot take it. Nothing is left behind then.
         """
-        return self._spawn(self.read(xml, name, namespace), pose, hulls)
+        return self.spawn_read(self.read(xml, name, namespace), pose, hulls)
 
     def read(self, xml: str, name: str, namespace: str | None = None, *, is_model: bool = False) -> ParsedRobot:
         """A robot that may be spawned as far as one can tell without its meshes. Raises as `spawn`.
@@ -276,40 +275,33 @@ class Robots:
         self._check_namespace(parsed)
         return parsed
 
-    def spawn_read(self, parsed: ParsedRobot, pose: Pose, hulls: Hulls) -> SpawnedRobot:
-        """Spawn what was read some cycles ago. Raises as `spawn`: others may have come meanwhile."""
+    def spawn_read(self, parsed: ParsedRobot, pose: Pose, hulls: Hulls | None) -> SpawnedRobot:
+        """Spawn what was read, some cycles ago perhaps. Raises as `spawn`: others may have come meanwhile."""
         self._check_name(parsed.name)
         self._check_namespace(parsed)
-        return self._spawn(parsed, pose, hulls)
-
-    def _spawn(self, parsed: ParsedRobot, pose: Pose, hulls: Hulls | None) -> SpawnedRobot:
         self._loop.between_cycles("spawn a robot")
         robot = SpawnedRobot(parsed, self._loop.graph.node(parsed.namespace), next(self._serials))
-        with self._world.attached(parsed.paper, parsed.name, pose, hulls) as robot.body, ExitStack() as undoing:
-            self._bring_up(robot, undoing)
-            undoing.callback(self._forget, robot)
+        with self._world.attached(parsed.paper, parsed.name, pose, hulls) as robot.body, robot.taken:
+            robot.taken.callback(robot.node.shutdown)
+            if robot.is_controlled:
+                self._bring_up_control(robot)
+            for bring_up in self.on_spawn:
+                bring_up(robot)
+            robot.taken.callback(self._forget, robot)
             self._robots[robot.name] = robot
             self._tell_loop()
             for notice in robot.paper.report:
                 if notice.verdict in _SEVERITIES:
                     robot.node.log(_SEVERITIES[notice.verdict], f"{robot.name}: {notice}")
             _warn_of_overlaps(robot, self._world)
-            robot.taken = undoing.pop_all()
+            robot.taken = robot.taken.pop_all()
         if parsed.note:
             self.sources.put(source_note.digest(parsed.xml), parsed.note)
         return robot
 
-    def _bring_up(self, robot: SpawnedRobot, undoing: ExitStack) -> None:
-        """All that belongs to a robot whose body is in the world. What takes it back goes on the stack `undoing`."""
-        undoing.callback(robot.node.shutdown)
-        if robot.is_controlled:
-            self._bring_up_control(robot, undoing)
-        for bring_up in self.on_spawn:
-            undoing.callback(bring_up(robot))
-
-    def _bring_up_control(self, robot: SpawnedRobot, undoing: ExitStack) -> None:
+    def _bring_up_control(self, robot: SpawnedRobot) -> None:
         loop, parts, plugin = self._loop, robot.parts, robot.paper.plugin or ControlPlugin()
-        _put_description(robot, loop, undoing)
+        _put_description(robot, loop.graph.parameters)
         parts.hardware = self._hardware(robot, plugin.robot_sim_type)
         parts.hardware.read(robot.node.now_ns(), 0.0)
         parts.manager = ControllerManager(parts.hardware, robot.node)
@@ -320,7 +312,7 @@ class Robots:
             topic, period_ns = names.join(robot.namespace, "actuator_states"), SECOND // ACTUATOR_RATE_HZ
             build = partial(_actuator_states, robot)
             states = PeriodicTopic(loop.graph, topic, "sensor_msgs/JointState", robot.node.name, period_ns, build)
-            undoing.callback(states.close)
+            robot.taken.callback(states.close)
             robot.kept["actuator_states"] = states
         if plugin.estop_topic is not None:
 
@@ -427,8 +419,7 @@ class Robots:
             raise Refused(text, "give this one another namespace")
 
 
-def _put_description(robot: SpawnedRobot, loop: Loop, undoing: ExitStack) -> None:
-    parameters = loop.graph.parameters
+def _put_description(robot: SpawnedRobot, parameters: Parameters) -> None:
     name = names.join(robot.namespace, DESCRIPTION)
     before = parameters.get(name, None)
     parameters.set(name, robot.xml)
@@ -441,14 +432,14 @@ def _put_description(robot: SpawnedRobot, loop: Loop, undoing: ExitStack) -> Non
         elif parameters.has(name):
             parameters.delete(name)
 
-    undoing.callback(take_back)
+    robot.taken.callback(take_back)
 
 
 def _actuator_states(robot: SpawnedRobot) -> Message:
     """As sensor_msgs/JointState."""
     states = robot.hardware.actuator_states()
     return {
-        "header": {"stamp": stamp(robot.node.now_ns()), "frame_id": ""},
+        "header": header_of(robot.node.now_ns()),
         "name": [state.name for state in states],
         "position": [state.position for state in states],
         "velocity": [state.velocity for state in states],

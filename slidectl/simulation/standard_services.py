@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from functools import cache, wraps
+from functools import cache
 from itertools import count
 from typing import TYPE_CHECKING, Any
 
@@ -16,15 +16,15 @@ import numpy as np
 
 import slidectl
 from slidectl import msgs, names
+from slidectl.control.duration import header_of
 from slidectl.control.node_handle import Message
 from slidectl.errors import BadName, Refused, SlidectlError, UnknownName, quoted
 from slidectl.physics import bounding, sensing
 from slidectl.rotations import ORIGIN, Pose, compose
-from slidectl.simulation.clock import stamp
 from slidectl.simulation.gazebo_frames import pose, pose_message, twist, twist_message, vector_message
 from slidectl.simulation.pending import Pending
 from slidectl.simulation.posix_pattern import PosixPattern
-from slidectl.simulation.services import Handler
+from slidectl.simulation.services import responding
 from slidectl.simulation.spawnables import FORMATS, SpawnFailure, failure, read, spawnables
 from slidectl.simulation.spawned_robots import RESERVED, SpawnedRobot
 
@@ -76,35 +76,31 @@ class StandardServices:
         self._entities = simulation.entities
         node = simulation.graph.node(names.OWN_NODE, names.OWN_NODE)
         answered: dict[str, Callable[[Message], Message | Pending]] = {
-            "SpawnEntity": self._spawn,
-            "SpawnEntities": self._spawn_several,
-            "GetSpawnables": self._spawnables,
-            "DeleteEntity": self._delete,
-            "GetEntities": self._names,
-            "GetEntitiesStates": self._states,
-            "GetEntityState": lambda request: {"state": self._state(self._robots.get(request["entity"]))},
-            "SetEntityState": self._set_state,
-            "GetEntityInfo": lambda request: {"info": _info(self._robots.get(request["entity"]))},
-            "SetEntityInfo": self._set_info,
-            "GetEntityBounds": self._bounds,
-            "GetSimulationState": lambda _: {"state": {"state": constant("SimulationState", self._run_state)}},
-            "SetSimulationState": self._set_run_state,
-            "StepSimulation": self._step,
-            "ResetSimulation": self._reset,
+            "spawn_entity": self._spawn,
+            "spawn_entities": self._spawn_several,
+            "get_spawnables": self._spawnables,
+            "delete_entity": self._delete,
+            "get_entities": self._names,
+            "get_entities_states": self._states,
+            "get_entity_state": lambda request: {"state": self._state(self._robots.get(request["entity"]))},
+            "set_entity_state": self._set_state,
+            "get_entity_info": lambda request: {"info": _info(self._robots.get(request["entity"]))},
+            "set_entity_info": self._set_info,
+            "get_entity_bounds": self._bounds,
+            "get_simulation_state": lambda _: {"state": {"state": constant("SimulationState", self._run_state)}},
+            "set_simulation_state": self._set_run_state,
+            "step_simulation": self._step,
+            "reset_simulation": self._reset,
         }
-        for kind, handler in answered.items():
-            node.advertise_service(_snake(kind), f"{_PACKAGE}/{kind}", _answering(handler))
+        for name, handler in answered.items():
+            kind = name.title().replace("_", "")
+            node.advertise_service(name, f"{_PACKAGE}/{kind}", responding(handler, _respond))
         node.advertise_service("get_simulator_features", f"{_PACKAGE}/GetSimulatorFeatures", lambda _: _features())
 
     # Coming and going
 
     def _spawn(self, request: Message) -> Pending:
-        try:
-            answer = self._spawn_one(request)
-        except SlidectlError as error:
-            answer = Pending()
-            answer.reject(error)
-        return answer.converted(_spawn_result)
+        return Pending.attempt(lambda: self._spawn_one(request)).converted(_spawn_result)
 
     def _spawn_one(self, request: Message) -> Pending:
         """Resolved with the entity's name. All parts of it are spawned, or none."""
@@ -164,11 +160,8 @@ class StandardServices:
         results: list[Message] = []
         answer = Pending()
 
-        def take(done: Pending) -> None:
-            results.append(done.result())
-
         def take_and_go_on(done: Pending) -> None:
-            take(done)
+            results.append(done.result())
             go_on()
 
         def go_on() -> None:
@@ -178,18 +171,19 @@ class StandardServices:
                 if not spawning.done:
                     spawning.then(take_and_go_on)
                     return
-                take(spawning)
-            is_ok = all(one["result"]["result"] == constant("Result", "RESULT_OK") for one in results)
-            name, kind = ("RESULT_OK", "Result") if is_ok else ("ENTITIES_SPAWN_FAILED", "SpawnEntitiesResponse")
-            text = "" if is_ok else "the results say which were not spawned, and why"
-            answer.resolve({"result": _result(constant(kind, name), text), "results": results})
+                results.append(spawning.result())
+            result = _ok()
+            if any(one["result"]["result"] != result["result"] for one in results):
+                code = constant("SpawnEntitiesResponse", "ENTITIES_SPAWN_FAILED")
+                result = _result(code, "the results say which were not spawned, and why")
+            answer.resolve({"result": result, "results": results})
 
         go_on()
         return answer
 
     def _spawnables(self, request: Message) -> Message:
         found, text = spawnables(request["sources"])
-        return {"spawnables": found, "result": _result(constant("Result", "RESULT_OK"), text)}
+        return {"spawnables": found, "result": _ok(text)}
 
     def _delete(self, request: Message) -> Message:
         self._simulation.delete(request["entity"])
@@ -253,7 +247,7 @@ class StandardServices:
         frame = self._entities.model_frame(robot.name)
         acceleration = sensing.link_acceleration(self._world, robot.name, robot.paper.root)
         return {
-            "header": {"stamp": stamp(self._simulation.time_ns), "frame_id": "world"},
+            "header": header_of(self._simulation.time_ns, "world"),
             "pose": pose_message(frame.pose),
             "twist": twist_message(frame.twist),
             "acceleration": twist_message(acceleration),
@@ -276,7 +270,7 @@ class StandardServices:
         moving = twist(state["twist"]) if request["set_twist"] else None
         self._entities.put(name, place, moving, self._entities.frame(state["header"]["frame_id"]))
         text = "an acceleration follows from forces and is not set" if "set_acceleration" in pushes else ""
-        return {"result": _result(constant("Result", "RESULT_OK"), text)}
+        return {"result": _ok(text)}
 
     def _set_info(self, request: Message) -> Message:
         robot, info = self._robots.get(request["entity"]), request["info"]
@@ -367,30 +361,19 @@ class StandardServices:
 # Requests and responses
 
 
-def _answering(handler: Callable[[Message], Message | Pending]) -> Handler:
-    """The handler with its result, or with the one that its error says."""
-
-    @wraps(handler)
-    def answer(request: Message) -> Message | Pending:
-        try:
-            given = handler(request)
-        except SlidectlError as error:
-            return {"result": _failed(error)}
-        if not isinstance(given, Pending):
-            return _with_result(given)
-        return given.converted(
-            lambda done: {"result": _failed(done.error)} if done.error else _with_result(done.result())
-        )
-
-    return answer
-
-
-def _with_result(fields: Message) -> Message:
-    return {"result": _result(constant("Result", "RESULT_OK")), **fields}
+def _respond(done: Pending) -> Message:
+    """The fields of the response with its result, or with the one that the error says."""
+    if done.error is not None:
+        return {"result": _failed(done.error)}
+    return {"result": _ok(), **done.result()}
 
 
 def _result(code: int, text: str = "") -> Message:
     return {"result": code, "error_message": text}
+
+
+def _ok(text: str = "") -> Message:
+    return _result(constant("Result", "RESULT_OK"), text)
 
 
 def _failed(error: SlidectlError) -> Message:
@@ -403,7 +386,7 @@ def _failed(error: SlidectlError) -> Message:
 def _spawn_result(done: Pending) -> Message:
     """simulation_interfaces/SpawnResult."""
     if done.error is None:
-        return {"result": _result(constant("Result", "RESULT_OK")), "entity_name": done.result()}
+        return {"result": _ok(), "entity_name": done.result()}
     if isinstance(done.error, UnknownName):
         return {"result": _failed(done.error)}
     error = failure(done.error)
@@ -425,11 +408,6 @@ def _features() -> Message:
             "custom_info": f"slidectl {slidectl.__version__}",
         }
     }
-
-
-def _snake(kind: str) -> str:
-    """`GetEntities` as `get_entities`."""
-    return "".join(f"_{sign.lower()}" if sign.isupper() else sign for sign in kind).lstrip("_")
 
 
 def _valid_pose(message: Message) -> Pose:

@@ -8,14 +8,15 @@ below `/<ns>/robot_state_publisher`, publish_frequency, tf_prefix and enabled, t
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from slidectl import names
+from slidectl.control.duration import header_of
 from slidectl.control.node_handle import Message
 from slidectl.description.robot import Joint
 from slidectl.rotations import IDENTITY, Pose, compose, from_rpy, relative
-from slidectl.simulation.clock import SECOND, period_ns_of, stamp
+from slidectl.simulation.clock import SECOND, period_ns_of
+from slidectl.simulation.gazebo_frames import transform_message
 from slidectl.simulation.spawned_robots import SpawnedRobot
 from slidectl.simulation.topics import NodePublisher, PeriodicTopic, TopicPublisher
 
@@ -33,33 +34,27 @@ class StatePublishers:
         self._simulation = simulation
         self._publishers: dict[str, StatePublisher] = {}
 
-    def bring_up(self, robot: SpawnedRobot) -> Callable[[], None]:
-        """Give the robot its own, and a model that stands around robots none. Returns what takes it back.
+    def bring_up(self, robot: SpawnedRobot) -> None:
+        """Give the robot its own, and a model that stands around robots none.
 
         Two robots with the same links would speak of the same frames: the later one gets a prefix of its own.
         """
         if not robot.is_controlled:
-            return lambda: None
+            return
         parameters = self._simulation.parameters
         others = {frame for publisher in self._publishers.values() for frame in publisher.frames()}
         shares_frames = not others.isdisjoint(set(robot.paper.links) - {"world"})
-        chosen, prefix = "", ""
+        prefix = ""
         if shares_frames and not tf_prefix(self._simulation, robot):
             prefix = robot.namespace.strip("/") or robot.name
             chosen = names.join(robot.namespace, f"{NODE}/tf_prefix")  # in a namespace above, it would be others' too
             parameters.set(chosen, prefix)
             robot.made_parameters.append(chosen)
+            robot.taken.callback(lambda: parameters.delete(chosen) if parameters.has(chosen) else None)
             text = f"{robot.name}: another robot has frames of the same names; these are {prefix}/LINK on /tf"
             robot.node.log("info", text)
-        publisher = self._publishers[robot.name] = StatePublisher(self._simulation, robot, prefix)
-
-        def take_back() -> None:
-            del self._publishers[robot.name]
-            publisher.close()
-            if chosen and parameters.has(chosen):
-                parameters.delete(chosen)
-
-        return take_back
+        self._publishers[robot.name] = StatePublisher(self._simulation, robot, prefix)
+        robot.taken.callback(self._publishers.pop, robot.name)
 
 
 class StatePublisher:
@@ -80,13 +75,9 @@ class StatePublisher:
         self._period_ns = 0
         self._tf: PeriodicTopic | None = None
         self._static: TopicPublisher | None = None
+        robot.taken.callback(self._silence)
         self._configure()
-        self._watch = simulation.parameters.watch(self._node, self._configure)
-
-    def close(self) -> None:
-        """Take the topics back."""
-        self._watch.close()
-        self._silence()
+        robot.taken.callback(simulation.parameters.watch(self._node, self._configure))
 
     def frames(self) -> set[str]:
         """All frames but the world's."""
@@ -148,15 +139,8 @@ class StatePublisher:
         return compose(_origin(joint), _displacement(joint, world.joint_state(robot, joint.name)[0]))
 
     def _transform(self, joint: Joint, place: Pose) -> Message:
-        (x, y, z), (qx, qy, qz, qw) = place
-        return {
-            "header": {"seq": 0, "stamp": stamp(self._simulation.time_ns), "frame_id": self._frame(joint.parent)},
-            "child_frame_id": self._frame(joint.child),
-            "transform": {
-                "translation": {"x": x, "y": y, "z": z},
-                "rotation": {"x": qx, "y": qy, "z": qz, "w": qw},
-            },
-        }
+        header = header_of(self._simulation.time_ns, self._frame(joint.parent))
+        return {"header": header, "child_frame_id": self._frame(joint.child), "transform": transform_message(place)}
 
 
 def _origin(joint: Joint) -> Pose:

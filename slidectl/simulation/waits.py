@@ -13,7 +13,7 @@ from slidectl import msgs
 from slidectl.control.duration import from_seconds
 from slidectl.control.node_handle import Message
 from slidectl.errors import BadMessage, Refused, UnknownName
-from slidectl.field_path import NoElement, Selection, select
+from slidectl.field_path import NoElement, select
 from slidectl.names import OWN_NODE
 from slidectl.simulation.clock import Timer
 from slidectl.simulation.graph import Graph
@@ -28,30 +28,8 @@ _LONGEST_SHOWN = 120
 
 def advertise(graph: Graph) -> None:
     """Provide the service."""
-    graph.node(OWN_NODE, OWN_NODE).advertise_service("wait", "slidectl/Wait", lambda request: wait(graph, request))
-
-
-def wait(graph: Graph, request: Message) -> Pending:
-    """Begin to wait.
-
-    Raises:
-        UnknownName: no such topic, field or condition. BadMessage: value, condition and field do not go together.
-    """
-    type_name = graph.topics.type_of(request["topic"])
-    field = request["field"] or _only_field(type_name)
-    selection = select(lambda owner: msgs.fields(owner) if "/" in owner else (), type_name, field)
-    condition = Condition(request["condition"], request["value"], request["tolerance"])
-    condition.check_type(f"{request['topic']}/{field}", selection.type + "[]" * selection.depth)
-    hold_s, within_s = _duration("hold", request["hold"]), _duration("within", request["within"])
-    return Wait(graph, request["topic"], field, selection, condition, hold_s, within_s).pending
-
-
-def _only_field(type_name: str) -> str:
-    """The name of the one field of a type. Raises UnknownName."""
-    fields = [field.name for field in msgs.fields(type_name)]
-    if len(fields) != 1:
-        raise UnknownName("field", "", fields, f"in {type_name}: say which")
-    return fields[0]
+    node = graph.node(OWN_NODE, OWN_NODE)
+    node.advertise_service("wait", "slidectl/Wait", lambda request: Wait(graph, request).pending)
 
 
 def _duration(name: str, value: float) -> float:
@@ -143,33 +121,38 @@ def as_number(value: Any) -> float | None:
 
 
 class Wait:
-    """One who waits. `hold_s` 0: the first message that fulfils the condition is enough; `within_s` 0: no limit."""
+    """One who waits. `hold` 0: the first message that fulfils the condition is enough; `within` 0: no limit."""
 
-    def __init__(
-        self,
-        graph: Graph,
-        topic: str,
-        field: str,
-        selection: Selection,
-        condition: Condition,
-        hold_s: float,
-        within_s: float,
-    ) -> None:
+    def __init__(self, graph: Graph, request: Message) -> None:
+        """
+        Raises:
+            UnknownName: no such topic, field or condition. BadMessage: value, condition and field do not go together.
+            Refused: times that no clock can measure.
+        """
         self.pending = Pending(on_cancel=self._close)
         self._graph = graph
-        self._topic = topic
-        self._path = f"{topic}/{field}"
+        self._topic: str = request["topic"]
+        type_name = graph.topics.type_of(self._topic)
+        field = request["field"]
+        if not field:
+            fields = [one.name for one in msgs.fields(type_name)]
+            if len(fields) != 1:
+                raise UnknownName("field", "", fields, f"in {type_name}: say which")
+            field = fields[0]
+        selection = select(lambda owner: msgs.fields(owner) if "/" in owner else (), type_name, field)
+        self._path = f"{self._topic}/{field}"
         self._take_value = selection.take
-        self._condition = condition
-        self._hold_s = hold_s
-        self._within_s = within_s
+        self._condition = Condition(request["condition"], request["value"], request["tolerance"])
+        self._condition.check_type(self._path, selection.type + "[]" * selection.depth)
+        self._hold_s = _duration("hold", request["hold"])
+        self._within_s = within_s = _duration("within", request["within"])
         self._last: Any = _NOTHING
         self._closest: Any = _NOTHING
         self._least = math.inf
         self._holding: Timer | None = None
         self._deadline = graph.timers.after(from_seconds(within_s), self._time_is_up) if within_s else None
         self._subscription: TopicSubscription | None = None
-        self._subscription = graph.topics.subscribe(topic, None, OWN_NODE, self._take)
+        self._subscription = graph.topics.subscribe(self._topic, None, OWN_NODE, self._take)
         if self.pending.done:  # by a latched message, before there was a subscription to close
             self._close()
 

@@ -12,17 +12,44 @@ import pytest
 from sim_robots import cart, command, drive_up, logged, put_probe, state, switch
 
 from slidectl.errors import Refused, SlidectlError
+from slidectl.names import join
 from slidectl.physics import hulls, world
 from slidectl.physics.body import Body
 from slidectl.physics.world_spec import WorldSpec
 from slidectl.simulation import Simulation, spawned_robots
 from slidectl.simulation.compiled import object_file
 from slidectl.simulation.loop import Loop
+from slidectl.simulation.topics import TypeConflict
 
 needs_numba = pytest.mark.skipif(not object_file.is_possible(), reason="numba is not installed")
 ENGINES = ["plain", pytest.param("compiled", marks=needs_numba)]
 
 TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+
+LINK = """<link name="{}"><inertial><mass value="1"/>
+  <inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>"""
+WHEEL = '<joint name="{0}" type="{1}"><parent link="base"/><child link="{0}_link"/><axis xyz="0 1 0"/></joint>'
+SENSOR = """<gazebo reference="base"><sensor type="{0}" name="{0}"><update_rate>10</update_rate>
+  <plugin name="{0}" filename="libgazebo_ros_{1}.so">{2}</plugin></sensor></gazebo>"""
+TALKATIVE = f"""<robot name="thing">{LINK.format("base")}
+  {
+    "".join(
+        LINK.format(f"{name}_link") + WHEEL.format(name, kind)
+        for name, kind in (("left", "continuous"), ("right", "continuous"), ("mast", "fixed"))
+    )
+}
+  {SENSOR.format("ray", "laser", "<topicName>scan</topicName>")}
+  {SENSOR.format("imu", "imu_sensor", "<topicName>imu</topicName>")}
+  {
+    SENSOR.format(
+        "camera",
+        "camera",
+        "<imageTopicName>image</imageTopicName><cameraInfoTopicName>camera_info</cameraInfoTopicName>",
+    )
+}
+  <gazebo><plugin name="drive" filename="libgazebo_ros_diff_drive.so"><leftJoint>left</leftJoint>
+    <rightJoint>right</rightJoint><robotBaseFrame>base</robotBaseFrame></plugin></gazebo></robot>"""
+"""A model with sensors, a camera, a drive and a link on a fixed joint."""
 
 
 @pytest.fixture
@@ -128,7 +155,7 @@ OF_DELETIONS = {
 OF_SPAWNS = {
     "carrying over the state": (world, "carry_over"),
     "putting it there": (Body, "put_at_spawn"),
-    "bringing it up": (spawned_robots.Robots, "_bring_up"),
+    "bringing it up": (spawned_robots.Robots, "_bring_up_control"),
     "its hardware": (spawned_robots, "MujocoRobotHW"),
     "its manager": (spawned_robots, "ControllerManager"),
     "its services": (spawned_robots, "ManagerServices"),
@@ -178,6 +205,16 @@ def test_a_spawn_that_fails_anywhere_leaves_nothing_behind(
         other.delete("m")
     for name in ("other", "third"):
         assert course(simulation, name) == course(untouched, name)
+
+
+@pytest.mark.parametrize("topic", ["imu", "camera_info", "odom", "/tf_static"])
+def test_a_topic_that_cannot_be_had_leaves_none_of_the_others_behind(topic: str) -> None:
+    simulation = Simulation()
+    simulation.graph.topics.advertise(join("/thing", topic), "std_msgs/String", "/other")
+    before = everything(simulation)
+    with pytest.raises(TypeConflict):
+        simulation.spawn(TALKATIVE, "thing")
+    assert everything(simulation) == before
 
 
 @pytest.mark.parametrize("engine", ENGINES)

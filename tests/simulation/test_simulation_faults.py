@@ -89,7 +89,9 @@ def test_every_kind_does_the_same_to_the_bit_on_both_engines(kind: str) -> None:
     if KINDS[kind].target != "topic" and not kind.startswith("controller"):
         simulation.driven = True
         simulation.step(32)
-        assert simulation.loop.compiled_controllers(simulation.robots.get("a")), "it is compiled when the fault is over"
+        assert simulation.loop.runner.compiled_controllers(simulation.robots.get("a")), (
+            "it is compiled when the fault is over"
+        )
 
 
 @needs_numba

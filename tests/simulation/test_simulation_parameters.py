@@ -94,11 +94,11 @@ def test_a_watcher_hears_of_changes_at_below_and_above_its_name(parameters: Para
 
 def test_a_watcher_hears_once_of_a_merge_and_nothing_after_it_closed(parameters: Parameters) -> None:
     heard: list[int] = []
-    watch = parameters.watch("/slider/pid", lambda: heard.append(1))
+    close = parameters.watch("/slider/pid", lambda: heard.append(1))
     parameters.set("/slider", {"pid": {"p": 1.0, "i": 2.0}, "other": 1}, merge=True)
     parameters.set("/slider", {"other": 2}, merge=True)
     assert heard == [1]
-    watch.close()
+    close()
     parameters.set("/slider/pid/p", 3.0)
     assert heard == [1]
 

@@ -292,11 +292,17 @@ MANY_TIMES = "(" * 9 + ")" + "{255})" * 8
 
 @pytest.mark.parametrize(
     "text",
-    ["(", ")", "[", "[a", "[[:x:]]", "*", "a|*", "a{", "a{2,1}", "a{999}", "\\", "(" * 60, "a{255}{255}", MANY_TIMES],
+    ["(", ")", "[", "[a", "[[:x:]]", "*", "a|*", "a{", "a{2,1}", "a{999}", "\\", "(" * 60, "(" * 2000, MANY_TIMES],
 )
 def test_no_pattern_holds_up_the_world(text: str) -> None:
     with pytest.raises(UsageError):
-        PosixPattern(text)
+        PosixPattern(text).is_in("robot")
+
+
+def test_a_pattern_of_many_repeats_is_too_large_or_says_no() -> None:
+    assert not PosixPattern("a{255}{255}{255}{255}").is_in("a" * 200)
+    with pytest.raises(UsageError, match="too large"):
+        PosixPattern("a" + "{1}" * 2000).is_in("a")
 
 
 def test_a_pattern_that_takes_long_is_given_up() -> None:

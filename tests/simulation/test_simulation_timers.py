@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from slidectl.simulation.clock import NEVER, Clock, Timers, stamp
+from slidectl.simulation.clock import NEVER, Clock, Timers
 from slidectl.simulation.graph import Graph, GraphNode
 
 MS = 1_000_000
@@ -95,7 +95,9 @@ def test_when_the_clock_is_set_back_durations_keep_what_is_left_of_them(stage: S
 
 
 def test_a_stamp_has_seconds_and_nanoseconds() -> None:
-    assert stamp(1_500_000_001) == {"secs": 1, "nsecs": 500_000_001}
+    clock = Clock()
+    clock.time_ns = 1_500_000_001
+    assert clock.stamp() == {"secs": 1, "nsecs": 500_000_001}
 
 
 def test_the_clock_topic_is_published_at_every_cycle_or_at_its_frequency(graph: Graph) -> None:

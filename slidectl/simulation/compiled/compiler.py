@@ -29,7 +29,7 @@ from slidectl.control.registry import compiled_forms
 from slidectl.errors import Refused
 from slidectl.simulation.compiled import guard, kernel, object_file, own_laws
 from slidectl.simulation.compiled.object_file import machine
-from slidectl.simulation.compiled.tables import ARRAYS, CONTROLLER, JOINT, RAISED, TABLES, Progress
+from slidectl.simulation.compiled.tables import CONTROLLER, JOINT, RAISED, TABLES, Progress
 
 types: Any = numba.types
 carray: Any = numba.carray  # type: ignore[attr-defined]
@@ -150,14 +150,16 @@ def _arguments() -> list[Any]:
     progress = np.dtype([(field[0], "i8") for field in Progress._fields_])
     records = [progress, *(column_type(columns) for columns in TABLES.values())]
     pointers = [types.CPointer(numba.from_dtype(record)) for record in records]
-    return pointers + len(ARRAYS) * [types.CPointer(types.float64)]
+    return pointers + (len(kernel.CycleTables._fields) - len(TABLES)) * [types.CPointer(types.float64)]
 
 
 def _on_pointers() -> Callable[..., int]:
     """`kernel.run` on addresses of tables. One argument after the other: numba wants them written out."""
-    names = ("progress", *TABLES, *ARRAYS)
-    tables = ", ".join(f"carray({name}, room)" for name in names[1:])
-    source = f"def cycle({', '.join(names)}):\n    return run(carray(progress, 1)[0], CycleTables({tables}))\n"
+    names = kernel.CycleTables._fields
+    tables = ", ".join(f"carray({name}, room)" for name in names)
+    source = (
+        f"def cycle(progress, {', '.join(names)}):\n    return run(carray(progress, 1)[0], CycleTables({tables}))\n"
+    )
     space: dict[str, Any] = {
         "run": register_jitable(kernel.run),
         "CycleTables": kernel.CycleTables,

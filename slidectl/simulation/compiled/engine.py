@@ -6,14 +6,11 @@ The interpreter runs the cycles until then.
 
 from __future__ import annotations
 
-import os
 import signal
 import subprocess
-import sys
 from typing import TYPE_CHECKING
 
 from slidectl.errors import Refused, UsageError
-from slidectl.paths import with_package
 from slidectl.simulation.compiled import object_file
 from slidectl.simulation.graph import WORLD_NODE
 
@@ -101,7 +98,7 @@ class Engine:
             self._give_up(f"the compiled code cannot be loaded: {error}")
             return
         self.is_settled = True
-        self.compiled = CompiledRunner(self._loop, code)
+        self._loop.runner = self.compiled = CompiledRunner(self._loop, code)
         self._loop.take_robots(self._loop.robots)
 
     def _give_up(self, trouble: str) -> None:
@@ -126,16 +123,7 @@ def _begin_to_compile() -> subprocess.Popen[bytes]:
     """Raises Refused: no place for the result."""
     try:
         object_file.prepare()
-        report = object_file.report().open("a", encoding="utf-8")
+        with object_file.report().open("a", encoding="utf-8") as report:
+            return object_file.start_compiler(source=subprocess.DEVNULL, report=report)
     except OSError as error:
         raise Refused(f"there is no place for compiled code: {error}") from error
-    with report:
-        return subprocess.Popen(
-            # -P: a file of the user's that is called like a library must not be taken for it.
-            [sys.executable, "-P", "-m", "slidectl.simulation.compiled.compiler"],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=report,
-            env=with_package(os.environ),
-            start_new_session=True,
-        )

@@ -54,7 +54,7 @@ Table = Any
 
 
 class CycleTables(NamedTuple):
-    """The tables of `tables.TABLES`, MuJoCo's arrays, and the block of the history."""
+    """The tables of `tables.TABLES`, the arrays of `slidectl.physics.world.Memory`, and the block of the history."""
 
     robots: Table
     joints: Table

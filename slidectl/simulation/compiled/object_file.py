@@ -15,15 +15,17 @@ import importlib.util
 import os
 import platform
 import stat
+import subprocess
 import sys
 from collections.abc import Callable
 from contextlib import suppress
 from importlib import metadata
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import IO, Any, NamedTuple
 
 import slidectl
 from slidectl.control.registry import compiled_forms
+from slidectl.paths import with_package
 from slidectl.simulation.compiled import guard
 from slidectl.writing import replace
 
@@ -103,6 +105,22 @@ def prepare() -> None:
         raise FileNotFoundError("there is no home folder, and XDG_CACHE_HOME names none")
     folder().mkdir(mode=0o700, parents=True, exist_ok=True)
     _check_ours(folder(), folder().stat())
+
+
+def start_compiler(*law: str, source: int | IO[bytes], report: IO[Any]) -> subprocess.Popen[bytes]:
+    """The compiler, as a process of its own that outlives this one: of the cycle, or of the law whose file is named so.
+
+    `source` is its standard input; what it says goes into the report. The folder is there: see `prepare`.
+    """
+    return subprocess.Popen(
+        # -P: a file of the user's that is called like a library must not be taken for it.
+        [sys.executable, "-P", "-m", "slidectl.simulation.compiled.compiler", *law],
+        stdin=source,
+        stdout=subprocess.DEVNULL,
+        stderr=report,
+        env=with_package(os.environ),
+        start_new_session=True,
+    )
 
 
 def is_there() -> bool:

@@ -9,9 +9,7 @@ from __future__ import annotations
 
 import dis
 import marshal
-import os
 import subprocess
-import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -21,7 +19,6 @@ from typing import IO, Any, NamedTuple
 from slidectl.control.controller_interface import Compiled
 from slidectl.control.registry import compiled_forms
 from slidectl.errors import Refused
-from slidectl.paths import with_package
 from slidectl.simulation.compiled import guard, object_file
 
 MARSHAL_VERSION = 2
@@ -85,7 +82,7 @@ class Compilation(NamedTuple):
     """The process that compiles a law, and where what it says and makes will be."""
 
     form: Compiled
-    process: subprocess.Popen[str]
+    process: subprocess.Popen[bytes]
     report: IO[str]
     place: Path
 
@@ -96,16 +93,7 @@ def _begin(form: Compiled, content: bytes, place: Path) -> Compilation:
     with tempfile.TemporaryFile() as source:
         source.write(content)
         source.seek(0)
-        process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "slidectl.simulation.compiled.compiler", place.name],
-            stdin=source,
-            stdout=subprocess.DEVNULL,
-            stderr=report,
-            env=with_package(os.environ),
-            start_new_session=True,
-            text=True,
-        )
-    return Compilation(form, process, report, place)
+        return Compilation(form, object_file.start_compiler(place.name, source=source, report=report), report, place)
 
 
 # What a law consists of: written here, read in the process of the compiler.

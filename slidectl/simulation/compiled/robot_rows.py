@@ -107,7 +107,6 @@ class RobotRows:
             fill()
         if not self._may_compile():
             self._mark_plain()
-            self._let_go()
             return
         for publication in self.publications.values():
             publication.update_wanted()
@@ -120,12 +119,7 @@ class RobotRows:
         for give in self._give:
             give()
         self._mark_plain()
-        self._let_go()
         self.is_loaded = False
-
-    def _let_go(self) -> None:
-        for compiled in self._compiled:
-            compiled.let_go()
 
     @property
     def count(self) -> int:
@@ -138,8 +132,10 @@ class RobotRows:
         return found
 
     def _mark_plain(self) -> None:
-        """The machine code leaves the robot to the interpreter."""
+        """The machine code leaves the robot to the interpreter, and looks at nothing of its controllers."""
         _FLAG.pack_into(self._tables["robots"], self.number * ROBOT.size + _PLAIN_OFFSET, True)
+        for compiled in self._compiled:
+            compiled.let_go()
 
     def show_joints(self) -> None:
         """Let the handles be as the rows are, for a controller that has no row."""
@@ -161,7 +157,10 @@ class RobotRows:
             and (not controllers or any(controllers))
         )
         if is_possible:
-            places = self._reserve_joints(tables)
+            places: dict[int, int] = {}  # row numbers by the identity of the handles
+            for joint in self.parts.hardware.driven():
+                places[id(joint.handle)] = row = self._reserve_row(tables, "joints", *joint)
+                self._handles.append((joint.handle, row * JOINT.size))
             for position, controller in enumerate(controllers):
                 self._reserve_controller(tables, position, controller, places)
             for limit in limits:
@@ -176,14 +175,6 @@ class RobotRows:
             fill()
         self._mark_plain()
         return is_possible
-
-    def _reserve_joints(self, tables: Tables) -> dict[int, int]:
-        """Row numbers by the identity of the handles."""
-        places = {}
-        for joint in self.parts.hardware.driven():
-            places[id(joint.handle)] = row = self._reserve_row(tables, "joints", *joint)
-            self._handles.append((joint.handle, row * JOINT.size))
-        return places
 
     def _reserve_controller(
         self, tables: Tables, position: int, compiled: CompiledController | None, places: dict[int, int]

@@ -48,13 +48,11 @@ TABLES: dict[str, Columns] = {
     "drives": Drive.columns,
     "pids": Pid.columns,
 }
-"""All tables, in the order of the cycle's arguments; MuJoCo's arrays follow."""
+"""All tables, in the order of `kernel.CycleTables`; MuJoCo's arrays follow."""
 CONSTANT = {"drives"}
 """Tables of what never changes while it exists."""
 RANGES = ("joints", "controllers", "limits", "drives")
 """Tables of which each robot has a range of rows, as ROBOT has it."""
-ARRAYS = ("qpos", "qvel", "forces", "outside", "velocities", "motors", "bounds", "weights", "history")
-"""Of numbers: those of `slidectl.physics.world.Memory`, and the block of the history."""
 
 DONE, PUBLICATION, LEFT, RAISED, ROBOT_IN_PYTHON, CONTROLLER_IN_PYTHON, STEP_IN_PYTHON, DIVERGED, FAILED = range(9)
 """What the compiled cycle returns for: all cycles are done, the interpreter has its turn, or there is trouble. The
