@@ -23,6 +23,21 @@ _LONGEST_COMPARED = 200
 _MOST_COMPARED = 500
 
 
+class Reason(str):
+    """A line that belongs to a request: why it was refused, or at `level` "warn" what else there is to say."""
+
+    level: str
+
+    def __new__(cls, text: str, level: str = "error") -> Reason:
+        reason = super().__new__(cls, text)
+        reason.level = level
+        return reason
+
+    @property
+    def is_warning(self) -> bool:
+        return self.level == "warn"
+
+
 def cut(text: str, most: int = _LONGEST_TEXT) -> str:
     """The text, without its middle where it is longer than `most` characters."""
     if len(text) <= most:

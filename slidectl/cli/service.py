@@ -151,8 +151,7 @@ def call(ctx: Context, name: str, given: tuple[str, ...], stdin: bool) -> None:
     for values in requests:
         response, refusal = call_service(ctx, full, message_of(ctx, schema, values))
         ctx.emit(response, as_yaml(response, found["response_typedefs"]))
-        for reason in [] if refusal else ctx.client.reasons:
-            ctx.warn(reason)
+        warn_of_call(ctx, refusal)
         refusals += refusal
     if refusals:
         raise Refused("\n".join(refusals))
@@ -165,7 +164,7 @@ _RESULT_OK = 1
 
 
 def call_service(ctx: Context, full: str, request: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
-    """The response, and when it says no (a false `ok` or `success`, or a result) the lines that say so, with reasons.
+    """The response, and when it says no (a false `ok` or `success`, or a result) the lines that say so, and why.
 
     Raises as Client.call; TimedOut after a minute.
     """
@@ -178,9 +177,16 @@ def call_service(ctx: Context, full: str, request: dict[str, Any]) -> tuple[dict
     if verdict is None:
         return response, []
     reasons = [str(text) for text in texts if text]
-    reasons += [reason for reason in ctx.client.reasons if reason not in reasons][-2:]
+    reasons += [reason for reason in ctx.client.reasons if not reason.is_warning and reason not in reasons]
     lines = [f"  {line}" for reason in reasons for line in reason.splitlines()]
     return response, [f"{full} answered {verdict}", *lines]
+
+
+def warn_of_call(ctx: Context, refusal: Sequence[str]) -> None:
+    """Print what belongs to the call and is no part of the refusal."""
+    for reason in ctx.client.reasons:
+        if reason.is_warning or not refusal:
+            ctx.warn(reason)
 
 
 def ask_each(ctx: Context, question: str, services: Iterable[str], key: str) -> dict[str, str]:

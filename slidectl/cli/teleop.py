@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import select
 import sys
+from collections.abc import Sequence
 from contextlib import suppress
 from time import monotonic
 
@@ -119,7 +120,7 @@ def _drive(ctx: Context, driver: Driver, key_timeout: float) -> None:
                 output.write("")
 
 
-def _show(text: str, reasons: list[str]) -> None:
+def _show(text: str, reasons: Sequence[str]) -> None:
     line = "; ".join([text, *reasons])[: output.terminal_width() - 1]
     sys.stdout.write(f"\r{line}\033[K")
     sys.stdout.flush()

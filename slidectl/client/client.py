@@ -22,6 +22,7 @@ from slidectl.errors import (
     AmbiguousName,
     MessageRefused,
     NoDaemon,
+    Reason,
     Refused,
     SlidectlError,
     TimedOut,
@@ -78,7 +79,7 @@ class Client:
         self._link = link or SocketLink(paths.instance(instance, socket), time.monotonic() + timeout)
         self.paths = self._link.paths
         self.timeout = timeout
-        self.reasons: list[str] = []
+        self.reasons: list[Reason] = []
         """What the daemon warned of, or gave as an error, while it carried out the request answered last.
 
         That is the last `call`, `answer`, `deliver` or `flush`, whether it raised or not.
@@ -142,7 +143,9 @@ class Client:
         finally:
             self._awaited.discard(call_id)
         answer = self._answers.pop(call_id)
-        self.reasons = list(map(str, answer.get("reasons", ())))
+        texts = list(map(str, answer.get("reasons", ())))
+        levels = answer.get("levels", ["error"] * len(texts))  # an older daemon does not tell them
+        self.reasons = [Reason(text, level) for text, level in zip(texts, levels, strict=True)]
         return answer
 
     def is_answered(self, call_id: str) -> bool:
@@ -964,7 +967,7 @@ class Manager:
     """`/<namespace>/controller_manager/*`. What it refuses is raised with the reasons that its answer brings.
 
     Args:
-        warn: called with each reason of a request that went well.
+        warn: called with each warning, and with each error of a request that went well all the same.
         limit_s: wall seconds that one call may take; None: as the client has it.
         timeout_s: longest simulated time that a switch may take; 0: no limit.
     """
@@ -993,10 +996,16 @@ class Manager:
     def _answered(self, what: str, call_id: str) -> None:
         """Wait for the answer of a service that says `ok`. Raises Refused."""
         ok = self.client.answer(call_id, timeout=self._limit_s)["ok"]
+        reasons = self.client.reasons
+        for reason in reasons:
+            if ok or reason.is_warning:
+                self.warn(reason)
         if not ok:
-            raise Refused("\n".join(self.client.reasons[-2:]) or f"cannot {what}, and no reason was given")
-        for reason in self.client.reasons:
-            self.warn(reason)
+            raise self.refusal(what, [reason for reason in reasons if not reason.is_warning])
+
+    def refusal(self, what: str, reasons: Sequence[str]) -> Refused:
+        """The error of a request that was refused for these reasons."""
+        return Refused("\n".join(reasons) or f"cannot {what}, and no reason was given")
 
     def is_there(self) -> bool:
         """Whether its services exist."""

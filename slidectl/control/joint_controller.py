@@ -19,7 +19,7 @@ from slidectl.control.node_handle import Message, MessageCallback, NodeHandle, P
 from slidectl.control.params import JOINT, JOINTS, Parameter, within
 from slidectl.control.pid import Gains, Pid
 from slidectl.control.reconfigurable_pid import GAINS, ReconfigurablePid
-from slidectl.errors import MessageRefused, Refused
+from slidectl.errors import MessageRefused, Reason, Refused
 
 _TOLD_EVERY_NS = 1_000_000_000
 
@@ -74,7 +74,7 @@ class CommandController(Controller[JointCommandInterface]):
             self._told_ns = now_ns
             self._node.log("warn", text)
         elif self._node.reasons is not None:
-            self._node.reasons.append(text)
+            self._node.reasons.append(Reason(text, "warn"))
 
 
 class ScalarController(CommandController):

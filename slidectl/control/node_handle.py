@@ -11,6 +11,8 @@ from contextlib import AbstractContextManager
 from enum import IntEnum
 from typing import Any, NamedTuple, Protocol
 
+from slidectl.errors import Reason
+
 Message = dict[str, Any]
 MessageCallback = Callable[[Message], None]
 """Takes a message that was checked against its type. Raises MessageRefused when it will not take it."""
@@ -40,7 +42,7 @@ class ParameterChange(NamedTuple):
 
 ParameterJudge = Callable[[ParameterChange], None]
 """Raises SlidectlError to refuse a change; then nothing of the request is carried out."""
-Reasons = list[str]
+Reasons = list[Reason]
 """The warnings and errors of one request, as the lines of its answer."""
 
 

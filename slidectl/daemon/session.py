@@ -181,8 +181,7 @@ class Session:
 
     def _reasons(self) -> Message:
         """The warnings and errors so far of the line that is being carried out, as a part of its answer."""
-        reasons = self._graph.log.reasons
-        return {"reasons": reasons} if reasons else {}
+        return _with_levels(self._graph.log.reasons)
 
     # --- topics -------------------------------------------------------------------------------------------------
 
@@ -300,8 +299,7 @@ class Session:
     def _answer(self, pending: Pending, service: str, call_id: Message, reasons: Reasons | None) -> None:
         self._calls.pop(pending, None)
         response: Message = {"op": "service_response", **call_id, "service": service}
-        if reasons:
-            response["reasons"] = reasons
+        response |= _with_levels(reasons)
         if pending.error is None:
             response |= {"values": pending.result(), "result": True}
         else:
@@ -426,6 +424,11 @@ def _check_id(message: Message) -> None:
     if not fits:
         del message["id"]
         raise UsageError(f"an id of more than {most} characters")
+
+
+def _with_levels(reasons: Reasons | None) -> Message:
+    """The part of an answer that has the reasons; empty when there are none."""
+    return {"reasons": reasons, "levels": [reason.level for reason in reasons]} if reasons else {}
 
 
 def _given_id(message: Message) -> Message:

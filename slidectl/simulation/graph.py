@@ -20,7 +20,7 @@ from slidectl.control.node_handle import (
     Publisher,
     Reasons,
 )
-from slidectl.errors import Refused, SlidectlError, cut
+from slidectl.errors import Reason, Refused, SlidectlError, cut
 from slidectl.simulation.action_server import ActionServer
 from slidectl.simulation.clock import Clock, ClockTopic, RepeatedCall, Timers
 from slidectl.simulation.parameters import Parameters
@@ -130,7 +130,7 @@ class Log:
         level = LEVELS[severity]
         text = cut(text)  # what a client sent may be part of it
         if self.reasons is not None and level >= LEVELS["warn"] and len(self.reasons) < MOST_REASONS:
-            self.reasons.append(text)
+            self.reasons.append(Reason(text, severity))
         now = self._now_ns()
         if self.sink is not None:
             self.sink(severity, node, text, now)
@@ -214,7 +214,7 @@ class GraphNode:
             enter(message)
             reasons = self.reasons
             if before and self._caution() and reasons is not None and before not in reasons:
-                reasons.append(before)  # no line on /rosout: there may be a thousand messages a second
+                reasons.append(Reason(before, "warn"))  # no line on /rosout: there may be a thousand messages a second
 
         self._taken.append(self._graph.topics.subscribe(self._absolute(topic), type_name, self.name, take).close)
 

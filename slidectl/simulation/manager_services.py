@@ -18,7 +18,7 @@ from slidectl.control.controller_interface import State
 from slidectl.control.controller_manager import STRICT
 from slidectl.control.duration import from_stamp, to_seconds
 from slidectl.control.node_handle import Message, Reasons
-from slidectl.errors import Refused, SlidectlError
+from slidectl.errors import Reason, Refused, SlidectlError
 from slidectl.simulation.clock import Timer
 from slidectl.simulation.pending import Pending
 
@@ -137,7 +137,7 @@ class ManagerServices:
             timer.cancel()
             failure = self._manager.failure_of(name)
             if failure and reasons is not None and failure not in reasons:
-                reasons.append(failure)
+                reasons.append(Reason(failure))
             answer.resolve({"ok": not failure})
 
         self._after_update[tell] = self._loop.graph.timers.after(control_period_ns + self._loop.step_ns, tell)

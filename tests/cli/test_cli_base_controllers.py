@@ -285,3 +285,19 @@ def test_names_that_a_controller_does_not_know_are_told_wherever_it_is_configure
     world.ok("controller", "unload", POSITION)
     done = world("controller", "spawn", POSITION)
     assert (done.returncode, f"warning: {remark}" in done.stderr) == (0, True)
+
+
+def test_a_refused_load_tells_its_warnings_and_the_error_apart(slider: CommandLine, tmp_path: Path) -> None:
+    file = tmp_path / "bad.yaml"
+    file.write_text(
+        "slider: {bad: {type: effort_controllers/JointPositionController, joint: elbow, pid: {p: 1.0, i: 0.1, d: 0.0}}}"
+    )
+    slider.ok("controller", "config", str(file))
+    warning = "warning: /slider/bad/pid: i = 0.1 has no effect without i_clamp\n"
+    done = slider("controller", "load", "bad")
+    assert done.returncode == 1
+    assert done.stderr.startswith(warning + "error: cannot load controller 'bad': no joint 'elbow' in")
+    called = slider("service", "call", "/slider/controller_manager/load_controller", "bad")
+    assert called.returncode == 1
+    assert called.stderr.startswith(warning + "error: /slider/controller_manager/load_controller answered ok: false")
+    assert "cannot load controller 'bad': no joint 'elbow'" in called.stderr

@@ -10,7 +10,7 @@ from slidectl.cli import output
 from slidectl.cli.context import Context
 from slidectl.cli.ros import genpy
 from slidectl.cli.ros.arguments import Failure, Parser, Tool, below, option, resolve, without_remappings
-from slidectl.cli.service import argument_names, as_yaml, ask_each, call_service
+from slidectl.cli.service import argument_names, as_yaml, ask_each, call_service, warn_of_call
 from slidectl.errors import EXIT_REFUSED, Refused, TimedOut, UnknownName
 from slidectl.msgs.schema import Typedefs
 from slidectl.values import check_quotes
@@ -177,8 +177,7 @@ def _call_once(ctx: Context, full: str, request: dict[str, Any], response: Typed
         text = repr(f"error processing request: {first}".encode())
         raise Failure("\n".join([f"ERROR: service [{full}] responded with an error: {text}", *rest]), _FAILED) from None
     output.write(as_yaml(answer, response))
-    for reason in [] if refusal else ctx.client.reasons:
-        ctx.warn(reason)
+    warn_of_call(ctx, refusal)
     return refusal
 
 

@@ -31,7 +31,7 @@ class _NodeManager(Manager):
         super().__init__(run.client, namespace, run.console.warn, limit_s)
 
     def refusal(self, what: str, reasons: Sequence[str]) -> Refused:
-        return Refused(f"cannot {what}: {'; '.join(reasons[-2:]) or 'no reason was given'}")
+        return Refused(f"cannot {what}: {'; '.join(reasons) or 'no reason was given'}")
 
 
 class _ControllerTask(Task):
