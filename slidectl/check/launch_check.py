@@ -80,7 +80,7 @@ def check(
 
 
 @dataclass(frozen=True)
-class SpawnedOnPaper:
+class PlannedRobot:
     """A robot that the launch puts into the world; `model` is None when it cannot be read or is not known here."""
 
     name: str
@@ -113,7 +113,7 @@ class _LaunchCheck:
         """False when a value is not known: it cannot be had, or a program would have to be run for it."""
         self.tasks: list[Task] = []
         self.has_programs = False
-        self.robots: list[SpawnedOnPaper] = []
+        self.robots: list[PlannedRobot] = []
 
     # --- tags -----------------------------------------------------------------------------------------------------
 
@@ -316,13 +316,13 @@ class _LaunchCheck:
     def _add(self, verdict: Verdict, node: Node, text: str) -> None:
         self.findings.add(verdict, f"node {node.full_name}", text, node.place.file, node.place.line)
 
-    def _robot(self, task: SpawnModel) -> SpawnedOnPaper:
+    def _robot(self, task: SpawnModel) -> PlannedRobot:
         found = self._model(task)
         namespace = task.asked_namespace
         if found is not None:
             namespace = task.home(found.robot, self.tasks)
             found = replace(found, namespace=namespace)
-        return SpawnedOnPaper(task.model, namespace, found, task.node)
+        return PlannedRobot(task.model, namespace, found, task.node)
 
     def _model(self, task: SpawnModel) -> Model | None:
         if task.words.has("-file"):

@@ -33,7 +33,7 @@ class Trace:
         self.read_attributes: dict[int, set[str]] = {}
         self.said: dict[int, list[tuple[str | None, Notice]]] = {}
         """Of each element, what was said of an attribute of it (its name), or of itself (None)."""
-        self.dead: set[int] = set()
+        self.unused: set[int] = set()
         """Parts of which nothing came: those that are dropped, left out or broken."""
         self.at_fault: Element | None = None
         """The element of the last error that was made."""
@@ -123,7 +123,7 @@ class TracedReport(Report):
             self.take(error)
             result = None
         if result is None and element.tag not in _ROOTS:
-            self.trace.dead.add(id(element))
+            self.trace.unused.add(id(element))
         return result
 
     def take(self, error: BadFile) -> None:
@@ -158,7 +158,7 @@ class Tags:
         # As the parser's notices name things: `link 'a'/<inertial>/<mass>`.
         subject = f"{element.tag} {name!r}" if name is not None and not above else bare.title
         subject = f"{above}/{subject}" if above else subject
-        if id(element) in self.trace.dead:
+        if id(element) in self.trace.unused:
             for below in element.walk():
                 self.findings.extend(notice for _, notice in self.trace.said.get(id(below), []))
             return

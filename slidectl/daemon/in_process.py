@@ -149,7 +149,7 @@ class InProcessWorld:
             self.simulation.run.hold("a control cycle failed, see the log", "a control cycle failed")
             return max(0, self.simulation.cycles - before)
 
-    def note_news(self, connection: InProcessConnection) -> None:
+    def note_message(self, connection: InProcessConnection) -> None:
         """It has something to read: if somebody reads it, the slice ends with the cycle that runs, in both engines."""
         if not self._news and (connection.on_lines is not None or connection in self._waiting):
             self._news = True
@@ -200,7 +200,7 @@ class _NotedPublications(Publications):
         for reader in channel.readers:
             assert isinstance(reader, InProcessConnection)
             if reader.is_prompt:
-                self._world.note_news(reader)
+                self._world.note_message(reader)
 
     def hold(self, channel: Channel) -> None:
         if channel not in self.held:  # the slice that runs may be longer than the throttle
@@ -232,7 +232,7 @@ class InProcessConnection:
     def send(self, line: bytes) -> None:
         """A line that must arrive."""
         self.outbox.put(line)
-        self._world.note_news(self)
+        self._world.note_message(self)
 
     def look_again(self) -> None:
         """A client in the same process ends at once."""

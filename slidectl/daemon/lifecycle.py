@@ -27,7 +27,7 @@ from slidectl.paths import InstancePaths, make_private, with_package
 
 _MODULE = "slidectl.daemon"
 _PAUSE_S = 0.01
-_GRACE_S = 5.0
+_END_TIMEOUT_S = 5.0
 
 
 def running(paths: InstancePaths) -> int | None:
@@ -126,7 +126,7 @@ class Beginning:
         if self._process is not None:
             self._process.terminate()
             try:
-                self._process.wait(_GRACE_S)
+                self._process.wait(_END_TIMEOUT_S)
             except subprocess.TimeoutExpired:
                 self._process.kill()
                 self._process.wait()

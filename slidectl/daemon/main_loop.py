@@ -164,7 +164,7 @@ class Daemon:
     def _look_after_place(self) -> None:
         """What cleaners of temporary folders have deleted is made again; where another daemon is now, this one ends."""
         try:
-            gone, listener = self._place.mend()
+            gone, listener = self._place.repair()
         except TakenOver as error:
             self._stopping = f"stopped: {error.message}"
             return

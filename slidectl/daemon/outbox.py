@@ -95,7 +95,7 @@ class Publications:
         self.fresh[channel] = None
         if self.run.news_wanted:
             for reader in channel.readers:
-                self.run.note_news(reader.node)
+                self.run.note_message(reader.node)
         if self.kept > MOST_BYTES_IN_ALL:
             self.tidy()
             while self.kept > MOST_BYTES_IN_ALL:
@@ -282,7 +282,7 @@ class Outbox:
         self._publications.last += 1
         self._own.append((self._publications.last, line, None))
         if self._publications.run.news_wanted:
-            self._publications.run.note_news()
+            self._publications.run.note_message()
 
     def join(self, share: Share) -> None:
         """The lines of this share are to be sent from now on."""

@@ -60,7 +60,7 @@ class Place:
         self._listener = listener
         return listener
 
-    def mend(self) -> tuple[list[str], socket.socket | None]:
+    def repair(self) -> tuple[list[str], socket.socket | None]:
         """Make again what has been deleted, as cleaners of temporary folders do: nobody would find the daemon else.
 
         Returns:

@@ -27,7 +27,7 @@ _DEFAULT = ("position", "velocity", "effort")
 _QUEUE = 1_000_000
 
 
-class HeardRun:
+class RecordedFields:
     """Takes in the topics that a baseline has fields of, each from the end of the step in which it comes."""
 
     def __init__(self, client: Client, wanted: BaselineFields) -> None:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from slidectl.client import Client
 from slidectl.errors import SlidectlError
-from slidectl.scenarios.baselines import Baselines, HeardRun
+from slidectl.scenarios.baselines import Baselines, RecordedFields
 from slidectl.scenarios.case_run import BAD, ERROR, PASSED, CaseResult, CaseRun, Stage, WallTimeUp
 from slidectl.scenarios.scenario_file import Case, ScenarioStep
 from slidectl.scenarios.step_commands import Commands
@@ -70,7 +70,7 @@ class CaseRuns:
     def _run(self, case: Case, stage: Stage, folder: str, steps: Sequence[ScenarioStep]) -> CaseResult:
         if self.baselines is None:
             return CaseRun(case, self.commands, stage, self.sim_timeout, folder, steps, lambda: None).run()
-        heard = HeardRun(stage.client, case.baseline)
+        heard = RecordedFields(stage.client, case.baseline)
         result = CaseRun(case, self.commands, stage, self.sim_timeout, folder, steps, heard.look).run()
         if result.verdict == PASSED:
             self.baselines.judge(case, heard.table(), result)

@@ -210,10 +210,10 @@ class GraphNode:
         enter = self._entering(callback)
 
         def take(message: Message) -> None:
-            before = self._caution()
+            before = self._current_warning()
             enter(message)
             reasons = self.reasons
-            if before and self._caution() and reasons is not None and before not in reasons:
+            if before and self._current_warning() and reasons is not None and before not in reasons:
                 reasons.append(Reason(before, "warn"))  # no line on /rosout: there may be a thousand messages a second
 
         self._taken.append(self._graph.topics.subscribe(self._absolute(topic), type_name, self.name, take).close)
@@ -274,8 +274,8 @@ class GraphNode:
         """The actions of this handle and its children, in the order of their making."""
         return [*self._servers, *(server for child in self._children for server in child.servers_below())]
 
-    def _caution(self) -> str:
-        return self.caution if self._parent is None else self._parent._caution()
+    def _current_warning(self) -> str:
+        return self.caution if self._parent is None else self._parent._current_warning()
 
     def _entering(self, callback: Callable[P, T]) -> Callable[P, T]:
         """The callback in its guard, before which all handles above are told that somebody is about to call into what

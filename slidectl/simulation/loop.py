@@ -88,7 +88,7 @@ class RunState:
         self.holders: set[str] = set()
         """Nodes by whose requests alone the world goes on."""
         self.news_wanted = False
-        """True while `note_news` may end the steps that somebody asked for."""
+        """True while `note_message` may end the steps that somebody asked for."""
         self.on_news: Callable[[], None] = lambda: None
         """Called when they are to end with the cycle that runs."""
         self.lockstep: LockStepService | None = None
@@ -142,7 +142,7 @@ class RunState:
     def ask_steps(self, cycles: int, reader: str = "") -> Pending:
         """Pause, and run so many cycles more. Resolved with the number of cycles when they are done.
 
-        With a `reader`, which holds the world, it is not paused, and they end with the cycle in which `note_news` is
+        With a `reader`, which holds the world, it is not paused, and they end with the cycle in which `note_message` is
         called for that; where it is paused only those come that others ask for.
         """
         if not reader:
@@ -155,7 +155,7 @@ class RunState:
         self.news_wanted = self.news_wanted or bool(reader)
         return request.pending
 
-    def note_news(self, node: str = "") -> None:
+    def note_message(self, node: str = "") -> None:
         """There is a message for a node, or an answer for anybody."""
         for request in self.requests:
             if request.reader and node in ("", request.reader):

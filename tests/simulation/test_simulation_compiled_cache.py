@@ -48,7 +48,7 @@ def test_what_is_written_is_the_users_alone(folder: Path) -> None:
 def test_what_others_may_write_is_not_taken(folder: Path, place: str, mode: int) -> None:
     object_file.write(object_file.place(), b"code")
     (folder / place).chmod(mode)
-    with pytest.raises(object_file.NotOurs, match="belongs to somebody else, or others may write"):
+    with pytest.raises(object_file.UnsafeFile, match="belongs to somebody else, or others may write"):
         object_file._read(object_file.place())
 
 
@@ -62,7 +62,7 @@ def test_a_link_to_a_file_is_not_taken(folder: Path, tmp_path: Path) -> None:
 def test_a_file_of_somebody_else_is_not_taken(folder: Path) -> None:
     object_file.write(object_file.place(), b"code")
     os.chown(folder / "cycle-now.o", 12345, 12345)
-    with pytest.raises(object_file.NotOurs):
+    with pytest.raises(object_file.UnsafeFile):
         object_file._read(object_file.place())
 
 

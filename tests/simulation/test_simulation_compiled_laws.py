@@ -28,7 +28,7 @@ from slidectl.physics import robot_hw  # noqa: E402
 from slidectl.physics.loads import truncated  # noqa: E402
 from slidectl.physics.robot_hw import Drive  # noqa: E402
 from slidectl.simulation.compiled import tables  # noqa: E402
-from slidectl.simulation.compiled.compiler import column_type, teach_laws  # noqa: E402
+from slidectl.simulation.compiled.compiler import column_type, register_laws  # noqa: E402
 
 DATA = Path(__file__).parent.parent / "data"
 SCALAR_LAWS = [
@@ -63,7 +63,7 @@ VALUES = (
 
 @pytest.fixture(scope="module", autouse=True)
 def _taught() -> None:
-    teach_laws()
+    register_laws()
 
 
 def bits(value: Any) -> Any:

@@ -23,7 +23,7 @@ from slidectl.errors import NoDaemon, TimedOut
 _RULE = "-" * 80
 _CLIENT = re.compile(r"/slidectl_(?P<pid>\d+)_\d+\Z")
 _PERIOD_S = 1.0
-_PATIENCE_S = 10.0
+_TIMEOUT_S = 10.0
 _LOOK_AGAIN_S = 0.05
 
 
@@ -219,10 +219,10 @@ def _end(ctx: Context, node: str) -> None:
             os.kill(int(match["pid"]), signal.SIGINT)
     except PermissionError:
         raise Failure(f"ERROR: the process of {node} belongs to another user") from None
-    deadline = ctx.client.monotonic() + _PATIENCE_S
+    deadline = ctx.client.monotonic() + _TIMEOUT_S
     while any(ctx.call("/rosapi/node_details", {"node": node}).values()):
         if ctx.client.monotonic() > deadline:
-            raise TimedOut(f"{node} is still there after {_PATIENCE_S:g} s", f"kill -KILL {match['pid']}")
+            raise TimedOut(f"{node} is still there after {_TIMEOUT_S:g} s", f"kill -KILL {match['pid']}")
         ctx.pause(_LOOK_AGAIN_S)
 
 

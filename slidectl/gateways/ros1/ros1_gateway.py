@@ -59,7 +59,7 @@ class Ros1Gateway(Gateway):
         super().__init__()
         self._options = options
         self._paths: InstancePaths | None = None
-        self._stand_ins: dict[str, DaemonConnection | None] = {}
+        self._proxies: dict[str, DaemonConnection | None] = {}
         """Nodes of the daemon's graph that stand for foreign ones; None while the connection is being made."""
         self._following: asyncio.Task[None] | None = None
         self._graph_changed = asyncio.Event()
@@ -101,7 +101,7 @@ class Ros1Gateway(Gateway):
         self._parameters.attach(main)
         await main.subscribe(GRAPH_CHANGES, "std_msgs/Empty", lambda _: self._graph_changed.set())
         await main.subscribe(PARAMETER_CHANGES, "slidectl/ParameterChanges", self._take_changes)
-        await self._data.attach(self._connect_stand_in, main)
+        await self._data.attach(self._connect_proxy, main)
         if self._master is not None:
             await self._set_own_parameters()
             await self._open_rosout()
@@ -117,7 +117,7 @@ class Ros1Gateway(Gateway):
         self._parameters.detach()
         await self._data.detach()
         self._set_graph({"topics": [], "services": []})
-        self._stand_ins.clear()
+        self._proxies.clear()
         for connection in (self._main, self._rosout):
             if connection is not None:
                 connection.close()
@@ -221,21 +221,21 @@ class Ros1Gateway(Gateway):
         assert self._paths is not None
         return await DaemonConnection.open(self._paths, node, self.lost.set)
 
-    async def _connect_stand_in(self, node: str) -> DaemonConnection:
+    async def _connect_proxy(self, node: str) -> DaemonConnection:
         """One that stands for a foreign node; under another name when the daemon has a node of this one."""
         try:
-            return await self._stand_in(node)
+            return await self._proxy(node)
         except Refused as error:
             _log.warning("the node %s of ROS is %s_ros1 in slidectl: %s", node, node, error.message)
-            return await self._stand_in(f"{node}_ros1")
+            return await self._proxy(f"{node}_ros1")
 
-    async def _stand_in(self, name: str) -> DaemonConnection:
+    async def _proxy(self, name: str) -> DaemonConnection:
         """Raises as `_connect`."""
-        self._stand_ins[name] = None
+        self._proxies[name] = None
         try:
-            self._stand_ins[name] = connection = await self._connect(name)
+            self._proxies[name] = connection = await self._connect(name)
         except BaseException:
-            self._stand_ins.pop(name, None)  # `detach` may have come first
+            self._proxies.pop(name, None)  # `detach` may have come first
             raise
         return connection
 
@@ -282,11 +282,11 @@ class Ros1Gateway(Gateway):
     async def _take_graph(self) -> None:
         assert self._main is not None
         self._graph_changed.clear()
-        closed = [node for node, connection in self._stand_ins.items() if connection and not connection.is_open]
+        closed = [node for node, connection in self._proxies.items() if connection and not connection.is_open]
         self._set_graph(await self._main.call("/slidectl/graph"))
         for node in closed:  # the daemon has heard of that: this name may be anybody's now
-            if (connection := self._stand_ins.get(node)) and not connection.is_open:
-                del self._stand_ins[node]
+            if (connection := self._proxies.get(node)) and not connection.is_open:
+                del self._proxies[node]
 
     def _set_graph(self, state: dict[str, Any]) -> None:
         natives = self._natives
@@ -298,7 +298,7 @@ class Ros1Gateway(Gateway):
 
     def _is_hidden(self, node: str) -> bool:
         """True for what ROS is not to see: us, and what stands for foreign nodes."""
-        return node == OWN_NODE or node in self._stand_ins or node.startswith(f"/slidectl_{os.getpid()}_")
+        return node == OWN_NODE or node in self._proxies or node.startswith(f"/slidectl_{os.getpid()}_")
 
     def _take_changes(self, published: dict[str, Any]) -> None:
         if self._joined is not None:

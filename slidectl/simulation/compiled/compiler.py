@@ -34,7 +34,7 @@ from slidectl.simulation.compiled.tables import CONTROLLER, JOINT, RAISED, TABLE
 types: Any = numba.types
 carray: Any = numba.carray  # type: ignore[attr-defined]
 
-_MODESTY = 10
+_NICENESS = 10
 """How much the simulations that run meanwhile go first (nice)."""
 _MOST_LINES = 6
 """Of what numba says about a law."""
@@ -53,7 +53,7 @@ def record_type(names: Sequence[str], kinds: str) -> Any:
     return np.dtype(list(zip(names, formats, strict=True)))
 
 
-def teach_laws() -> None:
+def register_laws() -> None:
     """Let compiled functions call the laws, and what of `math` numba does not know."""
     fmod_of_c = types.ExternalFunction("fmod", types.float64(types.float64, types.float64))
 
@@ -68,7 +68,7 @@ def teach_laws() -> None:
 def compile_cycle() -> bytes:
     """The object file."""
     forms = list(enumerate(compiled_forms().values()))  # imports all controllers, and so their laws
-    teach_laws()
+    register_laws()
     step = types.ExternalFunction(guard.STEP, types.int64(*4 * [types.int64]))
 
     @overload(kernel.physics_step, strict=False)
@@ -111,7 +111,7 @@ def compile_law(content: bytes) -> bytes:
     """The object file of a user's law, from its description. Indices are checked in it. Raises as `_object_file`."""
     columns, law, functions = own_laws.rebuild(content)
     compiled_forms()
-    teach_laws()
+    register_laws()
     for function in functions:
         register_jitable(boundscheck=True)(function)
     row, member = (record_type(names, kinds) for names, kinds in columns)
@@ -200,7 +200,7 @@ def _object_file(code: list[str], entries: set[str]) -> bytes:
 
 def main() -> int:
     """Several of these at once wait for the first one and find its work done. What goes wrong is in the report."""
-    os.nice(_MODESTY)
+    os.nice(_NICENESS)
     if len(sys.argv) > 1:
         return _compile_law(object_file.folder() / sys.argv[1])
     try:

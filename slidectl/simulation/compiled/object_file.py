@@ -41,7 +41,7 @@ _SOURCES = (
 )
 
 
-class NotOurs(PermissionError):
+class UnsafeFile(PermissionError):
     """A file or folder that somebody else could have written."""
 
     def __init__(self, path: Path) -> None:
@@ -100,7 +100,7 @@ def report() -> Path:
 
 
 def prepare() -> None:
-    """See to it that the folder is there. Raises OSError: it cannot be made; NotOurs."""
+    """See to it that the folder is there. Raises OSError: it cannot be made; UnsafeFile."""
     if not folder().is_absolute():
         raise FileNotFoundError("there is no home folder, and XDG_CACHE_HOME names none")
     folder().mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -147,7 +147,7 @@ def tidy() -> None:
 
 
 def _read(path: Path) -> bytes:
-    """The code; it counts as used now. Raises OSError: not there, or damaged, which removes it; NotOurs."""
+    """The code; it counts as used now. Raises OSError: not there, or damaged, which removes it; UnsafeFile."""
     with open(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC), "rb") as file:
         _check_ours(path, os.fstat(file.fileno()))
         _check_ours(path.parent, path.parent.stat())
@@ -162,7 +162,7 @@ def _read(path: Path) -> bytes:
 
 def _check_ours(path: Path, found: os.stat_result) -> None:
     if found.st_uid != os.geteuid() or found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
-        raise NotOurs(path)
+        raise UnsafeFile(path)
 
 
 def machine() -> Any:
