@@ -47,8 +47,8 @@ AckermannSteeringController, FourWheelSteeringController
 Unspawner, GroupScript, StaticTransform, Viewer, Window, JointStatePublisher
 Throttle, Mux, TwistMux
 
-# For authors of controllers, of other sources of controllers, and of hardware.
-register_loader, ONGOING, set_joint_effort
+# For authors of controllers and of hardware.
+ONGOING, set_joint_effort
 
 # Transmissions, limits and PIDs of ros_control: compared with the original by vectors, used when transmissions are applied.
 SimpleTransmission, DifferentialTransmission, FourBarLinkageTransmission
