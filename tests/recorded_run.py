@@ -337,9 +337,9 @@ COLUMNS: dict[str, Callable[[Any], float]] = {
     "command.position": attrgetter("position"),
     "command.max_effort": attrgetter("max_effort"),
     "computed_command": attrgetter("command"),
-    **{f"limited.{name}": attrgetter(f"velocity.last.{name}") for name in ("linear", "angular")},
-    "limited.lin_x": attrgetter("velocity.last.linear"),
-    "limited.ang": attrgetter("velocity.last.angular"),
+    **{f"limited.{name}": attrgetter(f"velocity.last_{name}") for name in ("linear", "angular")},
+    "limited.lin_x": attrgetter("velocity.last_linear"),
+    "limited.ang": attrgetter("velocity.last_angular"),
 }
 """The other members that rows show."""
 

@@ -59,12 +59,12 @@ class Columns:
     ) -> None:
         """Names parted by blanks; `whole` are those of the others that are whole numbers or truth values.
 
-        `part.name` is an attribute of an attribute; its column is called `part_name`.
+        `part.name` is an attribute of an attribute; its column is called `name`.
         """
         self.changing = tuple(changing.split())
         self.attributes = (*self.changing, *fixed.split())
         paths = (*self.attributes, *places.split())
-        self.names = tuple(path.replace(".", "_") for path in paths)
+        self.names = tuple(path.rpartition(".")[2] for path in paths)
         self.kinds = "".join("q" if path in whole.split() else "d" for path in paths)
         self.size = 8 * len(self.names)
         self._all = Struct("=" + self.kinds)

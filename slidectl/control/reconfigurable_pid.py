@@ -12,7 +12,7 @@ from typing import Any
 
 from slidectl.control import params
 from slidectl.control.duration import from_seconds, to_stamp
-from slidectl.control.node_handle import Message, NodeHandle, ParameterChange
+from slidectl.control.node_handle import Message, NodeHandle, ParameterChange, publish_if_wanted
 from slidectl.control.params import BOOLEAN, NUMBER, Parameter, check_values
 from slidectl.control.pid import Gains, Pid
 from slidectl.control.reconfigure import Option, ReconfigureServer, Values
@@ -178,10 +178,7 @@ class _StatePublisher:
 
     def publish(self, period_s: float) -> None:
         """The state after a command that was computed for this period."""
-        if self._publisher.wanted:
-            self._publisher.publish(self._message(period_s))
-        else:
-            self._publisher.sequence += 1
+        publish_if_wanted(self._publisher, lambda: self._message(period_s))
 
     def _message(self, period_s: float) -> Message:
         pid = self._pid
