@@ -5,14 +5,14 @@ What the numbers do, the error and what becomes of it are the children's part.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from math import isfinite
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from slidectl import names
 from slidectl.control import params
 from slidectl.control.controller_interface import Controller, Parts, State
-from slidectl.control.duration import to_stamp
+from slidectl.control.duration import header_of
 from slidectl.control.hardware_interface import JointCommandInterface, JointHandle
 from slidectl.control.laws import law
 from slidectl.control.node_handle import Message, MessageCallback, NodeHandle, Publisher
@@ -163,6 +163,8 @@ class PidController(ScalarController):
     """A joint, its PID, and its state on every tenth update."""
 
     parameters: ClassVar[tuple[Parameter, ...]] = (JOINT, *within("pid", GAINS))
+    track: ClassVar[Callable[[Any, Pid, JointHandle, float], None]]
+    """The law of an update: it commands the joint, and leaves the error in this controller."""
     _pid: Pid
     _reconfigurable_pid: ReconfigurablePid
     _state: Publisher
@@ -190,30 +192,35 @@ class PidController(ScalarController):
         return Parts((self._state,), self._joint, self._pid, (self._joint,))
 
     def _offer_pid(self, node: NodeHandle) -> None:
+        """Offer the gains, and the state. Raises SlidectlError: they are missing or wrong."""
         self._reconfigurable_pid = ReconfigurablePid(node.child("pid"))
         self._pid = self._reconfigurable_pid.pid
-
-    def _offer_state(self, node: NodeHandle) -> None:
         self._state = node.advertise("state", "control_msgs/JointControllerState")
 
-    def _tell_state(self, time_ns: int, period_s: float, *, value: float, value_dot: float) -> None:
-        self._state.sequence = self.states - 1
-        self._state.publish(self._state_message(time_ns, period_s, value, value_dot))
+    def update(self, time_ns: int, period_s: float) -> None:
+        self.track(self, self._pid, self._joint, period_s)
+        if self._pid.observer is not None:
+            self._pid.tell(self.error, period_s)
+        if state_is_due(self) and self._state.wanted:
+            self.publish(time_ns, period_s)
 
-    def _state_message(self, time_ns: int, period_s: float, value: float, value_dot: float) -> Message:
+    def _tell_state(self, time_ns: int, period_s: float, *, value: float, value_dot: float) -> None:
         """As control_msgs/JointControllerState."""
         pid = self._pid
-        return {
-            "header": {"seq": 0, "stamp": to_stamp(time_ns), "frame_id": ""},
-            "set_point": self.set_point,
-            "process_value": value,
-            "process_value_dot": value_dot,
-            "error": self.error,
-            "time_step": period_s,
-            "command": self._joint.command,
-            "p": pid.p,
-            "i": pid.i,
-            "d": pid.d,
-            "i_clamp": pid.i_max,
-            "antiwindup": pid.antiwindup,
-        }
+        self._state.sequence = self.states - 1
+        self._state.publish(
+            {
+                "header": header_of(time_ns),
+                "set_point": self.set_point,
+                "process_value": value,
+                "process_value_dot": value_dot,
+                "error": self.error,
+                "time_step": period_s,
+                "command": self._joint.command,
+                "p": pid.p,
+                "i": pid.i,
+                "d": pid.d,
+                "i_clamp": pid.i_max,
+                "antiwindup": pid.antiwindup,
+            }
+        )

@@ -11,7 +11,7 @@ from math import isfinite, isnan
 from typing import Any
 
 from slidectl.control import params
-from slidectl.control.duration import from_seconds, to_stamp
+from slidectl.control.duration import from_seconds, header_of, to_stamp
 from slidectl.control.node_handle import Message, NodeHandle, ParameterChange, publish_if_wanted
 from slidectl.control.params import BOOLEAN, NUMBER, Parameter, check_values
 from slidectl.control.pid import Gains, Pid
@@ -184,7 +184,7 @@ class _StatePublisher:
         pid = self._pid
         terms = pid.terms()
         return {
-            "header": {"seq": 0, "stamp": to_stamp(self._node.now_ns()), "frame_id": ""},
+            "header": header_of(self._node.now_ns()),
             "timestep": to_stamp(from_seconds(period_s)),
             "error": pid.p_error,
             "error_dot": pid.d_error,

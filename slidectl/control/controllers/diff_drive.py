@@ -294,7 +294,8 @@ class DiffDriveController(BaseController, Controller[VelocityJointInterface]):
                 return
             left, right = left * self.left_radius, right * self.right_radius
             roll(self.odometry, self.odometry.past, left, right, self.width, time_ns)
-        follow_velocity(self.velocity, self.velocity.limits, *self.commands.at(time_ns), period_s)
+        linear, angular = self.commands.at(time_ns)
+        self.velocity.follow(linear, angular, period_s)
         linear, angular = self.velocity.last_linear, self.velocity.last_angular
         if self._cmd is not None:
             publish_if_wanted(

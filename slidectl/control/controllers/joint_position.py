@@ -102,12 +102,12 @@ class JointPositionController(PidController):
             whole=f"updates_to_state states {_WHOLE}",
         ),
     )
+    track = staticmethod(track_position)
 
     def init(self, interface: JointCommandInterface, node: NodeHandle) -> None:
         """Raises SlidectlError: a parameter, the joint, or the robot description is missing."""
         name = params.needed_text(node, JOINT.name)
         self._offer_pid(node)
-        self._offer_state(node)
         self._joint = interface.get_handle(name)
         self.lower, self.upper, self.turns = range_of(joint_on_paper(node, name))
         self.set_velocity = 0.0
@@ -128,13 +128,6 @@ class JointPositionController(PidController):
         self.set_point = within_limits(self, value)
         self.has_set_velocity = velocity is not None
         self.set_velocity = 0.0 if velocity is None else velocity
-
-    def update(self, time_ns: int, period_s: float) -> None:
-        track_position(self, self._pid, self._joint, period_s)
-        if self._pid.observer is not None:
-            self._pid.tell(self.error, period_s)
-        if state_is_due(self) and self._state.wanted:
-            self.publish(time_ns, period_s)
 
     def publish(self, time_ns: int, period_s: float) -> None:
         """The state after an update."""

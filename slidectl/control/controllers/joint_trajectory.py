@@ -18,7 +18,7 @@ from typing import Any, ClassVar, NamedTuple
 from slidectl.control import params, segments
 from slidectl.control.angular_distance import shortest_angular_distance
 from slidectl.control.controller_interface import Compiled, Member, Parts, State
-from slidectl.control.duration import NANOSECONDS, from_seconds, from_stamp, nearest_ns, to_seconds, to_stamp
+from slidectl.control.duration import NANOSECONDS, from_seconds, from_stamp, header_of, nearest_ns, to_seconds, to_stamp
 from slidectl.control.goals import MONITOR_RATE, ActionController, MonitoredGoal, period_of
 from slidectl.control.hardware_interface import (
     EffortJointInterface,
@@ -85,7 +85,6 @@ class StateTolerances(NamedTuple):
 
     position: float = 0.0
     velocity: float = 0.0
-    acceleration: float = 0.0
 
     def updated(self, message: Message) -> StateTolerances:
         """With what a control_msgs/JointTolerance says: above 0 replaces, below 0 switches off, 0 keeps."""
@@ -101,7 +100,7 @@ class SegmentTolerances(NamedTuple):
 
     def numbers(self) -> tuple[float, ...]:
         """As they stand in a segment."""
-        return *self.path[:2], *self.goal[:2], self.goal_time_s
+        return *self.path, *self.goal, self.goal_time_s
 
 
 def _replaced(old: float, new: float) -> float:
@@ -484,7 +483,7 @@ class JointTrajectoryController(ActionController[Any]):
     def _message(self) -> Message:
         """As control_msgs/JointTrajectoryControllerState, and as the action's feedback."""
         return {
-            "header": {"seq": 0, "stamp": to_stamp(self.time_ns), "frame_id": ""},
+            "header": header_of(self.time_ns),
             "joint_names": self._names,
             "desired": self.desired.message(with_accelerations=True),
             "actual": self.actual.message(),
@@ -642,7 +641,9 @@ class JointTrajectoryController(ActionController[Any]):
         next_s, start_s = to_seconds(next_uptime_ns), to_seconds(start_uptime_ns)
         begin_s = max(start_s, next_s)
         tolerances = None if goal is None else self._goal_tolerances(goal.goal)
-        trajectory = [_for_goal(rows, next_s, goal_number) for rows in self._trajectory]
+        trajectory = [rows.copy() for rows in self._trajectory]
+        for rows in trajectory:  # of a joint that is not named, the segments to come count for the new goal
+            rows[segments.find(rows, next_s) :, GOAL] = goal_number
         begins = segments.states([segments.sample_at(self._trajectory[k], begin_s) for k in order])
         for column, k in enumerate(order):
             first_position = float(states[0, 0, column])
@@ -697,13 +698,6 @@ class JointTrajectoryController(ActionController[Any]):
                     "warn", f"{self._node.namespace} has no joint {message['name']!r}: its tolerance is ignored"
                 )
         return found
-
-
-def _for_goal(rows: segments.Rows, next_s: float, goal_number: int) -> segments.Rows:
-    """The segments of a joint that a trajectory does not name: those to come count for the new goal."""
-    rows = rows.copy()
-    rows[segments.find(rows, next_s) :, GOAL] = goal_number
-    return rows
 
 
 def _time(time_ns: int) -> int:

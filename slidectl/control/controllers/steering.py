@@ -143,7 +143,8 @@ class AckermannSteeringController(BaseController, MultiInterfaceController):
         if odometry_is_due(self.topics, time_ns):
             place = odometry.x, odometry.y, odometry.heading
             self.topics.publish(time_ns, place, (odometry.linear, 0.0, odometry.angular))
-        self.velocity.follow(*self._commands[0].at(time_ns), period_s)
+        linear, angle = self._commands[0].at(time_ns)
+        self.velocity.follow(linear, angle, period_s)
         self._wheel.command = self.velocity.last_linear / self._radius
         self._steer.command = self.velocity.last_angular
 
@@ -347,7 +348,8 @@ class FourWheelSteeringController(BaseController, MultiInterfaceController):
             angles = Angles(clamp(front, -pi / 2, pi / 2), clamp(rear, -pi / 2, pi / 2))
             wheels, steering = self._by_axles(velocity.last_linear, angles)
         else:
-            velocity.follow(*self._twists.at(time_ns), period_s)
+            linear, angular = self._twists.at(time_ns)
+            velocity.follow(linear, angular, period_s)
             wheels, steering = self._by_twist(velocity.last_linear, velocity.last_angular)
         for joint, command in zip(self._joints, (*wheels, *steering), strict=True):
             joint.command = command
