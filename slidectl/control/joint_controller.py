@@ -5,7 +5,7 @@ What the numbers do, the error and what becomes of it are the children's part.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from math import isfinite
 from typing import Any, ClassVar
 
@@ -163,8 +163,6 @@ class PidController(ScalarController):
     """A joint, its PID, and its state on every tenth update."""
 
     parameters: ClassVar[tuple[Parameter, ...]] = (JOINT, *within("pid", GAINS))
-    track: ClassVar[Callable[[Any, Pid, JointHandle, float], None]]
-    """The law of an update: it commands the joint, and leaves the error in this controller."""
     _pid: Pid
     _reconfigurable_pid: ReconfigurablePid
     _state: Publisher
@@ -196,6 +194,11 @@ class PidController(ScalarController):
         self._reconfigurable_pid = ReconfigurablePid(node.child("pid"))
         self._pid = self._reconfigurable_pid.pid
         self._state = node.advertise("state", "control_msgs/JointControllerState")
+
+    @staticmethod
+    def track(goal: Any, pid: Pid, joint: JointHandle, period_s: float) -> None:
+        """The law of an update: it commands the joint, and leaves the error in this controller."""
+        raise NotImplementedError
 
     def update(self, time_ns: int, period_s: float) -> None:
         self.track(self, self._pid, self._joint, period_s)

@@ -16,8 +16,7 @@ from slidectl.description.robot import Joint, Link, Robot
 from slidectl.errors import UnknownName
 from slidectl.physics.builder import SCALAR_TYPES, lumps
 from slidectl.physics.hulls import Hulls
-from slidectl.physics.rotation import wxyz
-from slidectl.rotations import IDENTITY, Pose, Vector, compose, subtract
+from slidectl.rotations import IDENTITY, Pose, Vector, compose, subtract, wxyz
 
 Array = np.ndarray[Any, np.dtype[Any]]
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeVar
 
 from slidectl.control.angular_distance import distance_with_limits, shortest_angular_distance, unwrapped
@@ -79,19 +78,10 @@ class MissingJoint(BadTransmission):
         )
 
 
-@dataclass(slots=True)
-class Bounds:
-    """What PID modes and motors need of the limits: m or rad, N or N·m; the largest float where there is none."""
-
-    lower: float = -LARGEST
-    upper: float = LARGEST
-    effort: float = LARGEST
-
-
 class HardwareJoint:
-    """A driven joint: where it is in the world, its handle, the interface it takes commands by, and its bounds."""
+    """A driven joint: its handle, the interface it takes commands by, and its bounds."""
 
-    __slots__ = ("bounds", "handle", "interface", "joint", "limit", "name", "quantity")
+    __slots__ = ("handle", "interface", "joint", "limit", "lower", "most_effort", "name", "quantity", "upper")
 
     def __init__(self, joint: Joint, interface: type[JointCommands[Any]]) -> None:
         self.name = joint.name
@@ -99,7 +89,8 @@ class HardwareJoint:
         self.interface = interface
         self.quantity = interface.declared.quantity
         self.handle = interface.handle_type(joint.name)
-        self.bounds = Bounds()
+        self.lower, self.upper, self.most_effort = -LARGEST, LARGEST, LARGEST
+        """What PID modes and motors need of the limits: m or rad, N or N·m."""
         self.limit: LimitHandle | None = None
         self.reset()
 
@@ -140,9 +131,9 @@ class HardwareJoint:
         if limits is None:
             return
         if limits.has_position_limits:
-            self.bounds.lower, self.bounds.upper = limits.min_position, limits.max_position
+            self.lower, self.upper = limits.min_position, limits.max_position
         if limits.has_effort_limits:
-            self.bounds.effort = limits.max_effort
+            self.most_effort = limits.max_effort
         soft = soft_limits_from_parameters(node, self.name) or soft_limits_from_joint(self.joint)
         self.limit = limit_handle(self.interface, self.handle, limits, soft)
         self.handle.lowest, self.handle.highest = self.limit.command_bounds()
@@ -233,7 +224,7 @@ class Drive:
         self.handle = joint.handle
         self.kind = kind
         self.pid = pid
-        self.lower, self.upper, self.limit = joint.bounds.lower, joint.bounds.upper, joint.bounds.effort
+        self.lower, self.upper, self.limit = joint.lower, joint.upper, joint.most_effort
         limit = joint.joint.limit
         self.fastest = -1.0 if limit is None else REACH * limit.velocity
         self.truncation = EffortTruncation.of(joint.joint)

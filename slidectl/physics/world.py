@@ -7,7 +7,7 @@ carried over every rebuild of the model, to the last bit. SI units; quaternions 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -21,7 +21,7 @@ from slidectl.errors import Refused, SlidectlError, UnknownName, listing
 from slidectl.physics import hulls, mujoco_library
 from slidectl.physics.body import Body
 from slidectl.physics.hulls import Hulls
-from slidectl.physics.loads import JointForce, Loads, LoadsState, Wrench
+from slidectl.physics.loads import JointForce, Loads, Wrench
 from slidectl.physics.observer import Observer, Twist
 from slidectl.physics.touching import depths, link_of
 from slidectl.physics.world_spec import Settings, WorldSpec
@@ -97,7 +97,7 @@ class _State(NamedTuple):
     bodies: dict[str, Body]
     model: Any
     data: Any
-    loads: LoadsState
+    loads: dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ class World:
         self._bodies: dict[str, Body] = {}
         self._listeners: list[Callable[[], None]] = []
         self.loads = Loads()
-        self.clock: Callable[[], int] = self._own_clock
+        self.clock: Callable[[], int] = lambda: round(float(self.data.time + self._settings.timestep) * 1e9)
         """Time in ns of the cycle that is stepped, for forces with a start and an end; the simulation puts its own."""
         self._spec: WorldSpec | None = WorldSpec(self._settings)
         self._install(self._spec.compile(), 0.0)
@@ -223,7 +223,7 @@ class World:
         self._spec = spec
 
     def _state(self) -> _State:
-        return _State(self._bodies, self.model, self.data, self.loads.captured())
+        return _State(self._bodies, self.model, self.data, self.loads.snapshot())
 
     def _go_back(self, before: _State) -> None:
         """Be again what the world was before a robot came or went; no step has been made since.
@@ -235,7 +235,7 @@ class World:
         self._use(before.model, before.data)
         for body in before.bodies.values():
             body.bind(before.model, before.data)
-        self.loads.put(before.loads)
+        self.loads.restore(before.loads, before.bodies)
         self._bind_loads()
         self._announce_all()
 
@@ -293,7 +293,12 @@ class World:
 
     def check(self) -> None:
         """Raises Diverged when a robot's state is not finite or huge. A few microseconds: meant for once per slice."""
-        check_divergence(self.data, self._bodies.values())
+        positions, velocities = np.abs(self.data.qpos) < HUGE, np.abs(self.data.qvel) < HUGE
+        if positions.all() and velocities.all():
+            return
+        for body in self._bodies.values():
+            if not (positions[body.coordinates].all() and velocities[body.dofs].all()):
+                raise Diverged(body.name)
 
     def _step_with_loads(self) -> None:
         self.loads.step(self.model, self.data, self.clock())
@@ -310,9 +315,6 @@ class World:
         self._choose_step()
         if before != self.step:
             self._announce()
-
-    def _own_clock(self) -> int:
-        return round(float(self.data.time + self._settings.timestep) * 1e9)
 
     @property
     def timestep(self) -> float:
@@ -586,16 +588,6 @@ def positive(timestep: float) -> float:
     if not (math.isfinite(timestep) and timestep > 0.0):
         raise Refused(f"a time step of {timestep} s is not possible", "give a number above 0, such as 0.001")
     return float(timestep)
-
-
-def check_divergence(data: Any, bodies: Iterable[Body]) -> None:
-    """Raises Diverged, naming the first robot of which a position or velocity is not finite or huge."""
-    positions, velocities = np.abs(data.qpos) < HUGE, np.abs(data.qvel) < HUGE
-    if positions.all() and velocities.all():
-        return
-    for body in bodies:
-        if not (positions[body.coordinates].all() and velocities[body.dofs].all()):
-            raise Diverged(body.name)
 
 
 def carry_over(model: Any, data: Any, new_model: Any, new_data: Any, gone: Body | None) -> None:
