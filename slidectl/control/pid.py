@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from math import isfinite
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 from slidectl.control.laws import Columns, law
 
@@ -109,7 +109,7 @@ def next_command(pid: Pid, error: float, period_s: float) -> float:
 
 
 class Pid:
-    """Gains and state of one loop. A copy has the gains and a state that is reset.
+    """Gains and state of one loop.
 
     Errors are in units of the controlled quantity, periods in seconds.
     """
@@ -188,6 +188,3 @@ class Pid:
         if not self.antiwindup:
             i_term = min(max(i_term, self.i_min), self.i_max)
         return Terms(self.p * self.p_error, i_term, self.d * self.d_error)
-
-    def __copy__(self) -> Self:
-        return type(self)(*self.gains)

@@ -159,15 +159,6 @@ class TestSetPoint:
         bench.run(2)
         assert bench.robot.joints["joint1"].command == 0.0
 
-    def test_a_velocity_may_go_with_the_position(self):
-        bench = bench_with(urdf(), pid={"p": 1.0, "d": 10.0})
-        bench.start("arm")
-        joint = bench.robot.joints["joint1"]
-        joint.velocity = 0.1
-        bench.manager.get("arm").set_command(0.5, velocity=0.3)
-        bench.run()
-        assert joint.command == pytest.approx(0.5 + 10.0 * (0.3 - 0.1))
-
 
 class TestAngles:
     def command_of(self, xml, position, set_point):

@@ -306,12 +306,12 @@ class MeasuredJoints(NamedTuple):
     accelerations: list[float]
     time_from_start_s: float = 0.0
 
-    def message(self, with_accelerations: bool = False) -> Message:
+    def message(self) -> Message:
         """As trajectory_msgs/JointTrajectoryPoint."""
         return {
             "positions": self.positions,
             "velocities": self.velocities,
-            "accelerations": self.accelerations if with_accelerations else [],
+            "accelerations": self.accelerations,
             "effort": [],
             "time_from_start": to_stamp(from_seconds(self.time_from_start_s)),
         }
@@ -485,7 +485,7 @@ class JointTrajectoryController(ActionController[Any]):
         return {
             "header": header_of(self.time_ns),
             "joint_names": self._names,
-            "desired": self.desired.message(with_accelerations=True),
+            "desired": self.desired.message(),
             "actual": self.actual.message(),
             "error": self.error.message(),
         }
