@@ -209,21 +209,16 @@ class MultiInterfaceController(ControllerBase):
         """The same, for a controller that needs the robot's namespace too. Called after `init`."""
 
     def _claim(self, hw: RobotHW, root: NodeHandle, node: NodeHandle) -> tuple[ClaimedResources, ...]:
-        interfaces = self._interfaces(hw)
+        interfaces: list[AnyInterface] = []
         restricted = RobotHW()
-        for interface in interfaces:
-            interface.take_claims()
-            restricted.register_interface(interface)
+        for interface_type in self.interface_types:
+            interface: AnyInterface | None = hw.get(interface_type)
+            if interface is not None:
+                interface.take_claims()
+                interfaces.append(interface)
+                restricted.register_interface(interface)
+            elif not self.allow_optional_interfaces:
+                raise MissingInterface(interface_type.type_name, hw)
         self.init(restricted, node)
         self.init_in_root(restricted, root, node)
         return tuple(ClaimedResources(interface.type_name, interface.take_claims()) for interface in interfaces)
-
-    def _interfaces(self, hw: RobotHW) -> list[AnyInterface]:
-        found: list[AnyInterface] = []
-        for interface_type in self.interface_types:
-            interface: Any = hw.get(interface_type)
-            if interface is not None:
-                found.append(interface)
-            elif not self.allow_optional_interfaces:
-                raise MissingInterface(interface_type.type_name, hw)
-        return found

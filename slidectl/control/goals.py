@@ -27,13 +27,17 @@ def period_of(node: NodeHandle, rate: Parameter) -> int:
     Raises:
         Refused: it is not above 0, or no clock can count its period.
     """
-    value = params.value_of(node, rate)
+    return checked_period(node, rate.name, params.value_of(node, rate))
+
+
+def checked_period(node: NodeHandle, name: str, rate: float) -> int:
+    """The same of a rate that the parameter of this name is to have. Raises Refused."""
     try:
-        period_ns = from_seconds(1.0 / value if value > 0.0 else inf)
+        period_ns = from_seconds(1.0 / rate if rate > 0.0 else inf)
     except BadDuration:
         period_ns = 0
     if period_ns <= 0:
-        raise Refused(f"parameter {node.namespace}/{rate.name} must be a rate above 0, not {value:g}")
+        raise Refused(f"parameter {node.namespace}/{name} must be a rate above 0, not {rate:g}")
     return period_ns
 
 

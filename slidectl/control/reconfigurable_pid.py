@@ -80,7 +80,8 @@ class ReconfigurablePid:
         self._writing = True
         try:
             for name, value in values.items():
-                if not _same(self._node.get_param(name, None), value):
+                there = self._node.get_param(name, None)
+                if type(there) is not type(value) or there != value:  # `param get` prints 1, 1.0 and true differently
                     self._node.set_param(name, value)
         finally:
             self._writing = False
@@ -90,13 +91,9 @@ class ReconfigurablePid:
         if self._writing:
             return
         check_values(self._node, GAINS, change)
-        if change.deletes:
-            self._refuse_deletion(change)
-
-    def _refuse_deletion(self, change: ParameterChange) -> None:
         after = change.after if isinstance(change.after, dict) else {}
         gone = [name for name in to_parameters(self.pid.gains) if name not in after]
-        if gone:
+        if change.deletes and gone:
             raise Refused(
                 f"{self._node.namespace}/{gone[0]} is a gain of a loaded controller and cannot be deleted",
                 "unload the controller first: slidectl controller unspawn NAME",
@@ -149,11 +146,6 @@ def gains_from_parameters(node: NodeHandle, base: Gains | None = None) -> Gains:
             antiwindup=base.antiwindup if antiwindup is None else antiwindup,
         ),
     )
-
-
-def _same(value: Any, other: float | bool) -> bool:
-    """Equal and of one type: `param get` prints 1, 1.0 and true differently."""
-    return type(value) is type(other) and bool(value == other)
 
 
 def _first(value: float | None, otherwise: float) -> float:

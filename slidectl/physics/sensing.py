@@ -227,7 +227,10 @@ def touches(world: World, robot: str, link: str) -> list[Touch]:
     wrench = np.zeros(6)
     for index in range(data.ncon):
         contact = data.contact[index]
-        names = [_touching(model, int(geom), robots) for geom in contact.geom]
+        names = []
+        for geom in contact.geom.tolist():
+            other = robots.get(int(model.body_rootid[model.geom_bodyid[geom]]))
+            names.append(GROUND if other is None else f"{other}::{link_of(model, geom, other)}")
         for own in (0, 1):
             if names[own] != f"{robot}::{link}":
                 continue
@@ -260,8 +263,3 @@ def contacts(world: World) -> Iterator[tuple[Vector, Vector]]:
 def _vector(array: Array) -> Vector:
     x, y, z = array.tolist()
     return x, y, z
-
-
-def _touching(model: mujoco.MjModel, geom: int, robots: dict[int, str]) -> str:
-    robot = robots.get(int(model.body_rootid[model.geom_bodyid[geom]]))
-    return GROUND if robot is None else f"{robot}::{link_of(model, geom, robot)}"

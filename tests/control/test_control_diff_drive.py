@@ -335,3 +335,11 @@ class TestReconfiguring:
         with pytest.raises(Refused, match="publish_rate must be a rate above 0"):
             base.graph.set(f"{NAMESPACE}/publish_rate", rate)
         assert base.graph.get(f"{NAMESPACE}/publish_rate") == 50.0
+
+    @pytest.mark.parametrize("rate", [1e-12, 1e10])
+    def test_a_rate_whose_period_no_clock_can_count_does_not_stand_in_the_parameters(
+        self, base: Base, rate: float
+    ) -> None:
+        with pytest.raises(Refused, match="publish_rate must be a rate above 0"):
+            base.graph.set(f"{NAMESPACE}/publish_rate", rate)
+        assert base.graph.get(f"{NAMESPACE}/publish_rate") == 50.0

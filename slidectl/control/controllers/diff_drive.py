@@ -11,12 +11,13 @@ from __future__ import annotations
 
 from array import array
 from dataclasses import replace
-from math import inf, isfinite, isnan, nan, sqrt
+from math import isfinite, isnan, nan, sqrt
 from typing import Any, ClassVar
 
 from slidectl.control import params
 from slidectl.control.controller_interface import Compiled, Controller, Member, Parts
 from slidectl.control.duration import from_seconds, header_of, to_seconds, to_stamp
+from slidectl.control.goals import checked_period
 from slidectl.control.hardware_interface import JointHandle, VelocityJointInterface
 from slidectl.control.laws import Columns, LawTables, law
 from slidectl.control.mobile_base import (
@@ -236,11 +237,10 @@ class DiffDriveController(BaseController, Controller[VelocityJointInterface]):
         for name in MULTIPLIERS:
             if name in values and (values[name] == 0.0 or not isfinite(values[name])):
                 raise Refused(f"{self._node.namespace}/{name} must be a number other than {values[name]:g}")
-        if not 0.0 < values.get("publish_rate", 1.0) < inf:
-            raise Refused(f"{self._node.namespace}/publish_rate must be a rate above 0")
+        checked_period(self._node, PUBLISH_RATE.name, values.get(PUBLISH_RATE.name, 1.0))
 
     def _take_values(self, values: Values) -> None:
-        """Use these from the next update on. Raises BadDuration: no clock can count the period; nothing changes."""
+        """Use these from the next update on."""
         self.topics.period_ns = from_seconds(1.0 / values["publish_rate"])
         self._values = dict(values)
         left, right, separation = (values[name] for name in MULTIPLIERS)
