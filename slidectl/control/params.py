@@ -60,11 +60,6 @@ def as_boolean(value: Any) -> bool | None:
     return value if isinstance(value, bool) else None
 
 
-def as_text(value: Any) -> str | None:
-    """Only a string."""
-    return value if isinstance(value, str) else None
-
-
 def as_texts(value: Any) -> list[str] | None:
     """A list of nothing but strings."""
     return list(value) if isinstance(value, list) and all(isinstance(item, str) for item in value) else None
@@ -88,7 +83,7 @@ class Kind(NamedTuple, Generic[T]):
 NUMBER = Kind("a number", as_number)
 INTEGER = Kind("an integer", as_integer)
 BOOLEAN = Kind("true or false", as_boolean)
-TEXT = Kind("a string", as_text)
+TEXT = Kind("a string", lambda value: value if isinstance(value, str) else None)
 TEXTS = Kind("a list of strings", as_texts)
 NUMBERS = Kind("a list of numbers", as_numbers)
 LIST = Kind("a list", lambda value: value if isinstance(value, list) else None)

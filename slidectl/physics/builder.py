@@ -395,7 +395,9 @@ class RobotBuilder:
         Raises:
             BadInertia, BadJoint, BadShape: naming the robot and the link or joint.
         """
-        check_depth(self.robot, self.name)
+        joint = too_deep(self.robot.root, self.robot.joints)
+        if joint is not None:
+            raise BadJoint(self.name, joint, TOO_DEEP)
         places: dict[str, tuple[Any, Pose]] = {}
         for lump in lumps(self.robot):
             body = self._root(pose) if lump.joint is None else self._child(*places[lump.joint.parent], lump.joint)
@@ -536,13 +538,6 @@ def range_of(joint: Joint) -> tuple[float, float] | None:
         half = max(NARROWEST_RANGE / 2, math.ulp(middle))
         return middle - half, middle + half
     return lower, upper
-
-
-def check_depth(robot: Robot, name: str) -> None:
-    """Raises BadJoint for a link that hangs too far below the root."""
-    joint = too_deep(robot.root, robot.joints)
-    if joint is not None:
-        raise BadJoint(name, joint, TOO_DEEP)
 
 
 def check_moving_masses(robot: Robot, name: str) -> None:

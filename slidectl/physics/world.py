@@ -145,7 +145,7 @@ class World:
         if name in self._bodies:
             raise Refused(f"a robot named {name!r} is in the world already", "give another name, or delete it first")
         known = hulls.read_all(robot) if hulls_read is None else hulls_read
-        body = Body(name, robot, (finite(pose[0]), normalized(finite4(pose[1]))), known)
+        body = Body(name, robot, finite_pose(pose), known)
         spec = WorldSpec(self._settings, (body,))
         model = spec.compile(name)
         body.bind(model, None)
@@ -441,7 +441,7 @@ class World:
             UnknownName: no such robot. Refused: not finite.
         """
         body = self.body(name)
-        body.put_root((finite(pose[0]), normalized(finite4(pose[1]))))
+        body.put_root(finite_pose(pose))
         self._observer.invalidate()
         if twist is not None and not body.robot.is_fixed_to_world:
             self.set_root_twist(name, (finite(twist[0]), finite(twist[1])))
@@ -579,9 +579,9 @@ def finite(vector: Vector) -> Vector:
     return (x, y, z)
 
 
-def finite4(values: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
-    a, b, c, d = (number(part) for part in values)
-    return (a, b, c, d)
+def finite_pose(pose: Pose) -> Pose:
+    x, y, z, w = (number(part) for part in pose[1])
+    return finite(pose[0]), normalized((x, y, z, w))
 
 
 def positive(timestep: float) -> float:

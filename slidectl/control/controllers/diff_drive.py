@@ -52,6 +52,7 @@ from slidectl.control.registry import controller
 from slidectl.control.robot_description import find_joint, robot_on_paper
 from slidectl.description.robot import Cylinder, Sphere
 from slidectl.errors import Refused
+from slidectl.rotations import subtract
 
 WHEELS = Kind("a string or a list of strings", lambda value: [value] if isinstance(value, str) else as_texts(value))
 
@@ -213,8 +214,8 @@ class DiffDriveController(BaseController, Controller[VelocityJointInterface]):
             robot = robot_on_paper(root)
             one, other = find_joint(robot, left), find_joint(robot, right)
             if separation is None:
-                pairs = zip(one.origin.xyz, other.origin.xyz, strict=True)
-                separation = sqrt(sum((a - b) * (a - b) for a, b in pairs))
+                x, y, z = subtract(one.origin.xyz, other.origin.xyz)
+                separation = sqrt(x * x + y * y + z * z)
             if radius is None:
                 radius = wheel_radius(node, robot, one, (Cylinder, Sphere))
         check_lengths(node, wheel_separation=separation, wheel_radius=radius)
@@ -403,7 +404,7 @@ def _or(value: Any, default: Any) -> Any:
 
 
 def _mean_position(joints: list[JointHandle]) -> float:
-    total = 0.0
+    total = 0.0  # not by `sum`, which compensates for rounding in newer versions of Python
     for joint in joints:
         total += joint.position
     return total / len(joints)

@@ -96,6 +96,7 @@ class JointPositionController(PidController):
             fixed=_GOAL,
             whole="updates_to_state states turns",
         ),
+        instead_of="track",
     )
     track = staticmethod(track_position)
 

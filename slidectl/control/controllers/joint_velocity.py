@@ -41,6 +41,7 @@ class JointVelocityController(PidController):
     compiled = Compiled(
         update_velocity,
         Columns(changing="error updates_to_state states", fixed="set_point", whole="updates_to_state states"),
+        instead_of="track",
     )
     track = staticmethod(track_velocity)
 
