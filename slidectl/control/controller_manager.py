@@ -100,7 +100,7 @@ class UpdateTimes:
 class LoadedController:
     """One entry of a manager's list. Times are nanoseconds of simulated time."""
 
-    __slots__ = ("_watched", "controller", "failure", "info", "may_compile", "node", "times")
+    __slots__ = ("_is_of_user", "_watched", "controller", "failure", "info", "may_compile", "node", "times")
 
     def __init__(
         self,
@@ -119,6 +119,7 @@ class LoadedController:
         """Why it was aborted by what its code raised, since its last start."""
         self.may_compile = True
         """False when what a user's class declares for machine code cannot be used."""
+        self._is_of_user = is_of_a_user(type(controller))
         self._watched = watched(type(controller), commands)
         self._read_budget()
         node.watch_param(UPDATE_BUDGET.name, self._read_budget)
@@ -168,7 +169,7 @@ class LoadedController:
     @property
     def bare_update(self) -> Callable[[int, float], None]:
         """The same, not measured."""
-        return self._watched_update if is_of_a_user(type(self.controller)) else self.controller.update
+        return self._watched_update if self._is_of_user else self.controller.update
 
     def _watched_update(self, time_ns: int, period_s: float) -> None:
         with self._watched:
@@ -200,11 +201,10 @@ class LoadedController:
 
     def try_to_compile(self, action: Callable[[], T]) -> T | None:
         """Call what machine code needs of the controller. If a user's class fails in that, its `update` goes on."""
-        cls = type(self.controller)
-        if not is_of_a_user(cls):
+        if not self._is_of_user:
             return action()
         try:
-            with watched(cls):
+            with watched(type(self.controller)):
                 return action()
         except Exception as failure:
             self.may_compile = False
