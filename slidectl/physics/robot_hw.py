@@ -151,22 +151,17 @@ def hardware_joints(body: Body) -> list[HardwareJoint]:
     Raises:
         UnsupportedInterface, MissingJoint.
     """
-    return [
-        joint
-        for transmission, driven in driving(body.robot.transmissions)
-        for joint in _by_interface(body, transmission, driven)
-    ]
-
-
-def _by_interface(body: Body, transmission: TransmissionInfo, driven: TransmissionJoint) -> list[HardwareJoint]:
-    found = [interface for interface in map(interfaces.find, driven.hardware_interfaces) if interface is not None]
-    if not found:
-        raise UnsupportedInterface(body.name, transmission, driven)
-    try:
-        joint = body.place(driven.name).joint
-    except SlidectlError as error:
-        raise MissingJoint(body, transmission, driven.name) from error
-    return [HardwareJoint(joint, COMMAND_INTERFACES[interface]) for interface in dict.fromkeys(found)]
+    joints: list[HardwareJoint] = []
+    for transmission, driven in driving(body.robot.transmissions):
+        found = [interface for interface in map(interfaces.find, driven.hardware_interfaces) if interface is not None]
+        if not found:
+            raise UnsupportedInterface(body.name, transmission, driven)
+        try:
+            joint = body.place(driven.name).joint
+        except SlidectlError as error:
+            raise MissingJoint(body, transmission, driven.name) from error
+        joints += [HardwareJoint(joint, COMMAND_INTERFACES[interface]) for interface in dict.fromkeys(found)]
+    return joints
 
 
 GAINS = "gazebo_ros_control/pid_gains"
@@ -405,7 +400,7 @@ class MujocoRobotHW(RobotHW):
                 motors[name] = math.inf
             elif drive.kind == VELOCITY_MOTOR:
                 motors[name] = min(drive.limit, self._most.get(name, math.inf))
-        if motors or self._world.has_motors(self._body):
+        if motors or self._loads.motors.has(self._body):
             self._world.set_motors(self._body, motors)
         self.estop = self._estop
         self._places = {}

@@ -349,7 +349,8 @@ class World:
         self._replace_broken_data()
         self.loads.motors.velocities[:] = 0.0
         self.loads.clear_efforts()
-        self.clear_forces()
+        self.loads.keep(lambda _: False)
+        self._loads_changed()
         for body in self._bodies.values():
             body.put_at_spawn()
         self._observer.invalidate()
@@ -534,15 +535,6 @@ class World:
         body.link(link)
         self.loads.keep(lambda force: isinstance(force, JointForce) or force.body is not body or force.link != link)
         self._loads_changed()
-
-    def clear_forces(self) -> None:
-        """End all forces from outside."""
-        self.loads.keep(lambda _: False)
-        self._loads_changed()
-
-    def has_motors(self, body: Body) -> bool:
-        """Whether joints of the robot are held by motors."""
-        return self.loads.motors.has(body)
 
     def set_motors(self, body: Body, most_efforts: dict[str, float]) -> None:
         """Hold these joints by motors, each with at most this effort (N or N·m), and no others but `lasting_motors`.
