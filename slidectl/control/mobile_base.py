@@ -37,6 +37,8 @@ PUBLISH_RATE = Parameter("publish_rate", NUMBER, "odometry messages per simulate
 BASE_FRAME = Parameter("base_frame_id", TEXT, "the frame that moves", default="base_link")
 ODOM_FRAME = Parameter("odom_frame_id", TEXT, "the frame that it moves in", default="odom")
 ODOM_TF = Parameter("enable_odom_tf", BOOLEAN, "publishes the frame on /tf too", default=True)
+OF_BASE = (OPEN_LOOP, WINDOW, TIMEOUT, ALLOWS_MANY, BASE_FRAME, ODOM_FRAME)
+"""What a base reads that is commanded by twists alone."""
 COVARIANCES = (
     Parameter("pose_covariance_diagonal", DIAGONAL, "of the pose on odom", required=True),
     Parameter("twist_covariance_diagonal", DIAGONAL, "of the velocities on odom", required=True),
