@@ -318,11 +318,11 @@ class Replay:
 
 
 JOINT_COLUMNS: dict[str, Callable[[Any], list[float]]] = {
-    "des_pos": lambda controller: controller.desired.positions,
-    "des_vel": lambda controller: controller.desired.velocities,
-    "des_acc": lambda controller: controller.desired.accelerations,
-    "err_pos": lambda controller: controller.error.positions,
-    "err_vel": lambda controller: controller.error.velocities,
+    "des_pos": lambda controller: [motion.position for motion in controller.motions],
+    "des_vel": lambda controller: [motion.velocity for motion in controller.motions],
+    "des_acc": lambda controller: [motion.acceleration for motion in controller.motions],
+    "err_pos": lambda controller: [motion.position_error for motion in controller.motions],
+    "err_vel": lambda controller: [motion.velocity_error for motion in controller.motions],
 }
 """The members of a controller that rows show for each joint."""
 COLUMNS: dict[str, Callable[[Any], float]] = {

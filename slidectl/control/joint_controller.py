@@ -17,7 +17,7 @@ from slidectl.control.hardware_interface import JointCommandInterface, JointHand
 from slidectl.control.laws import law
 from slidectl.control.node_handle import Message, MessageCallback, NodeHandle, Publisher
 from slidectl.control.params import JOINT, JOINTS, Parameter, within
-from slidectl.control.pid import Gains, Pid
+from slidectl.control.pid import Pid
 from slidectl.control.reconfigurable_pid import GAINS, ReconfigurablePid
 from slidectl.errors import MessageRefused, Refused
 
@@ -164,7 +164,6 @@ class PidController(ScalarController):
 
     parameters: ClassVar[tuple[Parameter, ...]] = (JOINT, *within("pid", GAINS))
     _pid: Pid
-    _reconfigurable_pid: ReconfigurablePid
     _state: Publisher
 
     def __init__(self) -> None:
@@ -176,23 +175,13 @@ class PidController(ScalarController):
         self.error = 0.0
         """Of the last update."""
 
-    @property
-    def gains(self) -> Gains:
-        """The gains now in use."""
-        return self._pid.gains
-
-    def set_gains(self, gains: Gains) -> None:
-        """Use these gains from the next update on; parameters and subscribers are told."""
-        self._reconfigurable_pid.set_gains(gains)
-
     def parts(self) -> Parts:
         """What runs compiled besides this controller."""
         return Parts((self._state,), self._joint, self._pid, (self._joint,))
 
     def _offer_pid(self, node: NodeHandle) -> None:
         """Offer the gains, and the state. Raises SlidectlError: they are missing or wrong."""
-        self._reconfigurable_pid = ReconfigurablePid(node.child("pid"))
-        self._pid = self._reconfigurable_pid.pid
+        self._pid = ReconfigurablePid(node.child("pid")).pid
         self._state = node.advertise("state", "control_msgs/JointControllerState")
 
     @staticmethod
