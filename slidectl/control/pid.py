@@ -24,14 +24,6 @@ class Gains(NamedTuple):
     antiwindup: bool = False
 
 
-class Terms(NamedTuple):
-    """The three parts of the last command."""
-
-    p: float
-    i: float
-    d: float
-
-
 @law
 def pid_law(
     error: float,
@@ -182,9 +174,9 @@ class Pid:
         if self.observer is not None and period_s != 0.0 and isfinite(error) and isfinite(self.d_error):
             self.observer(period_s)
 
-    def terms(self) -> Terms:
-        """The parts that the last command was made of."""
+    def terms(self) -> tuple[float, float, float]:
+        """The parts that the last command was made of, of p, i and d."""
         i_term = self.i * self.i_error
         if not self.antiwindup:
             i_term = min(max(i_term, self.i_min), self.i_max)
-        return Terms(self.p * self.p_error, i_term, self.d * self.d_error)
+        return self.p * self.p_error, i_term, self.d * self.d_error

@@ -174,7 +174,7 @@ class _StatePublisher:
 
     def _message(self, period_s: float) -> Message:
         pid = self._pid
-        terms = pid.terms()
+        p_term, i_term, d_term = pid.terms()
         return {
             "header": header_of(self._node.now_ns()),
             "timestep": to_stamp(from_seconds(period_s)),
@@ -183,9 +183,9 @@ class _StatePublisher:
             "p_error": pid.p_error,
             "i_error": pid.i_error,
             "d_error": pid.d_error,
-            "p_term": terms.p,
-            "i_term": terms.i,
-            "d_term": terms.d,
+            "p_term": p_term,
+            "i_term": i_term,
+            "d_term": d_term,
             "i_max": pid.i_max,
             "i_min": pid.i_min,
             "output": pid.command,

@@ -130,7 +130,7 @@ def test_the_terms_add_up_to_the_command():
         pid = Pid(2.0, 3.0, 4.0, i_max=1.0, i_min=-1.0, antiwindup=antiwindup)
         command = pid.compute_command(0.7, 1.0)
         assert sum(pid.terms()) == pytest.approx(command)
-        assert pid.terms().i == pytest.approx(1.0)
+        assert pid.terms()[1] == pytest.approx(1.0)
 
 
 def test_an_observer_hears_of_each_command_that_was_computed():
