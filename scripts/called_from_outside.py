@@ -47,13 +47,13 @@ AckermannSteeringController, FourWheelSteeringController
 Unspawner, GroupScript, StaticTransform, Viewer, Window, JointStatePublisher
 Throttle, Mux, TwistMux
 
-# For authors of controllers, of other sources of controllers, and of hardware.
-register_loader, ONGOING, set_joint_effort
+# For authors of controllers and of hardware.
+ONGOING, set_joint_effort
 
 # Transmissions, limits and PIDs of ros_control: compared with the original by vectors, used when transmissions are applied.
 SimpleTransmission, DifferentialTransmission, FourBarLinkageTransmission
 joint_absolute_position, joint_torque_sensor, actuator_effort, actuator_position
-has_jerk_limits, max_jerk
+has_jerk_limits, max_jerk, angle_wraparound
 reset_to
 
 # daemon.session calls an operation of the wire by its name; logging calls its handler.
@@ -83,5 +83,5 @@ slidectl_client, slidectl_daemon
 __getattr__
 get_source, get_code
 
-# One of a row of indices.
-ACCELERATION
+# Of rows of indices.
+ACCELERATION, VELOCITY_SOFT

@@ -1,6 +1,7 @@
 """Rotations as quaternions x y z w, as on messages, and poses in frames: composition, inverse, roll pitch yaw.
 
-Plain Python, for everybody who has a rotation: the command line, launch files, models, physics.
+Plain Python, for everybody who has a rotation: the command line, launch files, models, physics. `wxyz` turns a
+quaternion for MuJoCo, whose quaternions begin with w.
 """
 
 from __future__ import annotations
@@ -115,3 +116,30 @@ def relative(pose: Pose, frame: Pose) -> Pose:
     """`pose` seen from `frame`, both given in the same frame."""
     back = conjugate(frame[1])
     return rotate(back, subtract(pose[0], frame[0])), multiply(back, pose[1])
+
+
+def wxyz(quaternion: Quaternion) -> tuple[float, float, float, float]:
+    """MuJoCo's order."""
+    x, y, z, w = quaternion
+    return (w, x, y, z)
+
+
+def xyzw(quaternion: Quaternion) -> Quaternion:
+    """The order of messages, from MuJoCo's."""
+    w, x, y, z = quaternion
+    return (x, y, z, w)
+
+
+def perpendicular(axis: Vector) -> tuple[Vector, Vector]:
+    """Two unit vectors that span the plane normal to `axis`; right-handed with it."""
+    normal = unit(axis)
+    smallest = min(range(3), key=lambda i: abs(normal[i]))
+    helper = (float(smallest == 0), float(smallest == 1), float(smallest == 2))
+    first = unit(cross(helper, normal))
+    return first, cross(normal, first)
+
+
+def unit(vector: Vector) -> Vector:
+    """The vector at length one. Raises ZeroDivisionError for the null vector."""
+    length = math.sqrt(sum(part * part for part in vector))
+    return (vector[0] / length, vector[1] / length, vector[2] / length)

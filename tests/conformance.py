@@ -135,8 +135,8 @@ def limits_refusal(text: str) -> bool:
 def _limit_handle(
     kind: str, joint: JointHandle, limits: JointLimits, soft: SoftJointLimits
 ) -> limit_handles.LimitHandle:
-    handle_type = getattr(limit_handles, kind.removesuffix("Handle"))
-    return handle_type(joint, limits, soft) if "Soft" in kind else handle_type(joint, limits)
+    which = [each.name for each in limit_handles.LIMIT_KINDS].index(kind.removesuffix("Handle"))
+    return limit_handles.LimitHandle(which, joint, limits, soft if "Soft" in kind else None)
 
 
 def _limits(recorded: Case) -> JointLimits:

@@ -318,11 +318,11 @@ class Replay:
 
 
 JOINT_COLUMNS: dict[str, Callable[[Any], list[float]]] = {
-    "des_pos": lambda controller: controller.desired.positions,
-    "des_vel": lambda controller: controller.desired.velocities,
-    "des_acc": lambda controller: controller.desired.accelerations,
-    "err_pos": lambda controller: controller.error.positions,
-    "err_vel": lambda controller: controller.error.velocities,
+    "des_pos": lambda controller: [motion.position for motion in controller.motions],
+    "des_vel": lambda controller: [motion.velocity for motion in controller.motions],
+    "des_acc": lambda controller: [motion.acceleration for motion in controller.motions],
+    "err_pos": lambda controller: [motion.position_error for motion in controller.motions],
+    "err_vel": lambda controller: [motion.velocity_error for motion in controller.motions],
 }
 """The members of a controller that rows show for each joint."""
 COLUMNS: dict[str, Callable[[Any], float]] = {
@@ -337,9 +337,9 @@ COLUMNS: dict[str, Callable[[Any], float]] = {
     "command.position": attrgetter("position"),
     "command.max_effort": attrgetter("max_effort"),
     "computed_command": attrgetter("command"),
-    **{f"limited.{name}": attrgetter(f"velocity.last.{name}") for name in ("linear", "angular")},
-    "limited.lin_x": attrgetter("velocity.last.linear"),
-    "limited.ang": attrgetter("velocity.last.angular"),
+    **{f"limited.{name}": attrgetter(f"velocity.last_{name}") for name in ("linear", "angular")},
+    "limited.lin_x": attrgetter("velocity.last_linear"),
+    "limited.ang": attrgetter("velocity.last_angular"),
 }
 """The other members that rows show."""
 

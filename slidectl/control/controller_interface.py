@@ -1,6 +1,6 @@
 """What every controller is: its life cycle, how it gets its interfaces, and the hooks that a law fills in.
 
-Only the requests here change a controller's state; hooks never do. It knows no other controllers.
+Only the manager changes a controller's state; hooks never do. It knows no other controllers.
 """
 
 from __future__ import annotations
@@ -148,45 +148,27 @@ class ControllerBase:
     def check_restored(self) -> None:
         """Raises Refused: what a snapshot has put in does not fit together. Machine code checks no index."""
 
-    # Requests: what the manager calls.
+    # What the manager calls.
 
     def init_request(self, hw: RobotHW, root: NodeHandle, node: NodeHandle) -> None:
         """Get interfaces, call the init hooks and note the claims. `root` is the robot's namespace, `node` the own one.
 
         Raises:
-            SlidectlError: this controller was initialised before, an interface is missing, or a hook refused.
+            SlidectlError: an interface is missing, or a hook refused.
         """
-        if self.state is not State.CONSTRUCTED:
-            raise Refused("a controller is initialised only once")
         self.claimed_resources = self._claim(hw, root, node)
         self.state = State.INITIALIZED
 
-    def start_request(self, time_ns: int) -> bool:
-        """Start, also from running. False (and nothing happens) before init; so do the other requests."""
-        return self._enter(State.RUNNING, self.starting, time_ns)
-
-    def stop_request(self, time_ns: int) -> bool:
-        """Stop, also when not running."""
-        return self._enter(State.STOPPED, self.stopping, time_ns)
-
-    def wait_request(self, time_ns: int) -> bool:
-        """Wait for the hardware."""
-        return self._enter(State.WAITING, self.waiting, time_ns)
-
-    def abort_request(self, time_ns: int) -> bool:
-        """Give up."""
-        return self._enter(State.ABORTED, self.aborting, time_ns)
-
-    def give_up(self) -> None:
-        """Be aborted without a hook: for a controller whose hooks fail."""
-        self.state = State.ABORTED
-
-    def _enter(self, state: State, hook: Callable[[int], None], time_ns: int) -> bool:
-        if self.state is State.CONSTRUCTED:
-            return False
-        hook(time_ns)
+    def enter_state(self, state: State, time_ns: int) -> None:
+        """Call the hook that leads to the state, which may be the present one too."""
+        hooks = {
+            State.RUNNING: self.starting,
+            State.STOPPED: self.stopping,
+            State.WAITING: self.waiting,
+            State.ABORTED: self.aborting,
+        }
+        hooks[state](time_ns)
         self.state = state
-        return True
 
     def _claim(self, hw: RobotHW, root: NodeHandle, node: NodeHandle) -> tuple[ClaimedResources, ...]:
         raise NotImplementedError
@@ -227,21 +209,16 @@ class MultiInterfaceController(ControllerBase):
         """The same, for a controller that needs the robot's namespace too. Called after `init`."""
 
     def _claim(self, hw: RobotHW, root: NodeHandle, node: NodeHandle) -> tuple[ClaimedResources, ...]:
-        interfaces = self._interfaces(hw)
+        interfaces: list[AnyInterface] = []
         restricted = RobotHW()
-        for interface in interfaces:
-            interface.take_claims()
-            restricted.register_interface(interface)
+        for interface_type in self.interface_types:
+            interface: AnyInterface | None = hw.get(interface_type)
+            if interface is not None:
+                interface.take_claims()
+                interfaces.append(interface)
+                restricted.register_interface(interface)
+            elif not self.allow_optional_interfaces:
+                raise MissingInterface(interface_type.type_name, hw)
         self.init(restricted, node)
         self.init_in_root(restricted, root, node)
         return tuple(ClaimedResources(interface.type_name, interface.take_claims()) for interface in interfaces)
-
-    def _interfaces(self, hw: RobotHW) -> list[AnyInterface]:
-        found: list[AnyInterface] = []
-        for interface_type in self.interface_types:
-            interface: Any = hw.get(interface_type)
-            if interface is not None:
-                found.append(interface)
-            elif not self.allow_optional_interfaces:
-                raise MissingInterface(interface_type.type_name, hw)
-        return found

@@ -7,8 +7,8 @@ It knows neither the names of the services around it nor who waits for an answer
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass, field
+from functools import partial
 from time import perf_counter_ns
 from typing import Any, TypeVar
 
@@ -18,8 +18,7 @@ from slidectl.control.controller_interface import ControllerBase, State
 from slidectl.control.duration import NANOSECONDS, to_seconds
 from slidectl.control.hardware_interface import ControllerInfo, RobotHW, SwitchState
 from slidectl.control.node_handle import NodeHandle, Reasons
-from slidectl.control.params import UPDATE_BUDGET, Guard, value_of
-from slidectl.control.registry import ControllerLoader, RegistryLoader, UnknownType
+from slidectl.control.params import UPDATE_BUDGET, judge, value_of
 from slidectl.control.ros2_names import counterpart
 from slidectl.control.user_classes import (
     HookGuard,
@@ -101,7 +100,7 @@ class UpdateTimes:
 class LoadedController:
     """One entry of a manager's list. Times are nanoseconds of simulated time."""
 
-    __slots__ = ("_watched", "controller", "failure", "info", "may_compile", "node", "times")
+    __slots__ = ("_is_of_user", "_watched", "controller", "failure", "info", "may_compile", "node", "times")
 
     def __init__(
         self,
@@ -120,9 +119,8 @@ class LoadedController:
         """Why it was aborted by what its code raised, since its last start."""
         self.may_compile = True
         """False when what a user's class declares for machine code cannot be used."""
-        self._watched = watched(type(controller))
-        if self._watched is not None:
-            self._watched.commands = commands
+        self._is_of_user = is_of_a_user(type(controller))
+        self._watched = watched(type(controller), commands)
         self._read_budget()
         node.watch_param(UPDATE_BUDGET.name, self._read_budget)
 
@@ -151,19 +149,15 @@ class LoadedController:
         """Start, or start again."""
         self.times.clear()
         self.failure = ""
-        self._request(self.controller.start_request, time_ns)
+        self.enter_state(State.RUNNING, time_ns)
 
-    def stop(self, time_ns: int) -> None:
-        """Stop."""
-        self._request(self.controller.stop_request, time_ns)
-
-    def wait(self, time_ns: int) -> None:
-        """Wait one more cycle for the hardware."""
-        self._request(self.controller.wait_request, time_ns)
-
-    def abort(self, time_ns: int) -> None:
-        """Give up the start."""
-        self._request(self.controller.abort_request, time_ns)
+    def enter_state(self, state: State, time_ns: int) -> None:
+        """Stop, wait for the hardware, or be aborted. What the controller raises meanwhile aborts it."""
+        try:
+            with self._watched:
+                self.controller.enter_state(state, time_ns)
+        except Exception as failure:
+            self.fail(failure, time_ns)
 
     def update(self, time_ns: int, period_s: float) -> None:
         """One cycle, measured. Raises what the controller raises."""
@@ -175,15 +169,15 @@ class LoadedController:
     @property
     def bare_update(self) -> Callable[[int, float], None]:
         """The same, not measured."""
-        return self.controller.update if self._watched is None else self._watched_update
+        return self._watched_update if self._is_of_user else self.controller.update
 
     def _watched_update(self, time_ns: int, period_s: float) -> None:
-        with self._watched or nullcontext():
+        with self._watched:
             self.controller.update(time_ns, period_s)
 
     def publish(self, time_ns: int, period_s: float) -> None:
         """What its compiled law made due. Raises what the controller raises."""
-        with self._watched or nullcontext():
+        with self._watched:
             self.controller.publish(time_ns, period_s)
 
     def update_if_running(self, time_ns: int, period_s: float) -> None:
@@ -199,18 +193,18 @@ class LoadedController:
         self.failure = f"controller {self.name!r} failed and is aborted: {described(failure)}"
         self.node.log("fatal", self.failure)
         try:
-            with self._watched or nullcontext():
-                self.controller.abort_request(time_ns)
+            with self._watched:
+                self.controller.enter_state(State.ABORTED, time_ns)
         except Exception as another:
             self.node.log("fatal", f"controller {self.name!r} failed while aborting: {described(another)}")
-            self.controller.give_up()
+            self.controller.state = State.ABORTED
 
     def try_to_compile(self, action: Callable[[], T]) -> T | None:
         """Call what machine code needs of the controller. If a user's class fails in that, its `update` goes on."""
-        if self._watched is None:
+        if not self._is_of_user:
             return action()
         try:
-            with watched(type(self.controller)) or nullcontext():
+            with watched(type(self.controller)):
                 return action()
         except Exception as failure:
             self.may_compile = False
@@ -226,13 +220,6 @@ class LoadedController:
         state = str(self.controller.state)
         return {"name": self.name, "state": state, "type": self.info.type, "claimed_resources": claimed}
 
-    def _request(self, request: Callable[[int], bool], time_ns: int) -> None:
-        try:
-            with self._watched or nullcontext():
-                request(time_ns)
-        except Exception as failure:
-            self.fail(failure, time_ns)
-
 
 def described(failure: Exception) -> str:
     """An error on one line: our own by their text, others with their class and the place."""
@@ -245,6 +232,7 @@ class CallbackGuard(HookGuard):
     """Inside, a user's controller takes a message, a call, a goal or a tick. What it raises becomes a Refused."""
 
     def __init__(self, node: NodeHandle) -> None:
+        super().__init__()
         self._node = node
 
     def __exit__(self, kind: type[BaseException] | None, failure: BaseException | None, *trace: Any) -> None:
@@ -291,7 +279,24 @@ def plan_switch(
     stop_request = _known(loaded, stop, "stop", strict, node)
     plan = Plan(_known(loaded, start, "start", strict, node), stop_request)
     for entry in loaded.values():
-        _place(plan, entry, strict)
+        is_running = entry.is_running
+        stops, starts = entry in plan.stop_request, entry in plan.start_request
+        if stops and not is_running:
+            if strict:
+                raise Refused(f"cannot stop controller {entry.name!r}: it is not running")
+            stops = False
+        if starts and is_running and not stops:
+            if strict:
+                raise Refused(f"cannot start controller {entry.name!r}: it is running already")
+            starts = False
+        if starts and stops:
+            raise Refused(f"controller {entry.name!r} cannot be started and stopped in one switch")
+        if stops:
+            plan.stop.append(entry.info)
+        if starts:
+            plan.start.append(entry.info)
+        if starts or (is_running and not stops):
+            plan.running.append(entry.info)
     return plan
 
 
@@ -316,101 +321,56 @@ def _known(
     return found
 
 
-def _place(plan: Plan, entry: LoadedController, strict: bool) -> None:
-    """Sort one loaded controller into the plan's lists."""
-    in_stop, in_start = entry in plan.stop_request, entry in plan.start_request
-    running = entry.is_running
-    if in_stop and not running:
-        _refuse_if(strict, f"cannot stop controller {entry.name!r}: it is not running")
-        in_stop = False
-    if in_start and running and not in_stop:
-        _refuse_if(strict, f"cannot start controller {entry.name!r}: it is running already")
-        in_start = False
-    _refuse_if(in_start and in_stop, f"controller {entry.name!r} cannot be started and stopped in one switch")
-    if in_stop:
-        plan.stop.append(entry.info)
-    elif in_start:
-        plan.start.append(entry.info)
-    if in_start or (running and not in_stop):
-        plan.running.append(entry.info)
-
-
-def _refuse_if(refused: bool, reason: str) -> None:
-    if refused:
-        raise Refused(reason)
-
-
+@dataclass
 class Switch:
     """An accepted switch, carried out by `advance` once a cycle, after the updates."""
 
-    def __init__(
-        self, plan: Plan, *, asap: bool, timeout_s: float, init_time_ns: int, on_done: Callable[[bool], None]
-    ) -> None:
-        self._plan = plan
-        self._asap = asap
-        self._timeout_s = timeout_s
-        self._init_time_ns = init_time_ns
-        self._begun = False
-        self.on_done = on_done
-        self.reasons: Reasons | None = None
-        """Those of the request, for what goes wrong in later cycles."""
+    plan: Plan
+    asap: bool
+    timeout_s: float
+    init_time_ns: int
+    on_done: Callable[[bool], None]
+    reasons: Reasons | None
+    """Those of the request, for what goes wrong in later cycles."""
+    has_begun: bool = False
 
     def advance(self, hw: RobotHW, time_ns: int) -> bool:
         """One cycle of the switch: stop, then start what the hardware is ready for. True when it is finished."""
-        plan = self._plan
-        if not self._begun:
+        plan = self.plan
+        if not self.has_begun:
             hw.do_switch(plan.start, plan.stop)
-            self._begun = True
+            self.has_begun = True
         for entry in plan.stop_request:
             if entry.is_running:
-                entry.stop(time_ns)
-        return self._start_asap(hw, time_ns) if self._asap else self._start_together(hw, time_ns)
+                entry.enter_state(State.STOPPED, time_ns)
+        if not self.asap:
+            return self._start(plan.start_request, None, hw, time_ns)
+        for entry in plan.start_request:
+            if not entry.is_running:
+                self._start([entry], entry.info, hw, time_ns)
+        return all(entry.is_running or entry.is_aborted for entry in plan.start_request)
 
     def give_up(self, time_ns: int) -> None:
         """The hardware failed: what should start is aborted."""
-        for entry in self._plan.start_request:
+        for entry in self.plan.start_request:
             if not entry.is_running:
-                entry.abort(time_ns)
+                entry.enter_state(State.ABORTED, time_ns)
 
-    def _start_together(self, hw: RobotHW, time_ns: int) -> bool:
-        request = self._plan.start_request
-        if hw.switch_result() is SwitchState.DONE:
-            for entry in request:
+    def _start(self, entries: list[LoadedController], info: ControllerInfo | None, hw: RobotHW, time_ns: int) -> bool:
+        """Start them, let them wait, or abort them, as the hardware says of `info`. False while they wait."""
+        if hw.switch_result(info) is SwitchState.DONE:
+            for entry in entries:
                 entry.start(time_ns)
             return True
-        if hw.switch_result() is SwitchState.ERROR or self._timed_out(time_ns):
-            for entry in request:
-                entry.abort(time_ns)
-            return True
-        for entry in request:
-            entry.wait(time_ns)
-        return False
-
-    def _start_asap(self, hw: RobotHW, time_ns: int) -> bool:
-        request = self._plan.start_request
-        for entry in request:
-            if not entry.is_running:
-                self._start_one(entry, hw, time_ns)
-        return all(entry.is_running or entry.is_aborted for entry in request)
-
-    def _start_one(self, entry: LoadedController, hw: RobotHW, time_ns: int) -> None:
-        if hw.switch_result(entry.info) is SwitchState.DONE:
-            entry.start(time_ns)
-        elif hw.switch_result(entry.info) is SwitchState.ERROR or self._timed_out(time_ns):
-            entry.abort(time_ns)
-        else:
-            entry.wait(time_ns)
-
-    def _timed_out(self, time_ns: int) -> bool:
-        return self._timeout_s > 0.0 and to_seconds(time_ns - self._init_time_ns) > self._timeout_s
+        has_timed_out = 0.0 < self.timeout_s < to_seconds(time_ns - self.init_time_ns)
+        is_over = hw.switch_result(info) is SwitchState.ERROR or has_timed_out
+        for entry in entries:
+            entry.enter_state(State.ABORTED if is_over else State.WAITING, time_ns)
+        return is_over
 
 
 Names = list[str]
 Messages = list[dict[str, Any]]
-
-
-def _nothing(_ok: bool) -> None:
-    """For whoever does not wait for the end of a switch."""
 
 
 class ControllerManager:
@@ -420,7 +380,6 @@ class ControllerManager:
         """`node` is the robot's namespace: a controller's parameters and topics are below `<node>/<name>`."""
         self._hw = hw
         self._node = node
-        self._loaders: list[ControllerLoader] = [RegistryLoader()]
         self._loaded: dict[str, LoadedController] = {}
         self._running: tuple[LoadedController, ...] = ()
         self._updates: tuple[tuple[Callable[[int, float], None], UpdateTimes], ...] = ()
@@ -486,7 +445,7 @@ class ControllerManager:
     def restart_running(self, time_ns: int) -> None:
         """Stop and start every running controller, one after the other."""
         for entry in self._running:
-            entry.stop(time_ns)
+            entry.enter_state(State.STOPPED, time_ns)
             if not entry.is_aborted:
                 entry.start(time_ns)
         self._refresh()
@@ -494,7 +453,7 @@ class ControllerManager:
     def stop_running(self, time_ns: int) -> None:
         """Stop every running controller, in load order, because the robot goes."""
         for entry in self._running:
-            entry.stop(time_ns)
+            entry.enter_state(State.STOPPED, time_ns)
         self._refresh()
 
     def _carry_on(self, position: int, failure: Exception, time_ns: int, period_s: float) -> None:
@@ -544,26 +503,26 @@ class ControllerManager:
 
     def types(self) -> Names:
         """The controller types that can be loaded."""
-        return [type_name for loader in self._loaders for type_name in loader.types()]
+        return registry.types()
 
     def base_classes(self) -> Names:
         """The base class of each of `types`."""
-        return [loader.base_class for loader in self._loaders for _ in loader.types()]
-
-    def register_loader(self, loader: ControllerLoader) -> None:
-        """Ask this loader too, after those that are there."""
-        self._loaders.append(loader)
+        return len(registry.types()) * [registry.BASE_CLASS]
 
     # Loading.
 
     def load(self, name: str) -> bool:
         """Load and initialise the controller that `<node>/<name>` describes. False: refused, nothing is left."""
         try:
-            self.check_new(name)
-            self._loaded[name] = self._load(name)
+            self.load_again(name)
         except Exception as failure:
             return self._refuse(f"cannot load controller {quoted(name)}: {described(failure)}")
         return True
+
+    def load_again(self, name: str) -> None:
+        """`load` that raises what is wrong."""
+        self.check_new(name)
+        self._loaded[name] = self._load(name)
 
     def check_new(self, name: str) -> None:
         """Raise Refused when a controller of that name is loaded, BadName when none can have it."""
@@ -576,26 +535,20 @@ class ControllerManager:
         node = self._node.child(name)
         try:
             type_name = _understood(node, _type_of(node))
-            controller = self._create(type_name)
+            controller = registry.create(type_name)
             guard = CallbackGuard(node) if is_of_a_user(type(controller)) else None
             node.guard = guard
-            with watched(type(controller)) or nullcontext():
+            with watched(type(controller)):
                 controller.init_request(self._hw, self._node, node)
         except BaseException:
             node.shutdown()
             raise
-        node.guard_params(Guard(node, controller.parameters).judge)
+        node.guard_params(partial(judge, node, controller.parameters))
         if guard is None:
             return LoadedController(name, type_name, controller, node)
         written = self._hw.claimed_commands(controller.claimed_resources)
         guard.commands = WrittenCommands(written, file_of(type(controller)))
         return LoadedController(name, type_name, controller, node, guard.commands)
-
-    def _create(self, type_name: str) -> ControllerBase:
-        for loader in self._loaders:
-            if loader.has(type_name):
-                return loader.create(type_name)
-        raise UnknownType(type_name, self.types())
 
     def unload(self, name: str) -> bool:
         """Remove a controller that is not running. False: it is running, or there is none of that name."""
@@ -672,27 +625,20 @@ class ControllerManager:
         gone = [entry for name, entry in self._loaded.items() if name not in kept]
         for entry in gone:
             if entry.is_running:
-                entry.stop(self._node.now_ns())
+                entry.enter_state(State.STOPPED, self._node.now_ns())
         self._refresh()
         for entry in reversed(gone):
             self.unload(entry.name)
 
-    def load_again(self, name: str) -> None:
-        """`load` that raises what is wrong."""
-        self.check_new(name)
-        self._loaded[name] = self._load(name)
-
     def reload_libraries(self, force_kill: bool) -> bool:
-        """Let the loaders look anew. Loaded controllers are in the way: they are killed, or it is refused."""
+        """Registered classes stay; loaded controllers are in the way: they are killed, or it is refused."""
         if self._loaded and not force_kill:
             return self._refuse(
                 f"cannot reload while {len(self._loaded)} controllers are loaded; unload them, or force it"
             )
         if self._loaded and not self._kill_all():
             return self._refuse("cannot reload: the controllers could not be stopped and unloaded")
-        for loader in self._loaders:
-            loader.reload()
-            self._node.log("info", f"looked anew for controllers of {loader.base_class}")
+        self._node.log("info", f"looked anew for controllers of {registry.BASE_CLASS}")
         return True
 
     def fail(self, name: str, failure: Exception) -> bool:
@@ -710,7 +656,7 @@ class ControllerManager:
         if entry is None or self._switch is not None:
             return False
         if entry.is_running:
-            entry.stop(self._node.now_ns())
+            entry.enter_state(State.STOPPED, self._node.now_ns())
             self._refresh()
         return self.unload(name)
 
@@ -730,7 +676,7 @@ class ControllerManager:
         strictness: int,
         start_asap: bool = False,
         timeout_s: float = 0.0,
-        on_done: Callable[[bool], None] = _nothing,
+        on_done: Callable[[bool], None] = lambda _: None,
     ) -> bool:
         """Arm a switch, to be carried out at the end of the next cycle. False: refused, nothing changes.
 
@@ -772,9 +718,7 @@ class ControllerManager:
             is_possible = self._hw.prepare_switch(plan.start, plan.stop)
         if not is_possible:
             raise Refused("the hardware cannot run this combination of controllers")
-        switch = Switch(plan, asap=asap, timeout_s=timeout_s, init_time_ns=self._node.now_ns(), on_done=on_done)
-        switch.reasons = self._node.reasons
-        return switch
+        return Switch(plan, asap, timeout_s, self._node.now_ns(), on_done, self._node.reasons)
 
     def _refuse(self, reason: str) -> bool:
         self._node.log("error", reason)

@@ -27,13 +27,17 @@ def period_of(node: NodeHandle, rate: Parameter) -> int:
     Raises:
         Refused: it is not above 0, or no clock can count its period.
     """
-    value = params.value_of(node, rate)
+    return checked_period(node, rate.name, params.value_of(node, rate))
+
+
+def checked_period(node: NodeHandle, name: str, rate: float) -> int:
+    """The same of a rate that the parameter of this name is to have. Raises Refused."""
     try:
-        period_ns = from_seconds(1.0 / value if value > 0.0 else inf)
+        period_ns = from_seconds(1.0 / rate if rate > 0.0 else inf)
     except BadDuration:
         period_ns = 0
     if period_ns <= 0:
-        raise Refused(f"parameter {node.namespace}/{rate.name} must be a rate above 0, not {value:g}")
+        raise Refused(f"parameter {node.namespace}/{name} must be a rate above 0, not {rate:g}")
     return period_ns
 
 
@@ -79,43 +83,20 @@ class MonitoredGoal:
             self.handle.publish_feedback(message)
 
 
-class GoalMonitor:
-    """Ticks the goal that was accepted last.
-
-    As in ros_controllers, a goal that was decided but not ticked when the next one is accepted never gets a result.
-    """
-
-    def __init__(self, node: NodeHandle, period_ns: int, feedback: Callable[[], Message | None]) -> None:
-        self._node = node
-        self._feedback = feedback
-        self._goal: MonitoredGoal | None = None
-        self._timer = node.call_every(period_ns, self._tick, enters=False)
-        self._timer.cancel()
-
-    def watch(self, goal: MonitoredGoal) -> None:
-        """Tick this goal from now on, and no other."""
-        if self._goal is not None:
-            self._goal.handle.release()
-        self._goal = goal
-        self._timer.restart()
-
-    def _tick(self) -> None:
-        assert self._goal is not None
-        if self._goal.looks:
-            self._node.enter()
-        self._goal.tick(self._feedback)
-        if self._goal.handle.status not in (GoalStatus.ACTIVE, GoalStatus.PREEMPTING):
-            self._timer.cancel()
-
-
 class ActionController(Controller[I]):
-    """Serves one action, and works on the goal that came last. A child says what a goal means."""
+    """Serves one action, and works on the goal that came last. A child says what a goal means.
+
+    The goal that was accepted last is ticked. As in ros_controllers, one that was decided but not ticked when the next
+    is accepted never gets a result.
+    """
 
     def _serve(self, node: NodeHandle, action: str, type_name: str, monitor_period_ns: int) -> None:
         """Advertise the action, as the last step of `init`."""
         self._node = node
         self._goal: MonitoredGoal | None = None
-        self._monitor = GoalMonitor(node, monitor_period_ns, self._feedback)
+        self._ticked: MonitoredGoal | None = None
+        self._timer = node.call_every(monitor_period_ns, self._tick, enters=False)
+        self._timer.cancel()
         node.advertise_action(action, type_name, self._take_goal, self._take_cancel)
 
     def _take_goal(self, handle: GoalHandle) -> None:
@@ -141,8 +122,18 @@ class ActionController(Controller[I]):
         """From now on this goal, and no other."""
         self._preempt()
         goal.handle.accept()
-        self._goal = goal
-        self._monitor.watch(goal)
+        if self._ticked is not None:
+            self._ticked.handle.release()
+        self._goal = self._ticked = goal
+        self._timer.restart()
+
+    def _tick(self) -> None:
+        assert self._ticked is not None
+        if self._ticked.looks:
+            self._node.enter()
+        self._ticked.tick(self._feedback)
+        if self._ticked.handle.status not in (GoalStatus.ACTIVE, GoalStatus.PREEMPTING):
+            self._timer.cancel()
 
     def _reject(self, handle: GoalHandle, text: str, result: Message | None = None) -> None:
         self._node.log("error", f"{self._node.namespace}: {text}")

@@ -144,11 +144,9 @@ class ResourceManager(Generic[H]):
         for handle in handles:
             self.register_handle(handle)
 
-    def register_handle(self, handle: H) -> H | None:
-        """Put the handle under its name. Returns the one that it replaces, else None."""
-        replaced = self._handles.get(handle.name)
+    def register_handle(self, handle: H) -> None:
+        """Put the handle under its name, in the place of another of that name."""
         self._handles[handle.name] = handle
-        return replaced
 
     def names(self) -> list[str]:
         """The names of all handles, alphabetical."""
@@ -302,11 +300,9 @@ class RobotHW:
     def __init__(self) -> None:
         self._interfaces: dict[str, AnyInterface] = {}
 
-    def register_interface(self, interface: AnyInterface) -> AnyInterface | None:
-        """Put the interface under its type's name. Returns the one that it replaces, else None."""
-        replaced = self._interfaces.get(interface.type_name)
+    def register_interface(self, interface: AnyInterface) -> None:
+        """Put the interface under its type's name, in the place of another of that type."""
         self._interfaces[interface.type_name] = interface
-        return replaced
 
     def get(self, interface_type: type[I]) -> I | None:
         """The interface of that type; None when the robot has none."""

@@ -7,17 +7,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import isfinite
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from slidectl import names
 from slidectl.control import params
 from slidectl.control.controller_interface import Controller, Parts, State
-from slidectl.control.duration import to_stamp
+from slidectl.control.duration import header_of
 from slidectl.control.hardware_interface import JointCommandInterface, JointHandle
 from slidectl.control.laws import law
 from slidectl.control.node_handle import Message, MessageCallback, NodeHandle, Publisher
 from slidectl.control.params import JOINT, JOINTS, Parameter, within
-from slidectl.control.pid import Gains, Pid
+from slidectl.control.pid import Pid
 from slidectl.control.reconfigurable_pid import GAINS, ReconfigurablePid
 from slidectl.errors import MessageRefused, Reason, Refused
 
@@ -164,7 +164,6 @@ class PidController(ScalarController):
 
     parameters: ClassVar[tuple[Parameter, ...]] = (JOINT, *within("pid", GAINS))
     _pid: Pid
-    _reconfigurable_pid: ReconfigurablePid
     _state: Publisher
 
     def __init__(self) -> None:
@@ -176,44 +175,44 @@ class PidController(ScalarController):
         self.error = 0.0
         """Of the last update."""
 
-    @property
-    def gains(self) -> Gains:
-        """The gains now in use."""
-        return self._pid.gains
-
-    def set_gains(self, gains: Gains) -> None:
-        """Use these gains from the next update on; parameters and subscribers are told."""
-        self._reconfigurable_pid.set_gains(gains)
-
     def parts(self) -> Parts:
         """What runs compiled besides this controller."""
         return Parts((self._state,), self._joint, self._pid, (self._joint,))
 
     def _offer_pid(self, node: NodeHandle) -> None:
-        self._reconfigurable_pid = ReconfigurablePid(node.child("pid"))
-        self._pid = self._reconfigurable_pid.pid
-
-    def _offer_state(self, node: NodeHandle) -> None:
+        """Offer the gains, and the state. Raises SlidectlError: they are missing or wrong."""
+        self._pid = ReconfigurablePid(node.child("pid")).pid
         self._state = node.advertise("state", "control_msgs/JointControllerState")
 
-    def _tell_state(self, time_ns: int, period_s: float, *, value: float, value_dot: float) -> None:
-        self._state.sequence = self.states - 1
-        self._state.publish(self._state_message(time_ns, period_s, value, value_dot))
+    @staticmethod
+    def track(goal: Any, pid: Pid, joint: JointHandle, period_s: float) -> None:
+        """The law of an update: it commands the joint, and leaves the error in this controller."""
+        raise NotImplementedError
 
-    def _state_message(self, time_ns: int, period_s: float, value: float, value_dot: float) -> Message:
+    def update(self, time_ns: int, period_s: float) -> None:
+        self.track(self, self._pid, self._joint, period_s)
+        if self._pid.observer is not None:
+            self._pid.tell(self.error, period_s)
+        if state_is_due(self) and self._state.wanted:
+            self.publish(time_ns, period_s)
+
+    def _tell_state(self, time_ns: int, period_s: float, *, value: float, value_dot: float) -> None:
         """As control_msgs/JointControllerState."""
         pid = self._pid
-        return {
-            "header": {"seq": 0, "stamp": to_stamp(time_ns), "frame_id": ""},
-            "set_point": self.set_point,
-            "process_value": value,
-            "process_value_dot": value_dot,
-            "error": self.error,
-            "time_step": period_s,
-            "command": self._joint.command,
-            "p": pid.p,
-            "i": pid.i,
-            "d": pid.d,
-            "i_clamp": pid.i_max,
-            "antiwindup": pid.antiwindup,
-        }
+        self._state.sequence = self.states - 1
+        self._state.publish(
+            {
+                "header": header_of(time_ns),
+                "set_point": self.set_point,
+                "process_value": value,
+                "process_value_dot": value_dot,
+                "error": self.error,
+                "time_step": period_s,
+                "command": self._joint.command,
+                "p": pid.p,
+                "i": pid.i,
+                "d": pid.d,
+                "i_clamp": pid.i_max,
+                "antiwindup": pid.antiwindup,
+            }
+        )

@@ -59,12 +59,13 @@ class Columns:
     ) -> None:
         """Names parted by blanks; `whole` are those of the others that are whole numbers or truth values.
 
-        `part.name` is an attribute of an attribute; its column is called `part_name`.
+        `part.name` is an attribute of an attribute; its column is called `name`.
         """
+        self._written = changing, fixed, whole
         self.changing = tuple(changing.split())
         self.attributes = (*self.changing, *fixed.split())
         paths = (*self.attributes, *places.split())
-        self.names = tuple(path.replace(".", "_") for path in paths)
+        self.names = tuple(path.rpartition(".")[2] for path in paths)
         self.kinds = "".join("q" if path in whole.split() else "d" for path in paths)
         self.size = 8 * len(self.names)
         self._all = Struct("=" + self.kinds)
@@ -74,9 +75,8 @@ class Columns:
 
     def with_places(self, places: str) -> Self:
         """The same columns, and places behind them that are whole numbers."""
-        whole = [path for path, kind in zip(self.attributes, self.kinds, strict=False) if kind == "q"]
-        fixed = self.attributes[len(self.changing) :]
-        return type(self)(" ".join(self.changing), " ".join(fixed), places, " ".join((*whole, places)))
+        changing, fixed, whole = self._written
+        return type(self)(changing, fixed, places, f"{whole} {places}")
 
     def fill(self, rows: bytearray, row: int, source: object, *places: float) -> None:
         """Write the whole row: the attributes of `source`, then the places."""

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 from math import inf, nan
-from typing import Any, ClassVar
+from typing import Any, NamedTuple
 
 from slidectl.control import params
 from slidectl.control.hardware_interface import JointCommands, JointHandle
@@ -119,10 +119,26 @@ def limits_from_parameters(node: NodeHandle, joint: str, base: JointLimits = NO_
     where = f"joint_limits/{joint}"
     if not node.has_param(where):
         return None
-    limits = _with_position(node, where, base)
+    changes: dict[str, Any] = {}
+    has_position = params.boolean(node, f"{where}/has_position_limits")
+    if has_position:
+        lower = params.number(node, f"{where}/min_position")
+        upper = params.number(node, f"{where}/max_position")
+        if lower is not None and upper is not None:
+            changes |= {"has_position_limits": True, "min_position": lower, "max_position": upper}
+    elif has_position is not None:
+        changes["has_position_limits"] = False
+        wraparound = params.boolean(node, f"{where}/angle_wraparound")
+        if wraparound is not None:
+            changes["angle_wraparound"] = wraparound
     for flag, bound in _BOUNDS.items():
-        limits = _with_bound(node, where, limits, flag, bound)
-    return limits
+        has = params.boolean(node, f"{where}/{flag}")
+        value = params.number(node, f"{where}/{bound}") if has else None
+        if has is False:
+            changes[flag] = False
+        elif value is not None:
+            changes |= {flag: True, bound: value}
+    return replace(base, **changes)
 
 
 def soft_limits_from_parameters(node: NodeHandle, joint: str) -> SoftJointLimits | None:
@@ -137,35 +153,6 @@ def soft_limits_from_parameters(node: NodeHandle, joint: str) -> SoftJointLimits
     if lower is None or upper is None or k_position is None or k_velocity is None:
         return None
     return SoftJointLimits(lower, upper, k_position, k_velocity)
-
-
-def _with_position(node: NodeHandle, where: str, limits: JointLimits) -> JointLimits:
-    has = params.boolean(node, f"{where}/has_position_limits")
-    if has is None:
-        return limits
-    if has:
-        lower = params.number(node, f"{where}/min_position")
-        upper = params.number(node, f"{where}/max_position")
-        if lower is None or upper is None:
-            return limits
-        return replace(limits, has_position_limits=True, min_position=lower, max_position=upper)
-    wraparound = params.boolean(node, f"{where}/angle_wraparound")
-    return replace(
-        limits,
-        has_position_limits=False,
-        angle_wraparound=limits.angle_wraparound if wraparound is None else wraparound,
-    )
-
-
-def _with_bound(node: NodeHandle, where: str, limits: JointLimits, flag: str, bound: str) -> JointLimits:
-    has = params.boolean(node, f"{where}/{flag}")
-    if has is None:
-        return limits
-    if not has:
-        return replace(limits, **{flag: False})
-    value = params.number(node, f"{where}/{bound}")
-    changes: dict[str, Any] = {flag: True, bound: value}
-    return limits if value is None else replace(limits, **changes)
 
 
 # What the limits do to a command: laws on a limit handle and its joint, or on their rows. The formulas are those of
@@ -281,16 +268,28 @@ def soften_velocity(limit: LimitHandle, joint: JointHandle, period_s: float) -> 
         joint.command = bounded(joint.command, slowest, fastest)
 
 
-LIMIT_LAWS = (
-    saturate_effort,
-    soften_effort,
-    saturate_position,
-    soften_position,
-    saturate_velocity,
-    soften_velocity,
+class LimitKind(NamedTuple):
+    """One kind of limit: its name in joint_limits_interface, its law, what it needs and how it begins."""
+
+    name: str
+    law: Callable[[LimitHandle, JointHandle, float], None]
+    needs: tuple[str, ...] = ()
+    """The limits without which it cannot work, of `velocity` and `effort`."""
+    farthest: float = inf
+    """The position limit where there is none."""
+    initial: float = 0.0
+    """The command before the first; nan is the measured position."""
+
+
+LIMIT_KINDS = (
+    LimitKind("EffortJointSaturation", saturate_effort, ("velocity", "effort")),
+    LimitKind("EffortJointSoftLimits", soften_effort, ("velocity", "effort")),
+    LimitKind("PositionJointSaturation", saturate_position, farthest=LARGEST, initial=nan),
+    LimitKind("PositionJointSoftLimits", soften_position, ("velocity",), initial=nan),
+    LimitKind("VelocityJointSaturation", saturate_velocity, ("velocity",)),
+    LimitKind("VelocityJointSoftLimits", soften_velocity),
 )
-"""The law of each kind, in the order in which gazebo_ros_control enforces them; within a kind the joints are
-alphabetical."""
+"""In the order in which gazebo_ros_control enforces them; within a kind the joints are alphabetical."""
 (
     EFFORT_SATURATION,
     EFFORT_SOFT,
@@ -298,7 +297,13 @@ alphabetical."""
     POSITION_SOFT,
     VELOCITY_SATURATION,
     VELOCITY_SOFT,
-) = range(len(LIMIT_LAWS))
+) = range(len(LIMIT_KINDS))
+_SATURATION: dict[Quantity, int] = {
+    "effort": EFFORT_SATURATION,
+    "position": POSITION_SATURATION,
+    "velocity": VELOCITY_SATURATION,
+}
+"""For commands of each quantity; the kind of soft limits is the next one."""
 
 
 @law
@@ -326,7 +331,7 @@ class BadLimits(Refused):
 
 
 class LimitHandle:
-    """Base of the limit handles: each watches one joint and rewrites its command in place, once a step."""
+    """Watches one joint and rewrites its command in place, once a step, as its kind of limit does."""
 
     __slots__ = (
         "enforce",
@@ -336,6 +341,7 @@ class LimitHandle:
         "has_velocity_limits",
         "k_position",
         "k_velocity",
+        "kind",
         "max_acceleration",
         "max_effort",
         "max_position",
@@ -345,13 +351,6 @@ class LimitHandle:
         "soft_lower",
         "soft_upper",
     )
-    kind: ClassVar[int]
-    needs: ClassVar[tuple[str, ...]] = ()
-    """The limits without which it cannot work, of `velocity` and `effort`."""
-    farthest: ClassVar[float] = inf
-    """The position limit where there is none."""
-    initial: ClassVar[float] = 0.0
-    """The command before the first; nan is the measured position."""
     columns = Columns(
         changing="previous",
         fixed="kind min_position max_position soft_lower soft_upper has_position_limits has_velocity_limits "
@@ -360,19 +359,23 @@ class LimitHandle:
         whole="kind has_position_limits has_velocity_limits has_acceleration_limits joint",
     )
 
-    def __init__(self, handle: JointHandle, limits: JointLimits, soft: SoftJointLimits | None = None) -> None:
+    def __init__(
+        self, kind: int, handle: JointHandle, limits: JointLimits, soft: SoftJointLimits | None = None
+    ) -> None:
         """Raises BadLimits: one of those that it needs is missing."""
-        for missing in self.needs:
+        of_kind = LIMIT_KINDS[kind]
+        for missing in of_kind.needs:
             if not getattr(limits, f"has_{missing}_limits"):
-                raise BadLimits(type(self).__name__, handle.name, missing)
+                raise BadLimits(of_kind.name, handle.name, missing)
+        self.kind = kind
         self.handle = handle
-        self.enforce: Callable[[float], None] = partial(LIMIT_LAWS[self.kind], self, handle)
+        self.enforce: Callable[[float], None] = partial(of_kind.law, self, handle)
         """Puts the command within the limits, given the seconds since the last call. One call, as it is hot."""
         self.has_position_limits = limits.has_position_limits
         self.has_velocity_limits = limits.has_velocity_limits
         self.has_acceleration_limits = limits.has_acceleration_limits
-        self.min_position = limits.min_position if limits.has_position_limits else -self.farthest
-        self.max_position = limits.max_position if limits.has_position_limits else self.farthest
+        self.min_position = limits.min_position if limits.has_position_limits else -of_kind.farthest
+        self.max_position = limits.max_position if limits.has_position_limits else of_kind.farthest
         self.max_velocity = limits.max_velocity if limits.has_velocity_limits else LARGEST
         self.max_acceleration = limits.max_acceleration
         self.max_effort = limits.max_effort
@@ -390,64 +393,7 @@ class LimitHandle:
 
     def reset(self) -> None:
         """Forget earlier commands."""
-        self.previous = self.initial
-
-
-class EffortJointSaturation(LimitHandle):
-    """Clips effort, and allows none that pushes further beyond a position or velocity limit."""
-
-    __slots__ = ()
-    kind = EFFORT_SATURATION
-    needs = ("velocity", "effort")
-
-
-class EffortJointSoftLimits(LimitHandle):
-    """Effort that keeps the measured velocity within what the distance to the soft limits allows."""
-
-    __slots__ = ()
-    kind = EFFORT_SOFT
-    needs = ("velocity", "effort")
-
-
-class PositionJointSaturation(LimitHandle):
-    """Clips position, and with a velocity limit its change per step. The first step is from the measured position."""
-
-    __slots__ = ()
-    kind = POSITION_SATURATION
-    farthest = LARGEST
-    initial = nan
-
-
-class PositionJointSoftLimits(LimitHandle):
-    """Position that approaches its soft limits ever more slowly. The first step is from the measured position."""
-
-    __slots__ = ()
-    kind = POSITION_SOFT
-    needs = ("velocity",)
-    initial = nan
-
-
-class VelocityJointSaturation(LimitHandle):
-    """Clips velocity, and its change per step when there is an acceleration limit. The first step is from 0."""
-
-    __slots__ = ()
-    kind = VELOCITY_SATURATION
-    needs = ("velocity",)
-
-
-class VelocityJointSoftLimits(LimitHandle):
-    """Velocity that the distance to the soft limits allows, from the measured position and velocity."""
-
-    __slots__ = ()
-    kind = VELOCITY_SOFT
-
-
-LIMIT_HANDLES: dict[Quantity, tuple[type[LimitHandle], type[LimitHandle]]] = {
-    "effort": (EffortJointSaturation, EffortJointSoftLimits),
-    "position": (PositionJointSaturation, PositionJointSoftLimits),
-    "velocity": (VelocityJointSaturation, VelocityJointSoftLimits),
-}
-"""The handles of saturation and of soft limits for commands of each quantity."""
+        self.previous = LIMIT_KINDS[self.kind].initial
 
 
 def limit_handle(
@@ -461,8 +407,7 @@ def limit_handle(
     Raises:
         BadLimits: the limits lack one that the handle needs.
     """
-    saturation, soft_limits = LIMIT_HANDLES[interface.declared.quantity]
-    return saturation(handle, limits) if soft is None else soft_limits(handle, limits, soft)
+    return LimitHandle(_SATURATION[interface.declared.quantity] + (soft is not None), handle, limits, soft)
 
 
 def in_order(handles: Iterable[LimitHandle]) -> list[LimitHandle]:

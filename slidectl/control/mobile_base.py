@@ -8,20 +8,21 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Callable
-from dataclasses import dataclass
 from math import cos, isfinite, sin
-from typing import Any, Protocol
+from typing import Any
 
 from slidectl import names
 from slidectl.control import params
 from slidectl.control.controller_interface import ControllerBase, State
 from slidectl.control.duration import header_of, to_seconds
 from slidectl.control.goals import period_of
+from slidectl.control.hardware_interface import JointHandle
 from slidectl.control.laws import law
-from slidectl.control.node_handle import Message, NodeHandle, Publisher
+from slidectl.control.node_handle import Message, NodeHandle, Publisher, publish_if_wanted
 from slidectl.control.params import BOOLEAN, INTEGER, NUMBER, TEXT, Kind, Parameter, within
 from slidectl.description.robot import Cylinder, Joint, Robot, Sphere
 from slidectl.errors import MessageRefused, Refused
+from slidectl.rotations import Vector
 
 DIAGONAL = Kind(
     "a list of six floats, as 0.001",
@@ -36,6 +37,8 @@ PUBLISH_RATE = Parameter("publish_rate", NUMBER, "odometry messages per simulate
 BASE_FRAME = Parameter("base_frame_id", TEXT, "the frame that moves", default="base_link")
 ODOM_FRAME = Parameter("odom_frame_id", TEXT, "the frame that it moves in", default="odom")
 ODOM_TF = Parameter("enable_odom_tf", BOOLEAN, "publishes the frame on /tf too", default=True)
+OF_BASE = (OPEN_LOOP, WINDOW, TIMEOUT, ALLOWS_MANY, BASE_FRAME, ODOM_FRAME)
+"""What a base reads that is commanded by twists alone."""
 COVARIANCES = (
     Parameter("pose_covariance_diagonal", DIAGONAL, "of the pose on odom", required=True),
     Parameter("twist_covariance_diagonal", DIAGONAL, "of the velocities on odom", required=True),
@@ -73,12 +76,15 @@ class CommandTopic:
         topic: str,
         type_name: str,
         numbers_of: Callable[[Message], tuple[float, ...]],
+        standing: tuple[float, ...],
         on_second_publisher: Callable[[], None] | None = None,
     ) -> None:
-        """`on_second_publisher` is called when more nodes than one publish; None: they may."""
-        self.time_ns = 0
-        """When it came."""
-        self._numbers: tuple[float, ...] | None = None
+        """`standing` is the command where there is none.
+
+        `on_second_publisher` is called when more nodes than one publish; None: they may.
+        """
+        self._standing = standing
+        self.forget()
         self.timeout_s: float = params.value_of(node, TIMEOUT)
         self._controller = controller
         self._node = node
@@ -89,16 +95,11 @@ class CommandTopic:
 
     def forget(self) -> None:
         """As if none had come."""
-        self.time_ns, self._numbers = 0, None
+        self.received_ns, self.numbers = 0, self._standing
 
-    def at(self, time_ns: int) -> tuple[float, ...] | None:
-        """The numbers; None: there is no command, or it has timed out."""
-        return None if to_seconds(time_ns - self.time_ns) > self.timeout_s else self._numbers
-
-    @property
-    def first_two(self) -> tuple[float, float]:
-        """The first two numbers of the last command; 0 where there is none."""
-        return (0.0, 0.0) if self._numbers is None else (self._numbers[0], self._numbers[1])
+    def at(self, time_ns: int) -> tuple[float, ...]:
+        """The command that counts: to stand when there is none, or the last one has timed out."""
+        return self._standing if to_seconds(time_ns - self.received_ns) > self.timeout_s else self.numbers
 
     def _receive(self, message: Message) -> None:
         """Take a command, between two cycles."""
@@ -113,8 +114,8 @@ class CommandTopic:
         numbers = self._numbers_of(message)
         if not all(map(isfinite, numbers)):
             self._refuse("warn", f"{name} takes no command of nan or infinity: it must have finite numbers")
-        self._numbers = numbers
-        self.time_ns = self._node.now_ns()
+        self.numbers = numbers
+        self.received_ns = self._node.now_ns()
 
     def _refuse(self, severity: str, text: str) -> None:
         self._node.log(severity, text)
@@ -131,6 +132,7 @@ def velocity_commands(
         "cmd_vel",
         "geometry_msgs/Twist",
         lambda message: (message["linear"]["x"], message["angular"]["z"]),
+        (0.0, 0.0),
         on_second_publisher,
     )
 
@@ -148,8 +150,10 @@ def clamp(value: float, least: float, most: float) -> float:
 
 @law
 def limited(limits: Any, wanted: float, last: float, before: float, period_s: float) -> float:
-    """The velocity that follows `last` and the one `before` it, when this one is wanted; `limits` as a SpeedLimiter
-    has them."""
+    """The velocity that follows `last` and the one `before` it, when this one is wanted; `limits` as of `limits_of`.
+
+    After speed_limiter.cpp: it bounds a velocity, its change in a period, and the change of that.
+    """
     if limits[0]:
         change, scale = last - before, 2.0 * period_s * period_s
         wanted = last + change + clamp(wanted - last - change, limits[1] * scale, limits[2] * scale)
@@ -161,16 +165,15 @@ def limited(limits: Any, wanted: float, last: float, before: float, period_s: fl
 LIMIT_NUMBERS = 9
 
 
-class SpeedLimiter:
-    """Bounds a velocity, its change in a period, and the change of that, after speed_limiter.cpp."""
+def limits_of(node: NodeHandle, where: str, has_jerk: bool) -> list[float]:
+    """By the parameters of the namespace `where`.
 
-    def __init__(self, node: NodeHandle, where: str, has_jerk: bool) -> None:
-        """Read the parameters of the namespace `where`."""
-        velocity, acceleration = _bounds(node, where, "velocity"), _bounds(node, where, "acceleration")
-        jerk = _bounds(node, where, "jerk") if has_jerk else None
-        bounds = (jerk, acceleration, velocity)
-        self.numbers = [number for pair in bounds for number in ((1.0, *pair) if pair else (0.0, 0.0, 0.0))]
-        """Of jerk, acceleration and velocity: whether it is bounded, the least, and the largest."""
+    Of jerk, acceleration and velocity: whether it is bounded, the least, and the largest.
+    """
+    velocity, acceleration = _bounds(node, where, "velocity"), _bounds(node, where, "acceleration")
+    jerk = _bounds(node, where, "jerk") if has_jerk else None
+    bounds = (jerk, acceleration, velocity)
+    return [number for pair in bounds for number in ((1.0, *pair) if pair else (0.0, 0.0, 0.0))]
 
 
 def _bounds(node: NodeHandle, where: str, what: str) -> tuple[float, float] | None:
@@ -185,40 +188,33 @@ def _bounds(node: NodeHandle, where: str, what: str) -> tuple[float, float] | No
     return -most if least is None else least, most
 
 
-@dataclass(slots=True)
-class BaseVelocity:
-    """Of the base: m/s and rad/s."""
-
-    linear: float = 0.0
-    angular: float = 0.0
+@law
+def follow_velocity(velocity: Any, limits: Any, linear: float, angular: float, period_s: float) -> None:
+    """Go on to the next period, in which these are wanted; `velocity` is a LimitedVelocity, or its row."""
+    last_linear, last_angular = velocity.last_linear, velocity.last_angular
+    velocity.last_linear = limited(limits, linear, last_linear, velocity.before_linear, period_s)
+    velocity.last_angular = limited(limits[LIMIT_NUMBERS:], angular, last_angular, velocity.before_angular, period_s)
+    velocity.before_linear, velocity.before_angular = last_linear, last_angular
 
 
 class LimitedVelocity:
-    """The velocity that the base is commanded: what is wanted, within the limits of the two before."""
+    """The velocity that the base is commanded, m/s and rad/s: what is wanted, within the limits of the two before."""
 
     def __init__(self, node: NodeHandle, has_jerk: bool = True) -> None:
-        self._linear = SpeedLimiter(node, "linear/x", has_jerk)
-        self._angular = SpeedLimiter(node, "angular/z", has_jerk)
+        self.limits = [*limits_of(node, "linear/x", has_jerk), *limits_of(node, "angular/z", has_jerk)]
+        """Of the velocity forwards, then those of the turning."""
         self.forget()
 
     def forget(self) -> None:
         """Go on from standing still."""
-        self.last, self.before = BaseVelocity(), BaseVelocity()
+        self.last_linear = self.last_angular = self.before_linear = self.before_angular = 0.0
 
-    def follow(self, linear: float, angular: float | None, period_s: float) -> BaseVelocity:
-        """The velocity of the next period; `angular` is None where nobody turns by it, and the last one stays."""
-        last, before = self.last, self.before
-        linear = limited(self._linear.numbers, linear, last.linear, before.linear, period_s)
+    def follow(self, linear: float, angular: float | None, period_s: float) -> None:
+        """Go on to the next period; `angular` is None where nobody turns by it, and the last one stays."""
+        last_angular = self.last_angular
+        follow_velocity(self, self.limits, linear, last_angular if angular is None else angular, period_s)
         if angular is None:
-            angular = last.angular
-        else:
-            angular = limited(self._angular.numbers, angular, last.angular, before.angular, period_s)
-        self.before, self.last = last, BaseVelocity(linear, angular)
-        return self.last
-
-    def numbers(self) -> list[float]:
-        """The limits of the velocity forwards, then those of the turning."""
-        return [*self._linear.numbers, *self._angular.numbers]
+            self.last_angular = last_angular
 
 
 # -- odometry ----------------------------------------------------------------------------------------------------------
@@ -269,6 +265,21 @@ def window_of(node: NodeHandle) -> int:
     return size
 
 
+@law
+def travel(odometry: Any, past: Any, way: float, turn: float, time_ns: int) -> None:
+    """The base has moved so far, in m, and turned so far, in rad, since the last time; `odometry` may be its row."""
+    odometry.x, odometry.y, odometry.heading = moved(odometry.x, odometry.y, odometry.heading, way, turn)
+    period_s = to_seconds(time_ns - odometry.measured_ns)
+    if period_s < SHORTEST_S:
+        return
+    odometry.measured_ns = time_ns
+    window, count = odometry.window, odometry.count
+    odometry.linear = rolling_mean(odometry.linear_mean, way / period_s, past, 0, window, count)
+    odometry.angular = rolling_mean(odometry.angular_mean, turn / period_s, past, window, window, count)
+    odometry.linear_mean, odometry.angular_mean = odometry.linear, odometry.angular
+    odometry.count += 1
+
+
 class Odometry:
     """Where a base is by what it has moved: x and y in m, heading in rad, velocities in m/s and rad/s."""
 
@@ -281,7 +292,7 @@ class Odometry:
 
     def start(self, time_ns: int) -> None:
         """Begin with the velocities anew. The place stays."""
-        self.time_ns = time_ns
+        self.measured_ns = time_ns
         self.count = 0
         """Of the velocities so far."""
         self.linear_mean = self.angular_mean = 0.0
@@ -290,32 +301,27 @@ class Odometry:
         """The base is at the origin, and its wheels have made no way."""
         self.x = self.y = self.heading = 0.0
 
-    def advance(self, linear: float, angular: float, time_ns: int) -> None:
-        """The base has moved so far, in m, and turned so far, in rad, since the last time."""
-        self._integrate(linear, angular)
-        period_s = to_seconds(time_ns - self.time_ns)
-        if period_s < SHORTEST_S:
-            return
-        self.time_ns = time_ns
-        past, window, count = self.past, self.window, self.count
-        self.linear = rolling_mean(self.linear_mean, linear / period_s, past, 0, window, count)
-        self.angular = rolling_mean(self.angular_mean, angular / period_s, past, window, window, count)
-        self.linear_mean, self.angular_mean = self.linear, self.angular
-        self.count = count + 1
-
-    def advance_by(self, velocity: BaseVelocity, time_ns: int) -> None:
-        """The base has had these velocities since the last time."""
-        self.linear, self.angular = velocity.linear, velocity.angular
-        period_s = to_seconds(time_ns - self.time_ns)
-        self.time_ns = time_ns
-        self._integrate(velocity.linear * period_s, velocity.angular * period_s)
-
-    def _integrate(self, linear: float, angular: float) -> None:
-        self.x, self.y, self.heading = moved(self.x, self.y, self.heading, linear, angular)
+    def travel_at(self, velocity: LimitedVelocity, time_ns: int) -> None:
+        """The base has had the last of these velocities since the last time."""
+        self.linear, self.angular = velocity.last_linear, velocity.last_angular
+        period_s = to_seconds(time_ns - self.measured_ns)
+        self.measured_ns = time_ns
+        way, turn = self.linear * period_s, self.angular * period_s
+        self.x, self.y, self.heading = moved(self.x, self.y, self.heading, way, turn)
 
 
 SHORTEST_S = 0.0001
 """A shorter period tells no velocity."""
+
+
+@law
+def odometry_is_due(topics: Any, time_ns: int) -> bool:
+    """Is a message of OdometryTopics due? Then the next one is due a period later."""
+    if topics.published_ns + topics.period_ns >= time_ns:
+        return False
+    topics.published_ns += topics.period_ns
+    topics.messages += 1
+    return True
 
 
 class OdometryTopics:
@@ -331,36 +337,25 @@ class OdometryTopics:
             matrix_of(params.value_of(node, diagonal)) for diagonal in COVARIANCES
         )
         self.published_ns = 0
+        """When the last message was due, or the start: the first one comes a period later."""
         self.messages = 0
         """Odometry messages that were due so far, published or not."""
         self._odom = node.advertise("odom", "nav_msgs/Odometry")
         self._tf = node.advertise("/tf", "tf2_msgs/TFMessage")
-
-    def start(self, time_ns: int) -> None:
-        """The first message comes a period later."""
-        self.published_ns = time_ns
-
-    def are_due(self, time_ns: int) -> bool:
-        """Is a message due? Then the next one is due a period later."""
-        if self.published_ns + self.period_ns >= time_ns:
-            return False
-        self.published_ns += self.period_ns
-        self.messages += 1
-        return True
 
     @property
     def publishers(self) -> tuple[Publisher, ...]:
         """Of the odometry and of the frame."""
         return self._odom, self._tf
 
-    def publish(self, time_ns: int, place: PlaceOfBase, velocity: tuple[float, float, float]) -> None:
-        """`velocity` is that forwards and to the left, m/s, and of the turning to the left, rad/s."""
-        half = place.heading * 0.5
-        orientation = {"x": 0.0, "y": 0.0, "z": sin(half), "w": cos(half)}
-        position = {"x": place.x, "y": place.y, "z": 0.0}
+    def publish(self, time_ns: int, place: Vector, velocity: Vector) -> None:
+        """`place`: x and y in m, heading in rad. `velocity`: forwards and to the left, m/s, turning left, rad/s."""
+        x, y, heading = place
+        orientation = {"x": 0.0, "y": 0.0, "z": sin(heading * 0.5), "w": cos(heading * 0.5)}
+        position = {"x": x, "y": y, "z": 0.0}
         header = header_of(time_ns, self._odom_frame)
         self._odom.sequence = self.messages - 1
-        publish(
+        publish_if_wanted(
             self._odom,
             lambda: {
                 "header": header,
@@ -378,14 +373,6 @@ class OdometryTopics:
             self._tf.publish({"transforms": [frame]})
 
 
-class PlaceOfBase(Protocol):
-    """Where a base is in the plane: m and rad."""
-
-    x: float
-    y: float
-    heading: float
-
-
 def matrix_of(diagonal: list[float]) -> list[float]:
     """A square matrix of zeros but for its diagonal, row by row."""
     size = len(diagonal)
@@ -398,26 +385,40 @@ def twist_of(forwards: float, sideways: float, angular: float) -> Message:
     return {"linear": linear, "angular": {"x": 0.0, "y": 0.0, "z": angular}}
 
 
-def publish(publisher: Publisher, message: Callable[[], Message]) -> None:
-    """Publish what the function makes, if somebody wants it; it is counted in any case."""
-    if publisher.wanted:
-        publisher.publish(message())
-    else:
-        publisher.sequence += 1
+# -- the controller ----------------------------------------------------------------------------------------------------
 
 
-class Forgetful(Protocol):
-    """What has a past."""
+class BaseController(ControllerBase):
+    """What all have: when they start and stop, everything stands still, with the wheels straight ahead.
 
-    def forget(self) -> None:
-        """Begin anew."""
+    An init sets all of these but `updated_ns`.
+    """
 
+    odometry: Any
+    velocity: LimitedVelocity
+    topics: OdometryTopics
+    _commands: tuple[CommandTopic, ...]
+    _joints: tuple[JointHandle, ...]
+    """Those that it commands."""
+    updated_ns = 0
 
-def forget_if_put_back(time_ns: int, updated_ns: int, *things: Forgetful) -> None:
-    """Forget the past of these at a start before the last update: time was put back."""
-    if time_ns < updated_ns:
-        for thing in things:
-            thing.forget()
+    def starting(self, time_ns: int) -> None:
+        """The limits go on from the last command, and so does the place, unless time was put back."""
+        if time_ns < self.updated_ns:
+            self.odometry.forget()
+            self.velocity.forget()
+            for commands in self._commands:
+                commands.forget()
+        self._brake()
+        self.updated_ns = self.topics.published_ns = time_ns
+        self.odometry.start(time_ns)
+
+    def stopping(self, time_ns: int) -> None:  # noqa: ARG002
+        self._brake()
+
+    def _brake(self) -> None:
+        for joint in self._joints:
+            joint.command = 0.0
 
 
 # -- geometry ----------------------------------------------------------------------------------------------------------

@@ -1,6 +1,6 @@
 """What a controller sees of the graph: a namespace with parameters, topics, services and a log.
 
-Protocols only. The simulation implements them on its graph; tests use a small fake. Control itself
+Protocols, which the simulation implements on its graph; tests use a small fake. Control itself
 knows no graph, no socket and no client.
 """
 
@@ -57,6 +57,14 @@ class Publisher(Protocol):
 
     def publish(self, message: Message) -> None:
         """Hand the message on. The publisher writes `header.seq`; the dict must not be changed afterwards."""
+
+
+def publish_if_wanted(publisher: Publisher, make: Callable[[], Message]) -> None:
+    """Publish what `make` makes, if somebody wants it; it is counted in any case."""
+    if publisher.wanted:
+        publisher.publish(make())
+    else:
+        publisher.sequence += 1
 
 
 class GoalStatus(IntEnum):

@@ -60,11 +60,6 @@ def as_boolean(value: Any) -> bool | None:
     return value if isinstance(value, bool) else None
 
 
-def as_text(value: Any) -> str | None:
-    """Only a string."""
-    return value if isinstance(value, str) else None
-
-
 def as_texts(value: Any) -> list[str] | None:
     """A list of nothing but strings."""
     return list(value) if isinstance(value, list) and all(isinstance(item, str) for item in value) else None
@@ -88,7 +83,7 @@ class Kind(NamedTuple, Generic[T]):
 NUMBER = Kind("a number", as_number)
 INTEGER = Kind("an integer", as_integer)
 BOOLEAN = Kind("true or false", as_boolean)
-TEXT = Kind("a string", as_text)
+TEXT = Kind("a string", lambda value: value if isinstance(value, str) else None)
 TEXTS = Kind("a list of strings", as_texts)
 NUMBERS = Kind("a list of numbers", as_numbers)
 LIST = Kind("a list", lambda value: value if isinstance(value, list) else None)
@@ -258,48 +253,38 @@ def _changed(change: ParameterChange) -> Iterator[tuple[str, Any]]:
             yield name, value
 
 
-class Guard:
-    """Judges changes of the parameters of one loaded controller: names that it does not read, values of a wrong type.
+def judge(node: NodeHandle, own: tuple[Parameter, ...], change: ParameterChange) -> None:
+    """Judge a change of the parameters of a loaded controller: names that it does not read, values of a wrong type.
 
     Args:
         node: the controller's own node handle.
-        declared: what it reads; when that is nothing, nobody knows which names are wrong.
+        own: what it reads; when that is nothing, nobody knows which names are wrong.
+
+    Raises:
+        Refused.
     """
-
-    def __init__(self, node: NodeHandle, declared: Iterable[Parameter]) -> None:
-        self._node = node
-        self._own = tuple(declared)
-        self._declared = (TYPE, UPDATE_BUDGET, *self._own)
-
-    def judge(self, change: ParameterChange) -> None:
-        """A control.node.ParameterJudge."""
-        late = [parameter for parameter in check_values(self._node, self._declared, change) if not parameter.live]
-        if change.deletes or change.after is MISSING:
-            return
-        self._check_names(change)
-        for parameter in late:
-            where = names.join(self._node.namespace, parameter.name)
-            self._node.log("warn", f"{where} counts when the controller is loaded again; until then the old value does")
-
-    def _check_names(self, change: ParameterChange) -> None:
-        known = dict(leaves(change.before))
-        readable = [parameter.name for parameter in self._declared]
-        for name, _ in _changed(change):
-            if name in known or any(self._reads(name, place) for place in readable):
-                continue
-            full = names.join(self._node.namespace, name)
-            if change.known_only:
-                every = {*known, *(place for place in readable if "[" not in place and "<" not in place)}
-                error = UnknownName("parameter", full, [names.join(self._node.namespace, each) for each in every])
-                reads = f"{self._node.namespace} is a loaded controller; it reads: {listing(every)}"
-                error.hint = f"{reads}\n--new sets it all the same"
-                raise error
-            if self._own:
-                self._node.log("warn", f"parameter {full} has no effect: the controller does not read it")
-
-    def _reads(self, name: str, place: str) -> bool:
-        path, parts = name.split("/"), place.split("/")
-        return _fits(path, parts[: len(path)])
+    declared = (TYPE, UPDATE_BUDGET, *own)
+    late = [parameter for parameter in check_values(node, declared, change) if not parameter.live]
+    if change.deletes or change.after is MISSING:
+        return
+    known = dict(leaves(change.before))
+    readable = [parameter.name for parameter in declared]
+    for name, _ in _changed(change):
+        path = name.split("/")
+        if name in known or any(_fits(path, place.split("/")[: len(path)]) for place in readable):
+            continue
+        full = names.join(node.namespace, name)
+        if change.known_only:
+            every = {*known, *(place for place in readable if "[" not in place and "<" not in place)}
+            error = UnknownName("parameter", full, [names.join(node.namespace, each) for each in every])
+            reads = f"{node.namespace} is a loaded controller; it reads: {listing(every)}"
+            error.hint = f"{reads}\n--new sets it all the same"
+            raise error
+        if own:
+            node.log("warn", f"parameter {full} has no effect: the controller does not read it")
+    for parameter in late:
+        where = names.join(node.namespace, parameter.name)
+        node.log("warn", f"{where} counts when the controller is loaded again; until then the old value does")
 
 
 TYPE = Parameter("type", TEXT, "the controller's type", required=True)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from math import isfinite
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 from slidectl.control.laws import Columns, law
 
@@ -22,14 +22,6 @@ class Gains(NamedTuple):
     i_max: float = 0.0
     i_min: float = 0.0
     antiwindup: bool = False
-
-
-class Terms(NamedTuple):
-    """The three parts of the last command."""
-
-    p: float
-    i: float
-    d: float
 
 
 @law
@@ -109,7 +101,7 @@ def next_command(pid: Pid, error: float, period_s: float) -> float:
 
 
 class Pid:
-    """Gains and state of one loop. A copy has the gains and a state that is reset.
+    """Gains and state of one loop.
 
     Errors are in units of the controlled quantity, periods in seconds.
     """
@@ -182,12 +174,9 @@ class Pid:
         if self.observer is not None and period_s != 0.0 and isfinite(error) and isfinite(self.d_error):
             self.observer(period_s)
 
-    def terms(self) -> Terms:
-        """The parts that the last command was made of."""
+    def terms(self) -> tuple[float, float, float]:
+        """The parts that the last command was made of, of p, i and d."""
         i_term = self.i * self.i_error
         if not self.antiwindup:
             i_term = min(max(i_term, self.i_min), self.i_max)
-        return Terms(self.p * self.p_error, i_term, self.d * self.d_error)
-
-    def __copy__(self) -> Self:
-        return type(self)(*self.gains)
+        return self.p * self.p_error, i_term, self.d * self.d_error

@@ -11,8 +11,8 @@ from math import isfinite, isnan
 from typing import Any
 
 from slidectl.control import params
-from slidectl.control.duration import from_seconds, to_stamp
-from slidectl.control.node_handle import Message, NodeHandle, ParameterChange
+from slidectl.control.duration import from_seconds, header_of, to_stamp
+from slidectl.control.node_handle import Message, NodeHandle, ParameterChange, publish_if_wanted
 from slidectl.control.params import BOOLEAN, NUMBER, Parameter, check_values
 from slidectl.control.pid import Gains, Pid
 from slidectl.control.reconfigure import Option, ReconfigureServer, Values
@@ -80,7 +80,8 @@ class ReconfigurablePid:
         self._writing = True
         try:
             for name, value in values.items():
-                if not _same(self._node.get_param(name, None), value):
+                there = self._node.get_param(name, None)
+                if type(there) is not type(value) or there != value:  # `param get` prints 1, 1.0 and true differently
                     self._node.set_param(name, value)
         finally:
             self._writing = False
@@ -90,13 +91,9 @@ class ReconfigurablePid:
         if self._writing:
             return
         check_values(self._node, GAINS, change)
-        if change.deletes:
-            self._refuse_deletion(change)
-
-    def _refuse_deletion(self, change: ParameterChange) -> None:
         after = change.after if isinstance(change.after, dict) else {}
         gone = [name for name in to_parameters(self.pid.gains) if name not in after]
-        if gone:
+        if change.deletes and gone:
             raise Refused(
                 f"{self._node.namespace}/{gone[0]} is a gain of a loaded controller and cannot be deleted",
                 "unload the controller first: slidectl controller unspawn NAME",
@@ -151,11 +148,6 @@ def gains_from_parameters(node: NodeHandle, base: Gains | None = None) -> Gains:
     )
 
 
-def _same(value: Any, other: float | bool) -> bool:
-    """Equal and of one type: `param get` prints 1, 1.0 and true differently."""
-    return type(value) is type(other) and bool(value == other)
-
-
 def _first(value: float | None, otherwise: float) -> float:
     return otherwise if value is None else value
 
@@ -178,25 +170,22 @@ class _StatePublisher:
 
     def publish(self, period_s: float) -> None:
         """The state after a command that was computed for this period."""
-        if self._publisher.wanted:
-            self._publisher.publish(self._message(period_s))
-        else:
-            self._publisher.sequence += 1
+        publish_if_wanted(self._publisher, lambda: self._message(period_s))
 
     def _message(self, period_s: float) -> Message:
         pid = self._pid
-        terms = pid.terms()
+        p_term, i_term, d_term = pid.terms()
         return {
-            "header": {"seq": 0, "stamp": to_stamp(self._node.now_ns()), "frame_id": ""},
+            "header": header_of(self._node.now_ns()),
             "timestep": to_stamp(from_seconds(period_s)),
             "error": pid.p_error,
             "error_dot": pid.d_error,
             "p_error": pid.p_error,
             "i_error": pid.i_error,
             "d_error": pid.d_error,
-            "p_term": terms.p,
-            "i_term": terms.i,
-            "d_term": terms.d,
+            "p_term": p_term,
+            "i_term": i_term,
+            "d_term": d_term,
             "i_max": pid.i_max,
             "i_min": pid.i_min,
             "output": pid.command,

@@ -1,4 +1,4 @@
-"""Controllers by type name: the decorator that registers a class, and the loader that makes instances.
+"""Controllers by type name: the decorator that registers a class, and what makes instances.
 
 Every module of `controllers/` is imported when types are first asked for; that is all it takes to add a family. Users'
 classes come from files, from modules, and from installed packages by their entry points.
@@ -7,13 +7,14 @@ classes come from files, from modules, and from installed packages by their entr
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import cache
 from importlib import import_module
 from pathlib import Path
 from pkgutil import iter_modules
 from types import ModuleType
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from slidectl.control import hardware_types, user_classes
 from slidectl.control.controller_interface import Compiled, ControllerBase
@@ -38,47 +39,6 @@ class UnknownType(UnknownName):
 
     def __init__(self, type_name: str, known: Sequence[str]) -> None:
         super().__init__("controller type", type_name, known)
-
-
-class ControllerLoader(Protocol):
-    """A source of controllers. A manager asks its loaders in turn."""
-
-    base_class: str
-
-    def types(self) -> list[str]:
-        """The types that it can make."""
-
-    def has(self, type_name: str) -> bool:
-        """Can it make this one?"""
-        return type_name in self.types()
-
-    def create(self, type_name: str) -> ControllerBase:
-        """A fresh controller of one of these types."""
-
-    def reload(self) -> None:
-        """Look for controllers anew."""
-
-
-class RegistryLoader:
-    """The controllers that are registered here."""
-
-    base_class = BASE_CLASS
-
-    def types(self) -> list[str]:
-        """All registered types."""
-        return types()
-
-    def has(self, type_name: str) -> bool:
-        """Is it registered, or named by an installed package?"""
-        _import_shipped()
-        return type_name in _known or type_name in _entry_points()
-
-    def create(self, type_name: str) -> ControllerBase:
-        """A fresh controller of that type. Raises UnknownType."""
-        return create(type_name)
-
-    def reload(self) -> None:
-        """Nothing to do: registered classes stay."""
 
 
 def controller(*type_names: str) -> Callable[[C], C]:
@@ -136,15 +96,10 @@ def add_file(file: str, class_name: str) -> str:
     An empty name means the only controller in it. All or nothing. Raises as `user_classes.run_file` and
     `user_classes.chosen_class`.
     """
-    _import_shipped()
-    before = dict(_known)
-    try:
+    with _all_or_nothing():
         module = user_classes.run_file(file)
         cls = user_classes.chosen_class(module, class_name)
         _register_all(module)
-    except BaseException:
-        _restore(before)
-        raise
     return _type_in(module, cls.__name__)
 
 
@@ -153,18 +108,12 @@ def add_module(name: str) -> list[str]:
 
     All or nothing. Raises as `user_classes.import_named`, and BadFile: it has none of either, or a broken controller.
     """
-    _import_shipped()
-    before = dict(_known)
     was_registered = name in _registered and name in sys.modules
-    try:
+    with _all_or_nothing() as before:
         module = user_classes.import_named(name)
-        found = user_classes.classes_of(module)
-        for class_name, cls in found.items():
+        for class_name, cls in user_classes.classes_of(module).items():
             user_classes.check_class(cls, class_name, module.__file__)
         _register_all(module)
-    except BaseException:
-        _restore(before)
-        raise
     added = [type_name for type_name, cls in _known.items() if before.get(type_name) is not cls]
     added += hardware_types.add_all(module, _type_in(module, ""))
     if not added and not was_registered:
@@ -184,14 +133,10 @@ def renewed(cls: ControllerClass) -> ControllerClass:
     file = user_classes.file_of(cls)
     if file is None:
         raise Refused(f"{cls.__name__} was not read from a file")
-    before = dict(_known)
-    try:
+    with _all_or_nothing():
         module = user_classes.run_file(file, cls.__module__)
         new = user_classes.chosen_class(module, cls.__name__)
         _register_all(module)
-    except BaseException:
-        _restore(before)
-        raise
     put_back(new)
     return new
 
@@ -213,9 +158,17 @@ def _type_in(module: ModuleType, class_name: str) -> str:
     return f"{Path(name).stem if name.endswith('.py') else name.rpartition('.')[2]}/{class_name}"
 
 
-def _restore(before: dict[str, ControllerClass]) -> None:
-    _known.clear()
-    _known.update(before)
+@contextmanager
+def _all_or_nothing() -> Iterator[dict[str, ControllerClass]]:
+    """Inside a module is imported and registered; types mean what they did when that fails. Gives a copy of them."""
+    _import_shipped()
+    before = dict(_known)
+    try:
+        yield before
+    except BaseException:
+        _known.clear()
+        _known.update(before)
+        raise
 
 
 @cache

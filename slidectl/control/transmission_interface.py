@@ -113,6 +113,10 @@ class _TwoDofTransmission(Transmission):
         self._joint = tuple(joint_reduction)
         self._offset = tuple(joint_offset)
 
+    def joint_position(self, actuator: Values) -> list[float]:
+        first, second = self.joint_velocity(actuator)
+        return [first + self._offset[0], second + self._offset[1]]
+
 
 class DifferentialTransmission(_TwoDofTransmission):
     """Two actuators that together turn one joint by their sum and the other by their difference."""
@@ -141,10 +145,6 @@ class DifferentialTransmission(_TwoDofTransmission):
             (actuator[0] / a1 + actuator[1] / a2) / (2.0 * j1),
             (actuator[0] / a1 - actuator[1] / a2) / (2.0 * j2),
         ]
-
-    def joint_position(self, actuator: Values) -> list[float]:
-        first, second = self.joint_velocity(actuator)
-        return [first + self._offset[0], second + self._offset[1]]
 
     def joint_absolute_position(self, actuator: Values) -> list[float]:
         if self._ignore_absolute_encoders:
@@ -185,10 +185,6 @@ class FourBarLinkageTransmission(_TwoDofTransmission):
             actuator[0] / (j1 * a1),
             (actuator[1] / a2 - actuator[0] / (j1 * a1)) / j2,
         ]
-
-    def joint_position(self, actuator: Values) -> list[float]:
-        first, second = self.joint_velocity(actuator)
-        return [first + self._offset[0], second + self._offset[1]]
 
     def actuator_effort(self, joint: Values) -> list[float]:
         (a1, a2), (j1, j2) = self._actuator, self._joint

@@ -104,7 +104,8 @@ class HookGuard(AbstractContextManager[None]):
     With `commands` it raises Refused too when one of these is no number afterwards.
     """
 
-    commands: WrittenCommands | None = None
+    def __init__(self, commands: WrittenCommands | None = None) -> None:
+        self.commands = commands
 
     def __enter__(self) -> None:
         if self.commands is not None:
@@ -124,9 +125,9 @@ class HookGuard(AbstractContextManager[None]):
             raise Refused(raised(failure)) from None
 
 
-def watched(cls: ControllerClass) -> HookGuard | None:
-    """What surrounds the hooks of the class; None for a controller of slidectl itself."""
-    return HookGuard() if is_of_a_user(cls) else None
+def watched(cls: ControllerClass, commands: WrittenCommands | None = None) -> AbstractContextManager[None]:
+    """What surrounds the hooks of the class: HookGuard, if it is a user's."""
+    return HookGuard(commands) if is_of_a_user(cls) else nullcontext()
 
 
 @contextmanager
@@ -328,7 +329,7 @@ def check_class(cls: object, name: str, file: str | None = None) -> None:
 
 def made(cls: ControllerClass) -> ControllerBase:
     """An instance. Raises BadFile: its `__init__` leaves out what a controller needs."""
-    with watched(cls) or nullcontext():
+    with watched(cls):
         controller = cls()
     if not hasattr(controller, "state"):
         raise BadFile(f"{cls.__name__}.__init__ does not call super().__init__()", file_of(cls), _line(cls))

@@ -12,12 +12,11 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from slidectl.description.robot import Joint, Link, Robot
+from slidectl.description.robot import Joint, Robot
 from slidectl.errors import UnknownName
 from slidectl.physics.builder import SCALAR_TYPES, lumps
 from slidectl.physics.hulls import Hulls
-from slidectl.physics.rotation import wxyz
-from slidectl.rotations import IDENTITY, Pose, Vector, compose, subtract
+from slidectl.rotations import IDENTITY, Pose, Vector, compose, subtract, wxyz
 
 Array = np.ndarray[Any, np.dtype[Any]]
 
@@ -132,7 +131,13 @@ class Body:
         frames = {
             link: (at, frame) for at, lump in zip(ids, self._lumps, strict=True) for link, frame in lump.frames.items()
         }
-        self.links = {name: self._link_place(link, *frames[name]) for name, link in self.robot.links.items()}
+        self.links = {}
+        for name, link in self.robot.links.items():
+            at, frame = frames[name]
+            centre = link.inertial.origin.xyz if link.inertial is not None else (0.0, 0.0, 0.0)
+            x, y, z = model.body_ipos[at].tolist()
+            arm = subtract(compose(frame, (centre, IDENTITY))[0], (x, y, z))
+            self.links[name] = LinkPlace(at, frame, arm if any(arm) else None)
         self.joints = {}
         for made in self.robot.joints.values():
             if made.type in SCALAR_TYPES:
@@ -143,12 +148,6 @@ class Body:
             self.weights = Weights(*(weights.copy() for weights in self._weights_of(model)))
         for weights, own in zip(self._weights_of(model), self.weights, strict=True):
             weights[:] = own
-
-    def _link_place(self, link: Link, body: int, frame: Pose) -> LinkPlace:
-        centre = link.inertial.origin.xyz if link.inertial is not None else (0.0, 0.0, 0.0)
-        x, y, z = self._model.body_ipos[body].tolist()
-        arm = subtract(compose(frame, (centre, IDENTITY))[0], (x, y, z))
-        return LinkPlace(body, frame, arm if any(arm) else None)
 
     def follow(self, model: Any, data: Any) -> None:
         """Go on in a model in which others came or went behind this robot only: its places are the same."""

@@ -11,7 +11,7 @@ import math
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
@@ -38,9 +38,8 @@ from slidectl.description.robot import (
 from slidectl.description.transmissions import driving
 from slidectl.errors import Refused, SlidectlError
 from slidectl.physics.hulls import Hull, Hulls, source_of
-from slidectl.physics.rotation import perpendicular, unit, wxyz
 from slidectl.physics.touching import ORDINARY, self_colliding
-from slidectl.rotations import ORIGIN, Pose, Quaternion, Vector, compose, from_rpy, matrix
+from slidectl.rotations import ORIGIN, Pose, Quaternion, Vector, compose, from_rpy, matrix, perpendicular, unit, wxyz
 
 Array = np.ndarray[Any, np.dtype[Any]]
 
@@ -65,25 +64,15 @@ LARGEST_FRICTION = 1e6
 """What every larger coefficient counts as, `Inf` included: nothing slides at it, and its square is an exact number."""
 
 
-class Part(Protocol):
-    """A link, joint or transmission on paper."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def file(self) -> str | None: ...
-    @property
-    def line(self) -> int | None: ...
-
-
 class BadPart(SlidectlError):
     """A part that cannot be simulated."""
 
     kind: ClassVar[str] = "part"
 
-    def __init__(self, robot: str, part: Part, trouble: str, hint: str | None = None) -> None:
+    def __init__(
+        self, robot: str, part: Link | Joint | TransmissionInfo, trouble: str, hint: str | None = None
+    ) -> None:
         super().__init__(f"{self.kind} {part.name!r} of robot {robot!r}{place(part.file, part.line)}: {trouble}", hint)
-        self.part = part.name
 
 
 def place(file: str | None, line: int | None) -> str:
@@ -100,7 +89,7 @@ class BadInertia(BadPart):
 
 
 class BadShape(BadPart):
-    """A collision shape that MuJoCo cannot take. `part` is the link's name."""
+    """A collision shape that MuJoCo cannot take."""
 
     kind = "link"
 
@@ -406,7 +395,9 @@ class RobotBuilder:
         Raises:
             BadInertia, BadJoint, BadShape: naming the robot and the link or joint.
         """
-        check_depth(self.robot, self.name)
+        joint = too_deep(self.robot.root, self.robot.joints)
+        if joint is not None:
+            raise BadJoint(self.name, joint, TOO_DEEP)
         places: dict[str, tuple[Any, Pose]] = {}
         for lump in lumps(self.robot):
             body = self._root(pose) if lump.joint is None else self._child(*places[lump.joint.parent], lump.joint)
@@ -547,13 +538,6 @@ def range_of(joint: Joint) -> tuple[float, float] | None:
         half = max(NARROWEST_RANGE / 2, math.ulp(middle))
         return middle - half, middle + half
     return lower, upper
-
-
-def check_depth(robot: Robot, name: str) -> None:
-    """Raises BadJoint for a link that hangs too far below the root."""
-    joint = too_deep(robot.root, robot.joints)
-    if joint is not None:
-        raise BadJoint(name, joint, TOO_DEEP)
 
 
 def check_moving_masses(robot: Robot, name: str) -> None:

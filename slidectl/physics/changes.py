@@ -104,7 +104,9 @@ class JointFriction:
         dof = self._body.place(self._joint).dof
         asked = [(array, value) for array, value in zip(self._arrays(), self._asked, strict=True) if value is not None]
         if any(array[dof] != value for array, value in asked):
-            self._before = self._before or self._now(dof)
+            if self._before is None:
+                friction, damping = self._arrays()
+                self._before = float(friction[dof]), float(damping[dof])
             with self._world.changing_friction():
                 for array, value in asked:
                     array[dof] = value
@@ -116,10 +118,6 @@ class JointFriction:
                 for array, value in zip(self._arrays(), self._before, strict=True):
                     array[self._body.place(self._joint).dof] = value
             self._before = None
-
-    def _now(self, dof: int) -> tuple[float, float]:
-        friction, damping = (float(array[dof]) for array in self._arrays())
-        return friction, damping
 
     def _arrays(self) -> tuple[Any, Any]:
         return self._world.model.dof_frictionloss, self._world.model.dof_damping

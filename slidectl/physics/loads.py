@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -17,7 +17,7 @@ import numpy as np
 from slidectl.control.laws import law
 from slidectl.description.robot import Joint
 from slidectl.physics.body import Array, Body
-from slidectl.physics.motors import Motors, MotorsState
+from slidectl.physics.motors import Motors
 from slidectl.rotations import Vector, add, cross
 
 
@@ -90,15 +90,6 @@ def _is_over(force: JointForce | Wrench, now_ns: int) -> bool:
     return force.duration_ns >= 0 and now_ns > force.start_ns + force.duration_ns
 
 
-class LoadsState(NamedTuple):
-    """All that acts at one moment, and what it came to in the last step."""
-
-    joint_forces: list[JointForce]
-    wrenches: list[Wrench]
-    motors: MotorsState
-    efforts: Array
-
-
 class Loads:
     """Forces from outside that are not over, motors, and the efforts on joints that they came to in the last step."""
 
@@ -142,16 +133,6 @@ class Loads:
             self.efforts = np.append(self.efforts, np.zeros(model.nv - len(self.efforts)))
         self.motors.bind(model, data)
 
-    def captured(self) -> LoadsState:
-        """A copy of all this, for `put`."""
-        return LoadsState(list(self.joint_forces), list(self.wrenches), self.motors.captured(), self.efforts.copy())
-
-    def put(self, state: LoadsState) -> None:
-        """As it was. `bind` is to follow."""
-        self.joint_forces, self.wrenches = list(state.joint_forces), list(state.wrenches)
-        self.motors.put(state.motors)
-        self.efforts = state.efforts.copy()
-
     def snapshot(self) -> dict[str, Any]:
         """All this as plain data and arrays of numbers, for `restore`; robots by their names."""
         time, wrenches = self._acted
@@ -173,7 +154,7 @@ class Loads:
         }
 
     def restore(self, state: dict[str, Any], bodies: Mapping[str, Body]) -> None:
-        """As it was. `bind` is to follow, then `restore_last_step`."""
+        """As it was. `bind` is to follow, then `restore_last_step` if a step is to be looked at."""
         self.joint_forces = [JointForce(bodies[name], *rest) for name, *rest in state["joint_forces"]]
         self.wrenches = [Wrench(bodies[name], *rest) for name, *rest in state["wrenches"]]
         self.motors.put(({bodies[name]: joints for name, joints in state["motors"].items()}, state["velocities"]))

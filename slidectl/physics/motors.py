@@ -128,14 +128,11 @@ class Motors:
         self._rows = np.count_nonzero(data.eq_active) + np.searchsorted(frictional, self._dofs)
         self.table = np.zeros(HEADER + len(motors) * MOTOR)
         if motors:
-            self._fill_table(model, data)
-
-    def _fill_table(self, model: Any, data: Any) -> None:
-        variables = [data._address + place for place in mujoco_library.constraint_variables()]
-        stages = [mujoco_library.address_of(stage) for stage in _STAGES]
-        self.table[:HEADER] = len(self._dofs), model.opt.timestep, *variables, *stages
-        columns = (self._dofs, self._coordinates, self._rows, self._bounds_of_dofs, self._weights)
-        self.table[HEADER:] = np.column_stack(columns).ravel()
+            variables = [data._address + place for place in mujoco_library.constraint_variables()]
+            stages = [mujoco_library.address_of(stage) for stage in _STAGES]
+            self.table[:HEADER] = len(self._dofs), model.opt.timestep, *variables, *stages
+            columns = (self._dofs, self._coordinates, self._rows, self._bounds_of_dofs, self._weights)
+            self.table[HEADER:] = np.column_stack(columns).ravel()
 
     @property
     def is_compilable(self) -> bool:

@@ -53,17 +53,13 @@ def _library() -> ctypes.CDLL | None:
     return ctypes.CDLL(str(files[0])) if files else None
 
 
-def _remove_clock() -> None:
-    """Null `mjcb_time`: the wheel's clock is read some twenty times a step, and `set_mjcb_time(None)` leaves it in."""
-    library = _library()
-    if library is not None:
-        ctypes.c_void_p.in_dll(library, "mjcb_time").value = None
-
-
 def prepare() -> None:
     """Make the library quiet and quick. Doing it twice does no harm."""
     mujoco.set_mju_user_warning(_keep_warning)
-    _remove_clock()
+    library = _library()
+    if library is not None:
+        # The wheel's clock is read some twenty times a step, and `set_mjcb_time(None)` leaves it in.
+        ctypes.c_void_p.in_dll(library, "mjcb_time").value = None
 
 
 def address_of(function: str) -> int:

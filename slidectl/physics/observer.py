@@ -12,8 +12,7 @@ import mujoco
 import numpy as np
 
 from slidectl.physics.body import LinkPlace
-from slidectl.physics.rotation import xyzw
-from slidectl.rotations import Pose, Vector, add, compose, cross, rotate
+from slidectl.rotations import Pose, Vector, add, compose, cross, rotate, xyzw
 
 Twist = tuple[Vector, Vector]
 """Linear (m/s) and angular (rad/s) velocity, in the world's axes."""

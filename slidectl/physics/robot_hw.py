@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeVar
 
 from slidectl.control.angular_distance import distance_with_limits, shortest_angular_distance, unwrapped
@@ -79,19 +78,10 @@ class MissingJoint(BadTransmission):
         )
 
 
-@dataclass(slots=True)
-class Bounds:
-    """What PID modes and motors need of the limits: m or rad, N or N·m; the largest float where there is none."""
-
-    lower: float = -LARGEST
-    upper: float = LARGEST
-    effort: float = LARGEST
-
-
 class HardwareJoint:
-    """A driven joint: where it is in the world, its handle, the interface it takes commands by, and its bounds."""
+    """A driven joint: its handle, the interface it takes commands by, and its bounds."""
 
-    __slots__ = ("bounds", "handle", "interface", "joint", "limit", "name", "quantity")
+    __slots__ = ("handle", "interface", "joint", "limit", "lower", "most_effort", "name", "quantity", "upper")
 
     def __init__(self, joint: Joint, interface: type[JointCommands[Any]]) -> None:
         self.name = joint.name
@@ -99,7 +89,8 @@ class HardwareJoint:
         self.interface = interface
         self.quantity = interface.declared.quantity
         self.handle = interface.handle_type(joint.name)
-        self.bounds = Bounds()
+        self.lower, self.upper, self.most_effort = -LARGEST, LARGEST, LARGEST
+        """What PID modes and motors need of the limits: m or rad, N or N·m."""
         self.limit: LimitHandle | None = None
         self.reset()
 
@@ -140,9 +131,9 @@ class HardwareJoint:
         if limits is None:
             return
         if limits.has_position_limits:
-            self.bounds.lower, self.bounds.upper = limits.min_position, limits.max_position
+            self.lower, self.upper = limits.min_position, limits.max_position
         if limits.has_effort_limits:
-            self.bounds.effort = limits.max_effort
+            self.most_effort = limits.max_effort
         soft = soft_limits_from_parameters(node, self.name) or soft_limits_from_joint(self.joint)
         self.limit = limit_handle(self.interface, self.handle, limits, soft)
         self.handle.lowest, self.handle.highest = self.limit.command_bounds()
@@ -160,22 +151,17 @@ def hardware_joints(body: Body) -> list[HardwareJoint]:
     Raises:
         UnsupportedInterface, MissingJoint.
     """
-    return [
-        joint
-        for transmission, driven in driving(body.robot.transmissions)
-        for joint in _by_interface(body, transmission, driven)
-    ]
-
-
-def _by_interface(body: Body, transmission: TransmissionInfo, driven: TransmissionJoint) -> list[HardwareJoint]:
-    found = [interface for interface in map(interfaces.find, driven.hardware_interfaces) if interface is not None]
-    if not found:
-        raise UnsupportedInterface(body.name, transmission, driven)
-    try:
-        joint = body.place(driven.name).joint
-    except SlidectlError as error:
-        raise MissingJoint(body, transmission, driven.name) from error
-    return [HardwareJoint(joint, COMMAND_INTERFACES[interface]) for interface in dict.fromkeys(found)]
+    joints: list[HardwareJoint] = []
+    for transmission, driven in driving(body.robot.transmissions):
+        found = [interface for interface in map(interfaces.find, driven.hardware_interfaces) if interface is not None]
+        if not found:
+            raise UnsupportedInterface(body.name, transmission, driven)
+        try:
+            joint = body.place(driven.name).joint
+        except SlidectlError as error:
+            raise MissingJoint(body, transmission, driven.name) from error
+        joints += [HardwareJoint(joint, COMMAND_INTERFACES[interface]) for interface in dict.fromkeys(found)]
+    return joints
 
 
 GAINS = "gazebo_ros_control/pid_gains"
@@ -233,15 +219,11 @@ class Drive:
         self.handle = joint.handle
         self.kind = kind
         self.pid = pid
-        self.lower, self.upper, self.limit = joint.bounds.lower, joint.bounds.upper, joint.bounds.effort
+        self.lower, self.upper, self.limit = joint.lower, joint.upper, joint.most_effort
         limit = joint.joint.limit
         self.fastest = -1.0 if limit is None else REACH * limit.velocity
         self.truncation = EffortTruncation.of(joint.joint)
-
-    @property
-    def most_effort(self) -> float | None:
-        """Of a motor; None when it has none."""
-        return {VELOCITY_MOTOR: self.limit, POSITION_MOTOR: math.inf}.get(self.kind)
+        self._is_motor = kind in (VELOCITY_MOTOR, POSITION_MOTOR)
 
     def bind(self, world: World, place: JointPlace) -> None:
         """The joint is there from now on."""
@@ -252,7 +234,7 @@ class Drive:
 
         `stopped` is the emergency stop: no effort, no velocity. The hardware holds the commands of positions then.
         """
-        if self.most_effort is not None:
+        if self._is_motor:
             self._ask_motor(stopped)
         elif self.pid is None:
             self._push(0.0 if stopped else self.handle.command)
@@ -409,18 +391,20 @@ class MujocoRobotHW(RobotHW):
     def engage(self) -> None:
         """Drive the joints by the interfaces that count now."""
         self._enforce = tuple(limit.enforce for limit in self.limits())
-        self._drives = tuple(self._drive_of[joint] for joint in self._joints if not self._is_pushed(joint))
-        motors = {drive.joint.name: most for drive in self._drives if (most := self._most_of(drive)) is not None}
-        if motors or self._world.has_motors(self._body):
+        self.drives = tuple(self._drive_of[joint] for joint in self._joints if not self._is_pushed(joint))
+        """What drives the joints that are not simply pushed, in the order in which `write` asks them."""
+        motors = {}
+        for drive in self.drives:
+            name = drive.joint.name
+            if drive.kind == POSITION_MOTOR:  # positions are held by whatever it takes
+                motors[name] = math.inf
+            elif drive.kind == VELOCITY_MOTOR:
+                motors[name] = min(drive.limit, self._most.get(name, math.inf))
+        if motors or self._loads.motors.has(self._body):
             self._world.set_motors(self._body, motors)
         self.estop = self._estop
         self._places = {}
         self._bind()
-
-    def _most_of(self, drive: Drive) -> float | None:
-        """The largest effort of a drive's motor; None when it has none. Positions are held by whatever it takes."""
-        most = drive.most_effort
-        return min(most or 0.0, self._most.get(drive.joint.name, math.inf)) if drive.kind == VELOCITY_MOTOR else most
 
     # -- the cycle -------------------------------------------------------------------------------------------------
 
@@ -462,7 +446,7 @@ class MujocoRobotHW(RobotHW):
     @estop.setter
     def estop(self, stopped: bool) -> None:
         self._estop = stopped
-        self._is_special = stopped or bool(self._drives) or bool(self._limited)
+        self._is_special = stopped or bool(self.drives) or bool(self._limited)
         if not stopped:
             self._held = None
 
@@ -501,11 +485,6 @@ class MujocoRobotHW(RobotHW):
         handles = {joint.name: joint.handle for joint in self._joints}
         return [state for transmission in self._transmissions for state in transmission.states(handles)]
 
-    @property
-    def drives(self) -> tuple[Drive, ...]:
-        """What drives the joints that are not simply pushed, in the order in which `write` asks them."""
-        return self._drives
-
     def handles(self, joint: str) -> list[JointHandle]:
         """Those of a joint, one for each interface, first the one that drives it now."""
         now = [one.handle for one in self._joints if one.name == joint]
@@ -517,13 +496,14 @@ class MujocoRobotHW(RobotHW):
 
     def driven(self) -> list[DrivenJoint]:
         """All joints that have a command, and where they are in the world until it is rebuilt."""
-        return [self._driven_joint(joint) for joint in self._joints]
-
-    def _driven_joint(self, joint: HardwareJoint) -> DrivenJoint:
-        place, bounds = self._body.place(joint.name), EffortTruncation.of(joint.joint)
-        is_pushed = self._is_pushed(joint)
-        turns = joint.joint.type != "prismatic"
-        return DrivenJoint(joint.handle, place.qpos, place.dof, turns, is_pushed, bounds.effort, bounds.velocity)
+        driven = []
+        for joint in self._joints:
+            place, bounds = self._body.place(joint.name), EffortTruncation.of(joint.joint)
+            turns, is_pushed = joint.joint.type != "prismatic", self._is_pushed(joint)
+            driven.append(
+                DrivenJoint(joint.handle, place.qpos, place.dof, turns, is_pushed, bounds.effort, bounds.velocity)
+            )
+        return driven
 
     def limits(self) -> list[LimitHandle]:
         """The limit handles in the order in which `write` enforces them."""
@@ -630,27 +610,28 @@ class MujocoRobotHW(RobotHW):
     def _bind(self) -> None:
         """The model was rebuilt: look at its new data, and find the joints if they have moved."""
         self._qpos, self._qvel, self._forces, self._efforts, _ = self._world.views
-        for drive in self._drives:
+        for drive in self.drives:
             drive.bind(self._world, self._body.place(drive.joint.name))
         if self._places is not self._body.joints:
             self._places = self._body.joints
             self._find_joints()
 
     def _find_joints(self) -> None:
-        self._driven = tuple({self._body.place(drive.joint.name).dof for drive in self._drives})
+        self._driven = tuple({self._body.place(drive.joint.name).dof for drive in self.drives})
         sliding: list[_Measured] = []
         turning: list[_Measured] = []
-        pushed: list[_Pushed] = []
         for transmission in self._transmissions:
             transmission.bind(self._body)
         for joint in self._offered:
             place = self._body.place(joint.name)
             group = sliding if joint.joint.type == "prismatic" else turning
             group.append((joint.handle, place.qpos, place.dof))
-            if joint in self._joints and self._is_pushed(joint):
-                bounds = EffortTruncation.of(joint.joint)
-                pushed.append((joint.handle, place.dof, bounds.effort, bounds.velocity))
-        self._sliding, self._turning, self._pushed = tuple(sliding), tuple(turning), tuple(pushed)
+        self._sliding, self._turning = tuple(sliding), tuple(turning)
+        self._pushed: tuple[_Pushed, ...] = tuple(
+            (joint.handle, joint.dof, joint.max_effort, joint.max_velocity)
+            for joint in self.driven()
+            if joint.is_pushed
+        )
 
     def _drive(self, period_s: float) -> None:
         """All that is not simply pushed; and in an emergency stop nothing is pushed."""
@@ -659,7 +640,7 @@ class MujocoRobotHW(RobotHW):
                 self._forces[dof] = 0.0
         for dof in self._driven:
             self._forces[dof] = 0.0
-        for drive in self._drives:
+        for drive in self.drives:
             drive.apply(period_s, self._estop)
         for transmission in self._limited:
             transmission.bound(self._forces)

@@ -1,4 +1,4 @@
-"""What sensors measure in the present world: distances along rays, motion, contacts, forces in joints.
+"""What sensors measure in the present world: distances along rays, motion, contacts, forces in joints, bounding boxes.
 
 It looks and changes nothing that the next step depends on. Vectors are in the world's axes unless they are a sensor's
 own; SI units. Noise follows from the names of robot and sensor and the time: every run gives the same bits.
@@ -83,17 +83,22 @@ def distances(world: World, pose: Pose, directions: Array, nearest: float, farth
     return found
 
 
-def acceleration(world: World, robot: str, link: str, origin: Pose) -> tuple[Vector, Quaternion]:
-    """What an accelerometer at `origin` in the link's frame felt in the last step, the reaction to gravity included.
+def boxes(world: World, robot: str, frame: Pose) -> Array:
+    """The lowest and the highest corner of the box around each collision shape, in `frame`. Shape (n, 2, 3).
 
-    Returns:
-        The acceleration in the world's axes, and the sensor's attitude at that time.
-
-    Raises:
-        UnknownName.
+    The box of a shape that is turned is the box around its own box. Raises UnknownName.
     """
-    felt, _, attitude = _accelerations(world, robot, link, origin)
-    return felt, attitude
+    model, data = world.model, world.present()
+    geoms = np.flatnonzero(model.body_rootid[model.geom_bodyid] == world.body(robot).root_id)
+    centres, halves = model.geom_aabb[geoms, :3], model.geom_aabb[geoms, 3:]
+    turn = np.zeros(9)
+    mujoco.mju_quat2Mat(turn, np.array([frame[1][3], *frame[1][:3]]))
+    axes = turn.reshape(3, 3).T @ data.geom_xmat[geoms].reshape(-1, 3, 3)
+    places = (data.geom_xpos[geoms] - np.array(frame[0])) @ turn.reshape(3, 3)
+    middles = places + np.einsum("nij,nj->ni", axes, centres)
+    is_ball = model.geom_type[geoms] == mujoco.mjtGeom.mjGEOM_SPHERE
+    reach = np.where(is_ball[:, None], halves, np.einsum("nij,nj->ni", np.abs(axes), halves))
+    return np.stack([middles - reach, middles + reach], axis=1)
 
 
 def link_acceleration(world: World, robot: str, link: str) -> tuple[Vector, Vector]:
@@ -106,7 +111,11 @@ def link_acceleration(world: World, robot: str, link: str) -> tuple[Vector, Vect
 
 
 def _accelerations(world: World, robot: str, link: str, origin: Pose) -> tuple[Vector, Vector, Quaternion]:
-    """What is felt there, the angular acceleration, and the attitude at that time."""
+    """What an accelerometer at `origin` in the link's frame felt in the last step, the reaction to gravity included;
+    the angular acceleration; and the sensor's attitude at that time. The first two in the world's axes.
+
+    Raises UnknownName.
+    """
     model, data, place = world.model, world.data, world.body(robot).link(link)
     world.compute_body_forces()
     found, moving, kind = np.zeros(6), np.zeros(6), mujoco.mjtObj.mjOBJ_XBODY
@@ -155,7 +164,7 @@ def imu(world: World, robot: str, sensor: Imu, time_ns: int) -> ImuData:
     """What an IMU measures. Raises UnknownName."""
     attitude = sensor_pose(world, robot, sensor)[1]
     draw = draws(robot, sensor, time_ns)
-    felt, then = acceleration(world, robot, sensor.link, _origin(sensor))
+    felt, _, then = _accelerations(world, robot, sensor.link, _origin(sensor))
     if not sensor.feels_gravity:
         felt = add(felt, world.gravity)
     turning = sensor_twist(world, robot, sensor)[1]
@@ -218,7 +227,10 @@ def touches(world: World, robot: str, link: str) -> list[Touch]:
     wrench = np.zeros(6)
     for index in range(data.ncon):
         contact = data.contact[index]
-        names = [_touching(model, int(geom), robots) for geom in contact.geom]
+        names = []
+        for geom in contact.geom.tolist():
+            other = robots.get(int(model.body_rootid[model.geom_bodyid[geom]]))
+            names.append(GROUND if other is None else f"{other}::{link_of(model, geom, other)}")
         for own in (0, 1):
             if names[own] != f"{robot}::{link}":
                 continue
@@ -251,8 +263,3 @@ def contacts(world: World) -> Iterator[tuple[Vector, Vector]]:
 def _vector(array: Array) -> Vector:
     x, y, z = array.tolist()
     return x, y, z
-
-
-def _touching(model: mujoco.MjModel, geom: int, robots: dict[int, str]) -> str:
-    robot = robots.get(int(model.body_rootid[model.geom_bodyid[geom]]))
-    return GROUND if robot is None else f"{robot}::{link_of(model, geom, robot)}"

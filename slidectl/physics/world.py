@@ -7,7 +7,7 @@ carried over every rebuild of the model, to the last bit. SI units; quaternions 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -21,7 +21,7 @@ from slidectl.errors import Refused, SlidectlError, UnknownName, listing
 from slidectl.physics import hulls, mujoco_library
 from slidectl.physics.body import Body
 from slidectl.physics.hulls import Hulls
-from slidectl.physics.loads import JointForce, Loads, LoadsState, Wrench
+from slidectl.physics.loads import JointForce, Loads, Wrench
 from slidectl.physics.observer import Observer, Twist
 from slidectl.physics.touching import depths, link_of
 from slidectl.physics.world_spec import Settings, WorldSpec
@@ -97,7 +97,7 @@ class _State(NamedTuple):
     bodies: dict[str, Body]
     model: Any
     data: Any
-    loads: LoadsState
+    loads: dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ class World:
         self._bodies: dict[str, Body] = {}
         self._listeners: list[Callable[[], None]] = []
         self.loads = Loads()
-        self.clock: Callable[[], int] = self._own_clock
+        self.clock: Callable[[], int] = lambda: round(float(self.data.time + self._settings.timestep) * 1e9)
         """Time in ns of the cycle that is stepped, for forces with a start and an end; the simulation puts its own."""
         self._spec: WorldSpec | None = WorldSpec(self._settings)
         self._install(self._spec.compile(), 0.0)
@@ -145,7 +145,7 @@ class World:
         if name in self._bodies:
             raise Refused(f"a robot named {name!r} is in the world already", "give another name, or delete it first")
         known = hulls.read_all(robot) if hulls_read is None else hulls_read
-        body = Body(name, robot, (finite(pose[0]), normalized(finite4(pose[1]))), known)
+        body = Body(name, robot, finite_pose(pose), known)
         spec = WorldSpec(self._settings, (body,))
         model = spec.compile(name)
         body.bind(model, None)
@@ -223,7 +223,7 @@ class World:
         self._spec = spec
 
     def _state(self) -> _State:
-        return _State(self._bodies, self.model, self.data, self.loads.captured())
+        return _State(self._bodies, self.model, self.data, self.loads.snapshot())
 
     def _go_back(self, before: _State) -> None:
         """Be again what the world was before a robot came or went; no step has been made since.
@@ -235,7 +235,7 @@ class World:
         self._use(before.model, before.data)
         for body in before.bodies.values():
             body.bind(before.model, before.data)
-        self.loads.put(before.loads)
+        self.loads.restore(before.loads, before.bodies)
         self._bind_loads()
         self._announce_all()
 
@@ -293,7 +293,12 @@ class World:
 
     def check(self) -> None:
         """Raises Diverged when a robot's state is not finite or huge. A few microseconds: meant for once per slice."""
-        check_divergence(self.data, self._bodies.values())
+        positions, velocities = np.abs(self.data.qpos) < HUGE, np.abs(self.data.qvel) < HUGE
+        if positions.all() and velocities.all():
+            return
+        for body in self._bodies.values():
+            if not (positions[body.coordinates].all() and velocities[body.dofs].all()):
+                raise Diverged(body.name)
 
     def _step_with_loads(self) -> None:
         self.loads.step(self.model, self.data, self.clock())
@@ -310,9 +315,6 @@ class World:
         self._choose_step()
         if before != self.step:
             self._announce()
-
-    def _own_clock(self) -> int:
-        return round(float(self.data.time + self._settings.timestep) * 1e9)
 
     @property
     def timestep(self) -> float:
@@ -347,7 +349,8 @@ class World:
         self._replace_broken_data()
         self.loads.motors.velocities[:] = 0.0
         self.loads.clear_efforts()
-        self.clear_forces()
+        self.loads.keep(lambda _: False)
+        self._loads_changed()
         for body in self._bodies.values():
             body.put_at_spawn()
         self._observer.invalidate()
@@ -439,7 +442,7 @@ class World:
             UnknownName: no such robot. Refused: not finite.
         """
         body = self.body(name)
-        body.put_root((finite(pose[0]), normalized(finite4(pose[1]))))
+        body.put_root(finite_pose(pose))
         self._observer.invalidate()
         if twist is not None and not body.robot.is_fixed_to_world:
             self.set_root_twist(name, (finite(twist[0]), finite(twist[1])))
@@ -533,15 +536,6 @@ class World:
         self.loads.keep(lambda force: isinstance(force, JointForce) or force.body is not body or force.link != link)
         self._loads_changed()
 
-    def clear_forces(self) -> None:
-        """End all forces from outside."""
-        self.loads.keep(lambda _: False)
-        self._loads_changed()
-
-    def has_motors(self, body: Body) -> bool:
-        """Whether joints of the robot are held by motors."""
-        return self.loads.motors.has(body)
-
     def set_motors(self, body: Body, most_efforts: dict[str, float]) -> None:
         """Hold these joints by motors, each with at most this effort (N or N·m), and no others but `lasting_motors`.
 
@@ -577,25 +571,15 @@ def finite(vector: Vector) -> Vector:
     return (x, y, z)
 
 
-def finite4(values: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
-    a, b, c, d = (number(part) for part in values)
-    return (a, b, c, d)
+def finite_pose(pose: Pose) -> Pose:
+    x, y, z, w = (number(part) for part in pose[1])
+    return finite(pose[0]), normalized((x, y, z, w))
 
 
 def positive(timestep: float) -> float:
     if not (math.isfinite(timestep) and timestep > 0.0):
         raise Refused(f"a time step of {timestep} s is not possible", "give a number above 0, such as 0.001")
     return float(timestep)
-
-
-def check_divergence(data: Any, bodies: Iterable[Body]) -> None:
-    """Raises Diverged, naming the first robot of which a position or velocity is not finite or huge."""
-    positions, velocities = np.abs(data.qpos) < HUGE, np.abs(data.qvel) < HUGE
-    if positions.all() and velocities.all():
-        return
-    for body in bodies:
-        if not (positions[body.coordinates].all() and velocities[body.dofs].all()):
-            raise Diverged(body.name)
 
 
 def carry_over(model: Any, data: Any, new_model: Any, new_data: Any, gone: Body | None) -> None:

@@ -104,14 +104,10 @@ def _empty(ground: bool) -> Any:
     spec.option.impratio = FRICTION_STIFFNESS
     spec.worldbody.add_light(name="sun", pos=[0, 0, 10], dir=[-0.5, 0.1, -0.9])
     if ground:
-        _put_ground(spec)
+        # At z = 0, with the friction of Gazebo's ground: so in nearly all contacts the robot's counts.
+        plane = spec.worldbody.add_geom(name=GROUND, type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1])
+        put_friction(plane, GROUND_FRICTION)
     return spec
-
-
-def _put_ground(spec: Any) -> None:
-    """A plane at z = 0 with the friction of Gazebo's ground, so that in nearly all contacts the robot's counts."""
-    plane = spec.worldbody.add_geom(name=GROUND, type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1])
-    put_friction(plane, GROUND_FRICTION)
 
 
 def _explained(text: str, newest: str) -> BadModel:

@@ -30,7 +30,7 @@ from slidectl.control.controller_manager import UpdateTimes
 from slidectl.control.goals import MonitoredGoal
 from slidectl.control.hardware_interface import ResourceManager, SensorHandle
 from slidectl.control.limits import LimitHandle
-from slidectl.control.mobile_base import BaseVelocity, RollingMean
+from slidectl.control.mobile_base import RollingMean
 from slidectl.control.node_handle import GoalStatus
 from slidectl.control.reconfigurable_pid import ReconfigurablePid
 from slidectl.control.reconfigure import ReconfigureServer
@@ -94,9 +94,7 @@ STRUCTURE = (
     type,
 )
 """Classes of which nothing is saved where an attribute refers to them."""
-VALUES: dict[str, type] = {
-    cls.__qualname__: cls for cls in (ActionGoal, BaseVelocity, GoalStatus, MonitoredGoal, RollingMean, State)
-}
+VALUES: dict[str, type] = {cls.__qualname__: cls for cls in (ActionGoal, GoalStatus, MonitoredGoal, RollingMean, State)}
 """Classes of objects that come and go while a simulation runs: they are made anew."""
 
 _SCALARS = frozenset((bool, int, float, str, bytes, type(None)))

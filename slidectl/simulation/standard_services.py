@@ -19,7 +19,7 @@ from slidectl import msgs, names
 from slidectl.control.duration import header_of
 from slidectl.control.node_handle import Message
 from slidectl.errors import BadName, Refused, SlidectlError, UnknownName, quoted
-from slidectl.physics import bounding, sensing
+from slidectl.physics import sensing
 from slidectl.rotations import ORIGIN, Pose, compose
 from slidectl.simulation.gazebo_frames import pose, pose_message, twist, twist_message, vector_message
 from slidectl.simulation.pending import Pending
@@ -231,7 +231,7 @@ class StandardServices:
             raise FailedRequest("RESULT_OPERATION_FAILED", "such bounds have two points, with finite numbers")
 
         def is_within(robot: SpawnedRobot) -> bool:
-            boxes = bounding.boxes(self._world, robot.name, ORIGIN)
+            boxes = sensing.boxes(self._world, robot.name, ORIGIN)
             if not len(boxes):
                 boxes = np.array([[self._entities.model_frame(robot.name).pose[0]] * 2])
             low, high = boxes[:, 0], boxes[:, 1]
@@ -285,7 +285,7 @@ class StandardServices:
     def _bounds(self, request: Message) -> Message:
         """The box around all collision shapes, on the axes of the root link."""
         robot = self._robots.get(request["entity"])
-        boxes = bounding.boxes(self._world, robot.name, self._entities.model_frame(robot.name).pose)
+        boxes = sensing.boxes(self._world, robot.name, self._entities.model_frame(robot.name).pose)
         if not len(boxes):
             return {"bounds": {"type": constant("Bounds", "TYPE_EMPTY")}}
         corners = boxes[:, 1].max(axis=0).tolist(), boxes[:, 0].min(axis=0).tolist()

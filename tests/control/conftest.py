@@ -5,6 +5,15 @@ from __future__ import annotations
 import pytest
 from fake_node import FakeGraph
 
+from slidectl.control import registry
+
+
+@pytest.fixture(autouse=True)
+def _own_types(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Types that a test registers are gone after it."""
+    registry.types()  # imports the shipped ones
+    monkeypatch.setattr(registry, "_known", dict(registry._known))
+
 
 @pytest.fixture
 def graph() -> FakeGraph:

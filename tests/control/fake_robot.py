@@ -25,7 +25,7 @@ from slidectl.control.hardware_interface import (
     VelocityJointInterface,
 )
 from slidectl.control.node_handle import NodeHandle
-from slidectl.control.registry import BASE_CLASS, ControllerLoader
+from slidectl.control.registry import controller
 
 STEP_NS = 1_000_000
 STEP_S = 0.001
@@ -99,25 +99,6 @@ class Recorder(Controller[EffortJointInterface]):
         self.calls.append("aborting")
 
 
-class FakeLoader(ControllerLoader):
-    """Makes the controllers that a test brings along."""
-
-    base_class = BASE_CLASS
-
-    def __init__(self, classes: dict[str, Any]) -> None:
-        self.classes = classes
-        self.reloads = 0
-
-    def types(self) -> list[str]:
-        return sorted(self.classes)
-
-    def create(self, type_name: str) -> Any:
-        return self.classes[type_name]()
-
-    def reload(self) -> None:
-        self.reloads += 1
-
-
 class Bench:
     """A manager on a fake robot in the namespace /bot, with a clock that runs when a test says so."""
 
@@ -127,9 +108,13 @@ class Bench:
         self.graph = FakeGraph({"/bot": parameters})
         self.robot = robot
         self.manager = ControllerManager(robot, self.graph.node("/bot"))
-        self.loader = FakeLoader({"test/Recorder": Recorder} | {f"test/{name}": cls for name, cls in classes.items()})
-        self.manager.register_loader(self.loader)
+        self.register(**{"Recorder": Recorder, **classes})
         self.answers: list[bool] = []
+
+    def register(self, **classes: Any) -> None:
+        """Give these classes the types `test/NAME`; conftest.py takes them back."""
+        for name, cls in classes.items():
+            controller(f"test/{name}")(cls)
 
     def load(self, *names: str) -> None:
         for name in names:

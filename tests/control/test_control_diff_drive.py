@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from slidectl import msgs
-from slidectl.control.controllers.diff_drive import SidesOdometry
+from slidectl.control.controllers.diff_drive import SidesOdometry, roll
 from slidectl.control.mobile_base import rolling_mean
 from slidectl.errors import MessageRefused, Refused
 
@@ -110,7 +110,7 @@ def test_the_rolling_mean_is_that_of_the_last_values(values: list[float], size: 
 @given(st.floats(-3.0, 3.0), st.floats(-1e-5, 1e-5))
 def test_a_line_and_a_circle_of_a_large_radius_are_nearly_the_same(length: float, angle: float) -> None:
     odometry = SidesOdometry(10)
-    odometry.update(length - angle / 2.0, length + angle / 2.0, 1.0, 0)
+    roll(odometry, odometry.past, length - angle / 2.0, length + angle / 2.0, 1.0, 0)
     assert (odometry.x, odometry.heading) == pytest.approx((length, angle), abs=1e-9)
     assert odometry.y == pytest.approx(length * angle / 2.0, abs=1e-9)
 
@@ -133,7 +133,7 @@ def test_limits_hold_velocity_acceleration_and_jerk() -> None:
     seen = [0.0]
     for _ in range(800):
         base.run()
-        seen.append(base.controller.velocity.last.linear)
+        seen.append(base.controller.velocity.last_linear)
     accelerations = [(b - a) / STEP_S for a, b in pairwise(seen)]
     jerks = [(b - a) / STEP_S for a, b in pairwise(accelerations)]
     assert max(seen) == pytest.approx(0.4)
@@ -332,6 +332,14 @@ class TestReconfiguring:
     def test_a_rate_of_nothing_is_refused(self, base: Base, rate: float) -> None:
         with pytest.raises(Refused, match="publish_rate must be a rate above 0"):
             base.reconfigure(publish_rate=rate)
+        with pytest.raises(Refused, match="publish_rate must be a rate above 0"):
+            base.graph.set(f"{NAMESPACE}/publish_rate", rate)
+        assert base.graph.get(f"{NAMESPACE}/publish_rate") == 50.0
+
+    @pytest.mark.parametrize("rate", [1e-12, 1e10])
+    def test_a_rate_whose_period_no_clock_can_count_does_not_stand_in_the_parameters(
+        self, base: Base, rate: float
+    ) -> None:
         with pytest.raises(Refused, match="publish_rate must be a rate above 0"):
             base.graph.set(f"{NAMESPACE}/publish_rate", rate)
         assert base.graph.get(f"{NAMESPACE}/publish_rate") == 50.0

@@ -42,7 +42,7 @@ def test_an_unknown_joint_is_refused_by_naming_those_that_exist():
 def test_the_last_handle_of_a_name_replaces_the_others():
     old, new = JointStateHandle("joint1"), JointStateHandle("joint1")
     interface = JointStateInterface([old])
-    assert interface.register_handle(new) is old
+    interface.register_handle(new)
     assert interface.get_handle("joint1") is new
 
 
@@ -78,8 +78,8 @@ def test_a_robot_finds_its_interfaces_by_type():
 def test_the_last_interface_of_a_type_replaces_the_others():
     robot = RobotHW()
     old, new = EffortJointInterface(), EffortJointInterface()
-    assert robot.register_interface(old) is None
-    assert robot.register_interface(new) is old
+    robot.register_interface(old)
+    robot.register_interface(new)
     assert robot.get(EffortJointInterface) is new
 
 

@@ -7,7 +7,6 @@ from fake_robot import STEP_S, Bench, FakeRobot
 
 from slidectl import msgs
 from slidectl.control.angular_distance import distance_with_large_limits
-from slidectl.control.pid import Gains
 from slidectl.errors import MessageRefused
 
 COMMAND, STATE = "/bot/arm/command", "/bot/arm/state"
@@ -159,15 +158,6 @@ class TestSetPoint:
         bench.run(2)
         assert bench.robot.joints["joint1"].command == 0.0
 
-    def test_a_velocity_may_go_with_the_position(self):
-        bench = bench_with(urdf(), pid={"p": 1.0, "d": 10.0})
-        bench.start("arm")
-        joint = bench.robot.joints["joint1"]
-        joint.velocity = 0.1
-        bench.manager.get("arm").set_command(0.5, velocity=0.3)
-        bench.run()
-        assert joint.command == pytest.approx(0.5 + 10.0 * (0.3 - 0.1))
-
 
 class TestAngles:
     def command_of(self, xml, position, set_point):
@@ -243,12 +233,6 @@ class TestGains:
         bench.graph.set("/bot/arm/pid/p", 8.0)
         bench.run()
         assert bench.robot.joints["joint1"].command == 4.0
-
-    def test_gains_can_be_read_and_set_from_code(self, bench):
-        controller = bench.manager.get("arm")
-        controller.set_gains(Gains(p=5.0))
-        assert controller.gains == Gains(p=5.0)
-        assert bench.graph.get("/bot/arm/pid/p") == 5.0
 
 
 def test_a_double_integrator_reaches_one_minus_one_and_zero():

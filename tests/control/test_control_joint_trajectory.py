@@ -189,7 +189,7 @@ class TestVariants:
         arm.start("arm")
         arm.run()
         assert arm.manager.list()[0]["claimed_resources"][0]["resources"] == ["j1", "j2"]
-        assert arm.manager.get("arm").desired.positions == [0.5, 0.0]
+        assert [motion.position for motion in arm.manager.get("arm").motions] == [0.5, 0.0]
 
     def test_it_is_not_loaded_without_its_interface(self, kind: str) -> None:
         arm = Arm(kind)
@@ -213,7 +213,7 @@ def test_feed_forward_adds_to_the_pid() -> None:
     arm.command(point(1.0, 1.0, 0.0))
     arm.run(2)
     controller = arm.manager.get("arm")
-    assert arm.robot.joints["j1"].command == 0.5 * controller.desired.velocities[0] + controller.error.positions[0]
+    assert arm.robot.joints["j1"].command == 0.5 * controller.motions[0].velocity + controller.motions[0].position_error
 
 
 @pytest.mark.parametrize(
@@ -281,12 +281,12 @@ class TestCommands:
     def test_a_new_command_takes_over_in_flight_without_a_jump(self, arm: Arm) -> None:
         arm.command(point(1.0, 1.0, 0.0, velocities=[0.0, 0.0]))
         arm.run(500)
-        before = arm.manager.get("arm").desired
+        desired = arm.manager.get("arm").motions[0]
+        position, velocity = desired.position, desired.velocity
         arm.command(point(0.5, 0.0, 0.0, velocities=[0.0, 0.0]))
         arm.run()
-        after = arm.manager.get("arm").desired
-        assert after.positions[0] == pytest.approx(before.positions[0], abs=2e-3)
-        assert after.velocities[0] == pytest.approx(before.velocities[0], abs=2e-2)
+        assert desired.position == pytest.approx(position, abs=2e-3)
+        assert desired.velocity == pytest.approx(velocity, abs=2e-2)
 
     def test_a_stamp_in_the_future_lets_the_present_motion_go_on_until_then(self, arm: Arm) -> None:
         arm.command(point(0.1, 1.0, 0.0))

@@ -17,11 +17,11 @@ from slidectl.control.controller_manager import LoadedController
 from slidectl.control.hardware_interface import EffortJointInterface, PositionJointInterface, VelocityJointInterface
 from slidectl.errors import Refused
 
-REQUESTS = {
-    "start_request": (State.RUNNING, "starting"),
-    "stop_request": (State.STOPPED, "stopping"),
-    "wait_request": (State.WAITING, "waiting"),
-    "abort_request": (State.ABORTED, "aborting"),
+HOOKS = {
+    State.RUNNING: "starting",
+    State.STOPPED: "stopping",
+    State.WAITING: "waiting",
+    State.ABORTED: "aborting",
 }
 
 
@@ -35,43 +35,28 @@ def test_a_fresh_controller_is_in_no_state_that_the_manager_knows():
     assert Recorder().state is State.CONSTRUCTED
 
 
-@pytest.mark.parametrize("request_name", REQUESTS)
-def test_before_init_every_request_is_refused_and_calls_nothing(request_name):
-    controller = Recorder()
-    assert getattr(controller, request_name)(0) is False
-    assert controller.state is State.CONSTRUCTED
-    assert controller.calls == []
-
-
 def test_init_leads_to_initialized():
     assert initialised(Recorder()).state is State.INITIALIZED
 
 
-@pytest.mark.parametrize("first", REQUESTS)
-@pytest.mark.parametrize("second", REQUESTS)
-def test_after_init_every_request_leads_to_its_state_from_any_other(first, second):
+@pytest.mark.parametrize("first", HOOKS)
+@pytest.mark.parametrize("second", HOOKS)
+def test_after_init_every_state_is_reached_from_any_other_by_its_hook(first, second):
     controller = initialised(Recorder())
-    for request in (first, second, second):
-        assert getattr(controller, request)(0) is True
-        state, hook = REQUESTS[request]
+    for state in (first, second, second):
+        controller.enter_state(state, 0)
         assert controller.state is state
-        assert controller.calls[-1] == hook
+        assert controller.calls[-1] == HOOKS[state]
     assert len(controller.calls) == 3
 
 
-@pytest.mark.parametrize("request_name", [None, *REQUESTS])
-def test_only_a_running_controller_is_updated(request_name):
+@pytest.mark.parametrize("state", [State.INITIALIZED, *HOOKS])
+def test_only_a_running_controller_is_updated(state):
     controller = initialised(Recorder())
-    if request_name:
-        getattr(controller, request_name)(0)
+    if state in HOOKS:
+        controller.enter_state(state, 0)
     LoadedController("c", "test/Recorder", controller, FakeGraph().node("/bot/c")).update_if_running(1, 0.001)
     assert ("update" in controller.calls) is (controller.state is State.RUNNING)
-
-
-def test_a_controller_is_initialised_only_once():
-    controller = initialised(Recorder())
-    with pytest.raises(Refused, match="only once"):
-        initialised(controller)
 
 
 def test_hooks_that_nobody_filled_in_do_nothing_but_update_must_be_there():
@@ -79,8 +64,8 @@ def test_hooks_that_nobody_filled_in_do_nothing_but_update_must_be_there():
         interface_type = EffortJointInterface
 
     controller = initialised(Plain())
-    for request in REQUESTS:
-        assert getattr(controller, request)(0)
+    for state in HOOKS:
+        controller.enter_state(state, 0)
     with pytest.raises(NotImplementedError):
         ControllerBase().update(0, 0.0)
 

@@ -1,5 +1,6 @@
 """What limit handles make of commands: the cases of joint_limits_interface."""
 
+from functools import partial
 from math import inf, nan
 
 import pytest
@@ -11,19 +12,24 @@ from slidectl.control.hardware_interface import (
     VelocityJointInterface,
 )
 from slidectl.control.limits import (
+    LIMIT_KINDS,
     BadLimits,
-    EffortJointSaturation,
-    EffortJointSoftLimits,
     JointLimits,
-    PositionJointSaturation,
-    PositionJointSoftLimits,
+    LimitHandle,
     SoftJointLimits,
-    VelocityJointSaturation,
-    VelocityJointSoftLimits,
     bounded,
     in_order,
     limit_handle,
 )
+
+(
+    EffortJointSaturation,
+    EffortJointSoftLimits,
+    PositionJointSaturation,
+    PositionJointSoftLimits,
+    VelocityJointSaturation,
+    VelocityJointSoftLimits,
+) = (partial(LimitHandle, kind) for kind in range(len(LIMIT_KINDS)))
 
 PERIOD = 0.1
 LIMITS = JointLimits(
@@ -236,8 +242,8 @@ class TestVelocitySoftLimits:
     ],
 )
 def test_soft_limits_take_the_place_of_saturation(joint, interface, saturation, soft):
-    assert type(limit_handle(interface, joint, LIMITS)) is saturation
-    assert type(limit_handle(interface, joint, LIMITS, SOFT)) is soft
+    assert limit_handle(interface, joint, LIMITS).kind == saturation(joint, LIMITS).kind
+    assert limit_handle(interface, joint, LIMITS, SOFT).kind == soft(joint, LIMITS, SOFT).kind
 
 
 def test_limits_are_enforced_efforts_first_and_joints_in_alphabetical_order():

@@ -102,7 +102,7 @@ def test_an_init_that_raises_anything_is_a_load_that_failed(bench):
             node.advertise("state", "std_msgs/Float64")
             raise ZeroDivisionError("oops")
 
-    bench.loader.classes["test/Recorder"] = Broken
+    bench.register(Recorder=Broken)
     assert not bench.manager.load("mine")
     assert "ZeroDivisionError: oops (" in bench.graph.lines("error")
     assert bench.graph.publishers == {}
@@ -128,7 +128,7 @@ def test_unloading_takes_back_what_the_controller_offered(bench):
         def init(self, interface, node):
             node.subscribe("command", "std_msgs/Float64", lambda message: None)
 
-    bench.loader.classes["test/Recorder"] = Offering
+    bench.register(Recorder=Offering)
     bench.load("mine")
     assert list(bench.graph.subscribers) == ["/bot/mine/command"]
     assert bench.manager.unload("mine")
@@ -182,7 +182,7 @@ def test_controllers_are_updated_in_load_order_and_only_while_running(bench):
         return Noting
 
     for name in ("other", "mine", "derived"):
-        bench.loader.classes["test/Recorder"] = bench.loader.classes["test/Derived"] = noting(name)
+        bench.register(Recorder=noting(name), Derived=noting(name))
         bench.load(name)
     bench.request(start=["mine", "other"])
     bench.run()
@@ -224,7 +224,7 @@ class TestFailingControllers:
             def aborting(self, time_ns):
                 self._called("aborting")
 
-        bench.loader.classes["test/Derived"] = Failing
+        bench.register(Derived=Failing)
         return Failing
 
     def test_a_failing_update_aborts_its_controller_and_the_others_go_on(self, bench, failing):
@@ -240,7 +240,7 @@ class TestFailingControllers:
 
     def test_two_failures_in_one_cycle_abort_both(self, bench, failing):
         failing.fails_in = ("update",)
-        bench.loader.classes["test/Recorder"] = failing
+        bench.register(Recorder=failing)
         bench.start("mine", "other")
         bench.run()
         assert bench.states() == {"mine": "aborted", "other": "aborted"}
@@ -270,15 +270,13 @@ class TestFailingControllers:
 
 
 class TestReload:
-    def test_an_empty_manager_lets_its_loaders_look_anew(self, bench):
+    def test_an_empty_manager_has_nothing_in_the_way(self, bench):
         assert bench.manager.reload_libraries(force_kill=False)
-        assert bench.loader.reloads == 1
 
     def test_loaded_controllers_are_in_the_way(self, bench):
         bench.load("mine", "other")
         assert not bench.manager.reload_libraries(force_kill=False)
         assert "2 controllers are loaded" in bench.graph.lines("error")
-        assert bench.loader.reloads == 0
 
     def test_force_stops_and_unloads_them(self, bench):
         bench.start("mine")
@@ -302,6 +300,6 @@ def test_a_refusing_controller_gives_its_reason_on_one_line(bench):
         def init(self, interface, node):
             raise Refused("not today", "come back tomorrow")
 
-    bench.loader.classes["test/Recorder"] = Refusing
+    bench.register(Recorder=Refusing)
     bench.manager.load("mine")
     assert bench.graph.log[-1] == ("error", "cannot load controller 'mine': not today; come back tomorrow")

@@ -156,7 +156,7 @@ def test_a_controller_that_conflicts_with_itself_does_not_start(bench):
             for kind in self.interface_types:
                 hw.get(kind).get_handle("joint_ve")
 
-    bench.loader.classes["test/Selfish"] = Selfish
+    bench.register(Selfish=Selfish)
     bench.graph.set("/bot/selfish", {"type": "test/Selfish"})
     bench.load("selfish")
     assert not switch(bench, ["selfish"])

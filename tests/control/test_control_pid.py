@@ -1,6 +1,5 @@
 """The PID law and its memory, by the cases that control_toolbox checks and the traps of its reset."""
 
-import copy
 from math import inf, isfinite, nan
 
 import pytest
@@ -46,15 +45,6 @@ def test_without_antiwindup_the_integral_winds_up_behind_its_clamp():
 def test_antiwindup_works_with_a_negative_integral_gain():
     pid = Pid(0.0, -2.5, 0.0, i_max=0.5, i_min=-0.2, antiwindup=True)
     assert outputs(pid, 0.1, 0.1, -0.05, 0.1) == pytest.approx([-0.2, -0.2, -0.075, -0.2])
-
-
-def test_gains_survive_a_copy_and_the_state_does_not():
-    pid = Pid(1.0, 2.0, 3.0, i_max=4.0, i_min=-4.0, antiwindup=True)
-    outputs(pid, 1.0, 2.0)
-    twin = copy.copy(pid)
-    assert twin.gains == pid.gains == Gains(1.0, 2.0, 3.0, 4.0, -4.0, True)
-    assert (twin.p_error, twin.i_error, twin.d_error, twin.command) == (0.0, 0.0, 0.0, 0.0)
-    assert pid.command != 0.0
 
 
 def test_set_gains_leaves_antiwindup_off_unless_told():
@@ -140,7 +130,7 @@ def test_the_terms_add_up_to_the_command():
         pid = Pid(2.0, 3.0, 4.0, i_max=1.0, i_min=-1.0, antiwindup=antiwindup)
         command = pid.compute_command(0.7, 1.0)
         assert sum(pid.terms()) == pytest.approx(command)
-        assert pid.terms().i == pytest.approx(1.0)
+        assert pid.terms()[1] == pytest.approx(1.0)
 
 
 def test_an_observer_hears_of_each_command_that_was_computed():

@@ -414,7 +414,7 @@ def test_what_is_told_between_steps_counts_and_what_is_shown_is_new() -> None:
     simulation.publish("/cart/position1/command", {"data": 1.0})
     for _ in range(500):
         simulation.step(1)
-    assert robot.manager.get("position1").gains.p == 100.0  # type: ignore[union-attr]
+    assert robot.manager.get("position1")._pid.p == 100.0  # type: ignore[union-attr]
     assert handle.command == pytest.approx(simulation.world.joint_state("cart", "joint1")[2])
 
 

@@ -11,48 +11,46 @@ from __future__ import annotations
 
 from array import array
 from dataclasses import replace
-from math import inf, isfinite, isnan, nan, sqrt
+from math import isfinite, isnan, nan, sqrt
 from typing import Any, ClassVar
 
 from slidectl.control import params
 from slidectl.control.controller_interface import Compiled, Controller, Member, Parts
 from slidectl.control.duration import from_seconds, header_of, to_seconds, to_stamp
+from slidectl.control.goals import checked_period
 from slidectl.control.hardware_interface import JointHandle, VelocityJointInterface
 from slidectl.control.laws import Columns, LawTables, law
 from slidectl.control.mobile_base import (
     ALLOWS_MANY,
-    BASE_FRAME,
     COVARIANCES,
     LIMIT_NUMBERS,
     LIMITS,
     ODOM_FRAME,
     ODOM_TF,
+    OF_BASE,
     OPEN_LOOP,
     PUBLISH_RATE,
-    SHORTEST_S,
-    TIMEOUT,
-    WINDOW,
+    BaseController,
     LimitedVelocity,
     Odometry,
     OdometryTopics,
     check_lengths,
-    forget_if_put_back,
-    limited,
-    moved,
-    publish,
-    rolling_mean,
+    follow_velocity,
+    odometry_is_due,
+    travel,
     twist_of,
     velocity_commands,
     wheel_radius,
     window_of,
 )
-from slidectl.control.node_handle import NodeHandle, ParameterChange
+from slidectl.control.node_handle import NodeHandle, ParameterChange, publish_if_wanted
 from slidectl.control.params import BOOLEAN, NUMBER, Kind, Parameter, as_number, as_texts
 from slidectl.control.reconfigure import Option, ReconfigureServer, Values
 from slidectl.control.registry import controller
 from slidectl.control.robot_description import find_joint, robot_on_paper
 from slidectl.description.robot import Cylinder, Sphere
 from slidectl.errors import Refused
+from slidectl.rotations import subtract
 
 WHEELS = Kind("a string or a list of strings", lambda value: [value] if isinstance(value, str) else as_texts(value))
 
@@ -78,11 +76,20 @@ class SidesOdometry(Odometry):
         super().forget()
         self.left = self.right = 0.0
 
-    def update(self, left: float, right: float, separation: float, time_ns: int) -> None:
-        """The two sides have made these ways, in m, since the beginning."""
-        left_change, right_change = left - self.left, right - self.right
-        self.left, self.right = left, right
-        self.advance((right_change + left_change) * 0.5, (right_change - left_change) / separation, time_ns)
+
+@law
+def roll(odometry: Any, past: Any, left: float, right: float, separation: float, time_ns: int) -> None:
+    """The two sides have made these ways, in m, since the beginning; `odometry` is a SidesOdometry, or its row."""
+    left_change, right_change = left - odometry.left, right - odometry.right
+    odometry.left, odometry.right = left, right
+    travel(odometry, past, (right_change + left_change) * 0.5, (right_change - left_change) / separation, time_ns)
+
+
+@law
+def wheel_velocities(base: Any, linear: float, angular: float) -> tuple[float, float]:
+    """Of the wheels on the left and on the right, rad/s, at these velocities of the base."""
+    left = (linear - angular * base.width / 2.0) / base.left_radius
+    return left, (linear + angular * base.width / 2.0) / base.right_radius
 
 
 @law
@@ -103,56 +110,34 @@ def drive(base: Any, tables: LawTables, time_ns: int, period_s: float) -> bool:
     left, right = side_positions(tables)
     if isnan(left) or isnan(right):
         return False
-    left, right = left * base.left_radius, right * base.right_radius
-    left_change, right_change = left - base.odometry_left, right - base.odometry_right
-    base.odometry_left, base.odometry_right = left, right
-    way, turn = (right_change + left_change) * 0.5, (right_change - left_change) / base.width
-    base.odometry_x, base.odometry_y, base.odometry_heading = moved(
-        base.odometry_x, base.odometry_y, base.odometry_heading, way, turn
-    )
-    elapsed_s = to_seconds(time_ns - base.odometry_time_ns)
-    if not elapsed_s < SHORTEST_S:
-        base.odometry_time_ns = time_ns
-        past, window, count = tables.numbers[2 * LIMIT_NUMBERS :], base.odometry_window, base.odometry_count
-        base.odometry_linear = rolling_mean(base.odometry_linear_mean, way / elapsed_s, past, 0, window, count)
-        base.odometry_angular = rolling_mean(base.odometry_angular_mean, turn / elapsed_s, past, window, window, count)
-        base.odometry_linear_mean, base.odometry_angular_mean = base.odometry_linear, base.odometry_angular
-        base.odometry_count += 1
+    past = tables.numbers[2 * LIMIT_NUMBERS :]
+    roll(base, past, left * base.left_radius, right * base.right_radius, base.width, time_ns)
     linear, angular = base.wanted_linear, base.wanted_angular
-    if to_seconds(time_ns - base.commands_time_ns) > base.commands_timeout_s:
+    if to_seconds(time_ns - base.received_ns) > base.timeout_s:
         linear = angular = 0.0
-    last_linear, last_angular = base.velocity_last_linear, base.velocity_last_angular
-    linear = limited(tables.numbers, linear, last_linear, base.velocity_before_linear, period_s)
-    turns = tables.numbers[LIMIT_NUMBERS:]
-    angular = limited(turns, angular, last_angular, base.velocity_before_angular, period_s)
-    base.velocity_before_linear, base.velocity_before_angular = last_linear, last_angular
-    base.velocity_last_linear, base.velocity_last_angular = linear, angular
-    left = (linear - angular * base.width / 2.0) / base.left_radius
-    right = (linear + angular * base.width / 2.0) / base.right_radius
+    follow_velocity(base, tables.numbers, linear, angular, period_s)
+    left, right = wheel_velocities(base, base.last_linear, base.last_angular)
     for k in range(len(tables.members) // 2):
         tables.joints[tables.members[k].joint].command = left
     for k in range(len(tables.members) // 2, len(tables.members)):
         tables.joints[tables.members[k].joint].command = right
-    if base.topics_published_ns + base.topics_period_ns >= time_ns:
-        return False
-    base.topics_published_ns += base.topics_period_ns
-    base.topics_messages += 1
-    return bool(base.wanted)
+    return odometry_is_due(base, time_ns) and base.wanted != 0
 
 
 DRIVE = Columns(
     changing="updated_ns odometry.x odometry.y odometry.heading odometry.linear odometry.angular odometry.left "
-    "odometry.right odometry.time_ns odometry.count odometry.linear_mean odometry.angular_mean velocity.last.linear "
-    "velocity.last.angular velocity.before.linear velocity.before.angular topics.published_ns topics.messages",
-    fixed="odometry.window topics.period_ns commands.time_ns commands.timeout_s wanted_linear wanted_angular "
+    "odometry.right odometry.measured_ns odometry.count odometry.linear_mean odometry.angular_mean "
+    "velocity.last_linear velocity.last_angular velocity.before_linear velocity.before_angular "
+    "topics.published_ns topics.messages",
+    fixed="odometry.window topics.period_ns commands.received_ns commands.timeout_s wanted_linear wanted_angular "
     "left_radius right_radius width",
-    whole="updated_ns odometry.time_ns odometry.count odometry.window topics.published_ns topics.messages "
-    "topics.period_ns commands.time_ns",
+    whole="updated_ns odometry.measured_ns odometry.count odometry.window topics.published_ns topics.messages "
+    "topics.period_ns commands.received_ns",
 )
 
 
 @controller("diff_drive_controller/DiffDriveController")
-class DiffDriveController(Controller[VelocityJointInterface]):
+class DiffDriveController(BaseController, Controller[VelocityJointInterface]):
     """velocity of a wheel = (linear ∓ angular · separation / 2) / radius."""
 
     interface_type = VelocityJointInterface
@@ -167,12 +152,7 @@ class DiffDriveController(Controller[VelocityJointInterface]):
         Parameter("left_wheel_radius_multiplier", NUMBER, "corrects the left radius", default=1.0, live=True),
         Parameter("right_wheel_radius_multiplier", NUMBER, "corrects the right radius", default=1.0, live=True),
         replace(PUBLISH_RATE, live=True),
-        OPEN_LOOP,
-        WINDOW,
-        TIMEOUT,
-        ALLOWS_MANY,
-        BASE_FRAME,
-        ODOM_FRAME,
+        *OF_BASE,
         replace(ODOM_TF, live=True),
         *LIMITS,
         Parameter("publish_cmd", BOOLEAN, "publishes the limited command on cmd_vel_out", default=False),
@@ -199,13 +179,13 @@ class DiffDriveController(Controller[VelocityJointInterface]):
         self._is_open_loop: bool = params.value_of(node, OPEN_LOOP)
         self.odometry = SidesOdometry(window_of(node))
         self.velocity = LimitedVelocity(node)
-        self._numbers = array("d", [*self.velocity.numbers(), *self.odometry.past])
+        self._numbers = array("d", [*self.velocity.limits, *self.odometry.past])
         self.odometry.past = memoryview(self._numbers)[2 * LIMIT_NUMBERS :]
         self._separation, self._radius = self._geometry(root, node, left[0], right[0])
         self.topics = OdometryTopics(node, params.value_of(node, ODOM_FRAME))
         self._left = [interface.get_handle(name) for name in left]
         self._right = [interface.get_handle(name) for name in right]
-        self.updated_ns = 0
+        self._joints = (*self._left, *self._right)
         self._values = self._first_values(node)
         self._take_values(self._values)
         self._is_writing = False
@@ -218,6 +198,7 @@ class DiffDriveController(Controller[VelocityJointInterface]):
         node.guard_params(self._judge)
         node.watch_param(node.namespace, self._parameters_changed)
         self.commands = velocity_commands(self, node, None if params.value_of(node, ALLOWS_MANY) else self._brake)
+        self._commands = (self.commands,)
 
     def _geometry(self, root: NodeHandle, node: NodeHandle, left: str, right: str) -> tuple[float, float]:
         """Separation and radius: by the parameters, else by the description in the robot's own namespace."""
@@ -226,8 +207,8 @@ class DiffDriveController(Controller[VelocityJointInterface]):
             robot = robot_on_paper(root)
             one, other = find_joint(robot, left), find_joint(robot, right)
             if separation is None:
-                pairs = zip(one.origin.xyz, other.origin.xyz, strict=True)
-                separation = sqrt(sum((a - b) * (a - b) for a, b in pairs))
+                x, y, z = subtract(one.origin.xyz, other.origin.xyz)
+                separation = sqrt(x * x + y * y + z * z)
             if radius is None:
                 radius = wheel_radius(node, robot, one, (Cylinder, Sphere))
         check_lengths(node, wheel_separation=separation, wheel_radius=radius)
@@ -250,11 +231,10 @@ class DiffDriveController(Controller[VelocityJointInterface]):
         for name in MULTIPLIERS:
             if name in values and (values[name] == 0.0 or not isfinite(values[name])):
                 raise Refused(f"{self._node.namespace}/{name} must be a number other than {values[name]:g}")
-        if not 0.0 < values.get("publish_rate", 1.0) < inf:
-            raise Refused(f"{self._node.namespace}/publish_rate must be a rate above 0")
+        checked_period(self._node, PUBLISH_RATE.name, values.get(PUBLISH_RATE.name, 1.0))
 
     def _take_values(self, values: Values) -> None:
-        """Use these from the next update on. Raises BadDuration: no clock can count the period; nothing changes."""
+        """Use these from the next update on."""
         self.topics.period_ns = from_seconds(1.0 / values["publish_rate"])
         self._values = dict(values)
         left, right, separation = (values[name] for name in MULTIPLIERS)
@@ -294,67 +274,58 @@ class DiffDriveController(Controller[VelocityJointInterface]):
     # The cycle.
 
     def starting(self, time_ns: int) -> None:
-        """Stand still. The limits go on from the last command, and so does the place, unless time was put back."""
-        forget_if_put_back(time_ns, self.updated_ns, self.odometry, self.velocity, self.commands)
-        self._brake()
-        self.updated_ns = time_ns
-        self.topics.start(time_ns)
+        super().starting(time_ns)
         if self._wheel_state is not None:
             self._wheel_state.time_ns = time_ns
-        self.odometry.start(time_ns)
-
-    def stopping(self, time_ns: int) -> None:  # noqa: ARG002
-        """Stand still."""
-        self._brake()
-
-    def _brake(self) -> None:
-        for joint in (*self._left, *self._right):
-            joint.command = 0.0
 
     def update(self, time_ns: int, period_s: float) -> None:
         self.updated_ns = time_ns
         if self._is_open_loop:
-            self.odometry.advance_by(self.velocity.last, time_ns)
+            self.odometry.travel_at(self.velocity, time_ns)
         else:
             left, right = _mean_position(self._left), _mean_position(self._right)
             if isnan(left) or isnan(right):
                 return
-            self.odometry.update(left * self.left_radius, right * self.right_radius, self.width, time_ns)
-        wanted_linear, wanted_angular = self.commands.at(time_ns) or (0.0, 0.0)
-        velocity = self.velocity.follow(wanted_linear, wanted_angular, period_s)
-        linear, angular = velocity.linear, velocity.angular
+            left, right = left * self.left_radius, right * self.right_radius
+            roll(self.odometry, self.odometry.past, left, right, self.width, time_ns)
+        linear, angular = self.commands.at(time_ns)
+        self.velocity.follow(linear, angular, period_s)
+        linear, angular = self.velocity.last_linear, self.velocity.last_angular
         if self._cmd is not None:
-            publish(self._cmd, lambda: {"header": header_of(time_ns), "twist": twist_of(linear, 0.0, angular)})
-        left_velocity = (linear - angular * self.width / 2.0) / self.left_radius
-        right_velocity = (linear + angular * self.width / 2.0) / self.right_radius
+            publish_if_wanted(
+                self._cmd, lambda: {"header": header_of(time_ns), "twist": twist_of(linear, 0.0, angular)}
+            )
+        left_velocity, right_velocity = wheel_velocities(self, linear, angular)
         for joint in self._left:
             joint.command = left_velocity
         for joint in self._right:
             joint.command = right_velocity
         if self._wheel_state is not None:
             self._wheel_state.update(time_ns, period_s, left_velocity, right_velocity)
-        if self.topics.are_due(time_ns):
+        if odometry_is_due(self.topics, time_ns):
             self.publish(time_ns, period_s)
 
     def publish(self, time_ns: int, period_s: float) -> None:  # noqa: ARG002
         """Where the base is."""
-        self.topics.publish(time_ns, self.odometry, (self.odometry.linear, 0.0, self.odometry.angular))
+        odometry = self.odometry
+        place = odometry.x, odometry.y, odometry.heading
+        self.topics.publish(time_ns, place, (odometry.linear, 0.0, odometry.angular))
 
     @property
     def wanted_linear(self) -> float:
         """Of the last command, in m/s."""
-        return self.commands.first_two[0]
+        return self.commands.numbers[0]
 
     @property
     def wanted_angular(self) -> float:
         """Of the last command, in rad/s."""
-        return self.commands.first_two[1]
+        return self.commands.numbers[1]
 
     def parts(self) -> Parts | None:
         """What runs compiled besides this controller; None when it publishes each update, or moves by its commands."""
         if self._is_open_loop or self._cmd is not None or self._wheel_state is not None:
             return None
-        wheels = [Member(None, joint) for joint in (*self._left, *self._right)]
+        wheels = [Member(None, joint) for joint in self._joints]
         return Parts(self.topics.publishers, members=wheels, numbers=self._numbers)
 
     def check_restored(self) -> None:
@@ -409,7 +380,7 @@ class WheelState:
             for name, values in desired.items()
         }
         start = {"time_from_start": to_stamp(0)}
-        publish(
+        publish_if_wanted(
             self._publisher,
             lambda: {
                 "header": header_of(time_ns),
@@ -426,7 +397,7 @@ def _or(value: Any, default: Any) -> Any:
 
 
 def _mean_position(joints: list[JointHandle]) -> float:
-    total = 0.0
+    total = 0.0  # not by `sum`, which compensates for rounding in newer versions of Python
     for joint in joints:
         total += joint.position
     return total / len(joints)

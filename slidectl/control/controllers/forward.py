@@ -46,6 +46,11 @@ def update_group(group: Any, tables: LawTables, time_ns: int, period_s: float) -
     return False
 
 
+def first_command(interface_type: type[JointCommandInterface], joint: JointHandle) -> float:
+    """What to command until somebody says otherwise: the measured position where commands are positions, else 0."""
+    return joint.position if issubclass(interface_type, PositionJointInterface) else 0.0
+
+
 class ForwardController(ScalarController):
     """joint command = the last command, 0 until there is one."""
 
@@ -59,11 +64,7 @@ class ForwardController(ScalarController):
         self._listen(node, "std_msgs/Float64", self._receive)
 
     def starting(self, time_ns: int) -> None:  # noqa: ARG002
-        self.set_point = self.first_command()
-
-    def first_command(self) -> float:
-        """What to command until somebody says otherwise."""
-        return 0.0
+        self.set_point = first_command(self.interface_type, self._joint)
 
     def set_command(self, value: float) -> None:
         """Hand this on from the next update on."""
@@ -97,9 +98,6 @@ class ForwardPositionController(ForwardController):
 
     interface_type = PositionJointInterface
 
-    def first_command(self) -> float:
-        return self._joint.position
-
 
 class ForwardGroupController(GroupController):
     """command of each joint = its value in the last command, 0 until there is one."""
@@ -113,11 +111,7 @@ class ForwardGroupController(GroupController):
         self._listen(node, "std_msgs/Float64MultiArray", self._receive)
 
     def starting(self, time_ns: int) -> None:  # noqa: ARG002
-        self.set_points = array("d", [self.first_command(joint) for joint in self._joints])
-
-    def first_command(self, joint: JointHandle) -> float:  # noqa: ARG002
-        """What to command until somebody says otherwise."""
-        return 0.0
+        self.set_points = array("d", [first_command(self.interface_type, joint) for joint in self._joints])
 
     def set_commands(self, values: list[float]) -> None:
         """Hand these on from the next update on."""
@@ -155,6 +149,3 @@ class ForwardGroupPositionController(ForwardGroupController):
     """Commands are positions, m or rad. It starts by holding the measured ones."""
 
     interface_type = PositionJointInterface
-
-    def first_command(self, joint: JointHandle) -> float:
-        return joint.position

@@ -23,25 +23,26 @@ from slidectl.control.reconfigurable_pid import GAINS, ReconfigurablePid
 from slidectl.control.registry import controller
 from slidectl.control.robot_description import joint_on_paper
 
+UNDECIDED, REACHED, STALLED = range(3)
+"""What becomes of a goal."""
+
 
 @law
-def goal_goes_on(gripper: Any, joint: Any, error: float, time_ns: int) -> bool:
-    """False in an update in which the goal is decided: nothing has changed then."""
-    if not gripper.is_judged:
-        return True
+def judged(gripper: Any, joint: Any, error: float, time_ns: int) -> int:
+    """Has the joint arrived, or does it stand still? It is judged until the tick that sends the result."""
     if abs(error) < gripper.tolerance:
-        return False
+        return REACHED
     if abs(joint.velocity) > gripper.stall_velocity:
         gripper.moved_ns = time_ns
-        return True
-    return not to_seconds(time_ns - gripper.moved_ns) > gripper.stall_timeout_s
+        return UNDECIDED
+    return STALLED if to_seconds(time_ns - gripper.moved_ns) > gripper.stall_timeout_s else UNDECIDED
 
 
 @law
 def grip_by_position(gripper: Any, tables: LawTables, time_ns: int, period_s: float) -> int:  # noqa: ARG001
     """The update of a position joint on rows."""
     joint = tables.joints[gripper.joint]
-    if not goal_goes_on(gripper, joint, gripper.position - joint.position, time_ns):
+    if gripper.is_judged and judged(gripper, joint, gripper.position - joint.position, time_ns) != UNDECIDED:
         return LEAVE
     joint.command = gripper.position
     gripper.command = gripper.max_effort
@@ -53,7 +54,7 @@ def grip_by_effort(gripper: Any, tables: LawTables, time_ns: int, period_s: floa
     """The update of an effort joint on rows."""
     joint = tables.joints[gripper.joint]
     error = gripper.position - joint.position
-    if not goal_goes_on(gripper, joint, error, time_ns):
+    if gripper.is_judged and judged(gripper, joint, error, time_ns) != UNDECIDED:
         return LEAVE
     wanted = next_command_from(tables.pids[gripper.pid], error, -joint.velocity, period_s)
     gripper.command = joint.command = clamp_effort(wanted, gripper.max_effort)
@@ -138,7 +139,9 @@ class GripperActionController(ActionController[JointCommandInterface]):
     def update(self, time_ns: int, period_s: float) -> None:
         error = self.position - self._joint.position
         if self._goal is not None and self.is_judged:
-            self._judge(self._goal, error, time_ns)
+            verdict = judged(self, self._joint, error, time_ns)
+            if verdict != UNDECIDED:
+                self._decide(self._goal, GoalStatus.SUCCEEDED if verdict == REACHED else GoalStatus.ABORTED)
         self.command = self._command(error, period_s)
 
     @property
@@ -149,15 +152,6 @@ class GripperActionController(ActionController[JointCommandInterface]):
     def parts(self) -> Parts:
         """What runs compiled besides this controller."""
         return Parts(joint=self._joint, pid=self._pid)
-
-    def _judge(self, goal: MonitoredGoal, error: float, time_ns: int) -> None:
-        """Has the joint arrived, or does it stand still? It is judged until the tick that sends the result."""
-        if abs(error) < self.tolerance:
-            self._decide(goal, GoalStatus.SUCCEEDED)
-        elif abs(self._joint.velocity) > self.stall_velocity:
-            self.moved_ns = time_ns
-        elif to_seconds(time_ns - self.moved_ns) > self.stall_timeout_s:
-            self._decide(goal, GoalStatus.ABORTED)
 
     def _decide(self, goal: MonitoredGoal, status: GoalStatus) -> None:
         self._result.update(
@@ -212,14 +206,12 @@ class EffortGripperActionController(GripperActionController):
 
     def _get_commands(self, node: NodeHandle) -> None:
         warn_of_other_joints(node, "gains", [self._joint.name])
-        self._pid = self._gains(node.child(f"gains/{self._joint.name}"))
-
-    def _gains(self, node: NodeHandle) -> Pid:
-        """As upstream, it runs without gains too, and pushes nothing then."""
-        if params.number(node, "p") is None:
-            node.log("warn", f"parameter {node.namespace}/p is not set: the gripper pushes nothing")
-            return Pid()
-        return ReconfigurablePid(node).pid
+        gains = node.child(f"gains/{self._joint.name}")
+        if params.number(gains, "p") is not None:
+            self._pid = ReconfigurablePid(gains).pid
+        else:  # as upstream, it runs without gains too
+            node.log("warn", f"parameter {gains.namespace}/p is not set: the gripper pushes nothing")
+            self._pid = Pid()
 
     def _start_commands(self) -> None:
         self._pid.reset()

@@ -22,7 +22,7 @@ from slidectl.control.joint_controller import GroupController, PidController, st
 from slidectl.control.laws import Columns, LawTables, law
 from slidectl.control.node_handle import NodeHandle
 from slidectl.control.params import JOINT, JOINTS, Parameter, within
-from slidectl.control.pid import Pid, next_command, next_command_from
+from slidectl.control.pid import Pid, next_command
 from slidectl.control.reconfigurable_pid import GAINS, ReconfigurablePid
 from slidectl.control.registry import controller
 from slidectl.control.robot_description import joint_on_paper
@@ -32,20 +32,18 @@ SLIDES, REVOLVES, TURNS = 0, 1, 2
 """How the difference of two positions is taken: of lengths, of angles with limits, on the circle."""
 
 
-_GOAL = "set_point set_velocity has_set_velocity lower upper turns"
-_WHOLE = "has_set_velocity turns"
-"""The columns of a goal that no law changes, and which of them are whole numbers."""
+_GOAL = "set_point lower upper turns"
+"""The columns of a goal that no law changes."""
 
 
 class PositionGoal:
     """Where one joint of a group is to be, and how its positions are subtracted."""
 
-    __slots__ = ("error", "has_set_velocity", "lower", "set_point", "set_velocity", "turns", "upper")
+    __slots__ = ("error", "lower", "set_point", "turns", "upper")
 
     def __init__(self, joint: Joint) -> None:
         self.lower, self.upper, self.turns = range_of(joint)
-        self.set_point = self.set_velocity = self.error = 0.0
-        self.has_set_velocity = False
+        self.set_point = self.error = 0.0
 
 
 def range_of(joint: Joint) -> tuple[float, float, int]:
@@ -62,17 +60,14 @@ def within_limits(goal: JointPositionController | PositionGoal, position: float)
 
 @law
 def track_position(goal: JointPositionController | PositionGoal, pid: Pid, joint: JointHandle, period_s: float) -> None:
-    """command = pid(set point - position), with the derivative of a set velocity when there is one."""
+    """command = pid(set point - position)."""
     if goal.turns == REVOLVES:
         goal.error = distance_with_large_limits(joint.position, goal.set_point, goal.lower, goal.upper)
     elif goal.turns == TURNS:
         goal.error = shortest_angular_distance(joint.position, goal.set_point)
     else:
         goal.error = goal.set_point - joint.position
-    if goal.has_set_velocity:
-        joint.command = next_command_from(pid, goal.error, goal.set_velocity - joint.velocity, period_s)
-    else:
-        joint.command = next_command(pid, goal.error, period_s)
+    joint.command = next_command(pid, goal.error, period_s)
 
 
 @law
@@ -99,19 +94,18 @@ class JointPositionController(PidController):
         Columns(
             changing="error updates_to_state states",
             fixed=_GOAL,
-            whole=f"updates_to_state states {_WHOLE}",
+            whole="updates_to_state states turns",
         ),
+        instead_of="track",
     )
+    track = staticmethod(track_position)
 
     def init(self, interface: JointCommandInterface, node: NodeHandle) -> None:
         """Raises SlidectlError: a parameter, the joint, or the robot description is missing."""
         name = params.needed_text(node, JOINT.name)
         self._offer_pid(node)
-        self._offer_state(node)
         self._joint = interface.get_handle(name)
         self.lower, self.upper, self.turns = range_of(joint_on_paper(node, name))
-        self.set_velocity = 0.0
-        self.has_set_velocity = False
         self._listen(node, "std_msgs/Float64", self._receive)
 
     def starting(self, time_ns: int) -> None:  # noqa: ARG002
@@ -123,18 +117,9 @@ class JointPositionController(PidController):
         """Those of the joint's position; what the hardware makes of the effort or velocity is another matter."""
         return self.lower, self.upper
 
-    def set_command(self, value: float, velocity: float | None = None) -> None:
-        """Go to this position (m or rad), brought within the limits; with this velocity when one is given."""
+    def set_command(self, value: float) -> None:
+        """Go to this position (m or rad), brought within the limits."""
         self.set_point = within_limits(self, value)
-        self.has_set_velocity = velocity is not None
-        self.set_velocity = 0.0 if velocity is None else velocity
-
-    def update(self, time_ns: int, period_s: float) -> None:
-        track_position(self, self._pid, self._joint, period_s)
-        if self._pid.observer is not None:
-            self._pid.tell(self.error, period_s)
-        if state_is_due(self) and self._state.wanted:
-            self.publish(time_ns, period_s)
 
     def publish(self, time_ns: int, period_s: float) -> None:
         """The state after an update."""
@@ -162,7 +147,7 @@ class EffortJointGroupPositionController(GroupController):
 
     interface_type = EffortJointInterface
     parameters: ClassVar[tuple[Parameter, ...]] = (JOINTS, *within("<joint>/pid", GAINS))
-    compiled = Compiled(update_positions, members=Columns(changing="error", fixed=_GOAL, whole=_WHOLE))
+    compiled = Compiled(update_positions, members=Columns(changing="error", fixed=_GOAL, whole="turns"))
 
     def init(self, interface: JointCommandInterface, node: NodeHandle) -> None:
         """Raises SlidectlError: a parameter, a joint, or the robot description is missing."""

@@ -6,15 +6,15 @@ Parameters `publish_rate`, `joints`, `extra_joints`. It commands nothing and cla
 from __future__ import annotations
 
 from math import isnan
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 from slidectl import names
 from slidectl.control import params
 from slidectl.control.controller_interface import Compiled, Controller, Parts
 from slidectl.control.duration import from_seconds, header_of
-from slidectl.control.hardware_interface import JointStateInterface
+from slidectl.control.hardware_interface import JointStateHandle, JointStateInterface
 from slidectl.control.laws import Columns, LawTables, law
-from slidectl.control.node_handle import Message, NodeHandle
+from slidectl.control.node_handle import NodeHandle
 from slidectl.control.params import FLOAT, LIST, NUMBER, TEXT, TEXTS, Parameter
 from slidectl.control.registry import controller
 from slidectl.errors import Refused
@@ -41,15 +41,6 @@ def states_are_due(rhythm: JointStateController, time_ns: int) -> bool:
 def update_states(rhythm: Any, tables: LawTables, time_ns: int, period_s: float) -> bool:  # noqa: ARG001
     """The update on rows."""
     return states_are_due(rhythm, time_ns) and rhythm.wanted != 0
-
-
-class ExtraJoint(NamedTuple):
-    """A joint that the hardware does not have, with a state that never changes."""
-
-    name: str
-    position: float
-    velocity: float
-    effort: float
 
 
 @controller("joint_state_controller/JointStateController")
@@ -81,30 +72,23 @@ class JointStateController(Controller[JointStateInterface]):
     def init_in_root(self, interface: JointStateInterface, root: NodeHandle, node: NodeHandle) -> None:
         """Raises SlidectlError: no publish_rate, or an unknown joint."""
         chosen = params.texts(node, "joints")
-        self._take_rate(params.needed_number(node, "publish_rate"))
-        if not self._publishes:
-            node.log("warn", f"{node.namespace}/publish_rate is not above 0: nothing is published")
-        self._publisher = node.advertise(names.join(root.namespace, "joint_states"), "sensor_msgs/JointState")
-        self._joints = tuple(interface.get_handle(name) for name in (interface.names() if chosen is None else chosen))
-        self._take_extra(_extra_joints(node, [joint.name for joint in self._joints]))
-        # The time after which the next message is due: the last one's plus one period.
-        self.due_ns = NEVER
-        self.messages = 0
-        self._started = False
-
-    def _take_rate(self, rate: float) -> None:
-        """Messages per second; none at all unless it is above 0."""
+        rate = params.needed_number(node, "publish_rate")
         if isnan(rate):
             raise Refused("publish_rate must be a number, not nan")
         self._publishes = rate > 0.0
         self.period_ns = from_seconds(1.0 / rate) if self._publishes else 0
         self._head_start_ns = from_seconds(_HEAD_START / rate) if self._publishes else 0
-
-    def _take_extra(self, extra: list[ExtraJoint]) -> None:
-        self._names = [joint.name for joint in self._joints] + [joint.name for joint in extra]
-        self._extra_positions = [joint.position for joint in extra]
-        self._extra_velocities = [joint.velocity for joint in extra]
-        self._extra_efforts = [joint.effort for joint in extra]
+        if not self._publishes:
+            node.log("warn", f"{node.namespace}/publish_rate is not above 0: nothing is published")
+        self._publisher = node.advertise(names.join(root.namespace, "joint_states"), "sensor_msgs/JointState")
+        self._joints = tuple(interface.get_handle(name) for name in (interface.names() if chosen is None else chosen))
+        # Joints that the hardware does not have, with states that never change, come last.
+        self._shown = (*self._joints, *_extra_joints(node, [joint.name for joint in self._joints]))
+        self._names = [joint.name for joint in self._shown]
+        # The time after which the next message is due: the last one's plus one period.
+        self.due_ns = NEVER
+        self.messages = 0
+        self._started = False
 
     def starting(self, time_ns: int) -> None:
         """Begin the rhythm once; it goes on through stops, and begins anew when time was put back."""
@@ -120,30 +104,29 @@ class JointStateController(Controller[JointStateInterface]):
     def publish(self, time_ns: int, period_s: float) -> None:  # noqa: ARG002
         """The states of this cycle."""
         self._publisher.sequence = self.messages - 1
-        self._publisher.publish(self._message(time_ns))
+        joints = self._shown
+        self._publisher.publish(
+            {
+                "header": header_of(time_ns),
+                "name": self._names,
+                "position": [joint.position for joint in joints],
+                "velocity": [joint.velocity for joint in joints],
+                "effort": [joint.effort for joint in joints],
+            }
+        )
 
     def parts(self) -> Parts:
         """What runs compiled besides this controller."""
         return Parts((self._publisher,), shown=self._joints)
 
-    def _message(self, time_ns: int) -> Message:
-        joints = self._joints
-        return {
-            "header": header_of(time_ns),
-            "name": self._names,
-            "position": [joint.position for joint in joints] + self._extra_positions,
-            "velocity": [joint.velocity for joint in joints] + self._extra_velocities,
-            "effort": [joint.effort for joint in joints] + self._extra_efforts,
-        }
 
-
-def _extra_joints(node: NodeHandle, taken: list[str]) -> list[ExtraJoint]:
+def _extra_joints(node: NodeHandle, taken: list[str]) -> list[JointStateHandle]:
     """The usable entries of `extra_joints`; what is wrong with the others goes to the log."""
     entries = node.get_param("extra_joints", [])
     if not isinstance(entries, list):
         node.log("error", f"{node.namespace}/extra_joints has no effect: it must be a list")
         return []
-    found: list[ExtraJoint] = []
+    found: list[JointStateHandle] = []
     for position, entry in enumerate(entries):
         joint = _extra_joint(node, f"{node.namespace}/extra_joints[{position}]", entry)
         if joint is None:
@@ -155,7 +138,7 @@ def _extra_joints(node: NodeHandle, taken: list[str]) -> list[ExtraJoint]:
     return found
 
 
-def _extra_joint(node: NodeHandle, where: str, entry: Any) -> ExtraJoint | None:
+def _extra_joint(node: NodeHandle, where: str, entry: Any) -> JointStateHandle | None:
     name = entry.get("name") if isinstance(entry, dict) else None
     if not isinstance(name, str):
         node.log("error", f"{where} is skipped: it must be a mapping with a name")
@@ -165,4 +148,4 @@ def _extra_joint(node: NodeHandle, where: str, entry: Any) -> ExtraJoint | None:
         if not isinstance(value, float):
             node.log("error", f"{where} is skipped: {key} of {name!r} must be written as a float, as 0.0")
             return None
-    return ExtraJoint(name, **state)
+    return JointStateHandle(name, **state)

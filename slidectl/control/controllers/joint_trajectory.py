@@ -18,7 +18,7 @@ from typing import Any, ClassVar, NamedTuple
 from slidectl.control import params, segments
 from slidectl.control.angular_distance import shortest_angular_distance
 from slidectl.control.controller_interface import Compiled, Member, Parts, State
-from slidectl.control.duration import NANOSECONDS, from_seconds, from_stamp, nearest_ns, to_seconds, to_stamp
+from slidectl.control.duration import NANOSECONDS, from_seconds, from_stamp, header_of, nearest_ns, to_seconds, to_stamp
 from slidectl.control.goals import MONITOR_RATE, ActionController, MonitoredGoal, period_of
 from slidectl.control.hardware_interface import (
     EffortJointInterface,
@@ -85,7 +85,6 @@ class StateTolerances(NamedTuple):
 
     position: float = 0.0
     velocity: float = 0.0
-    acceleration: float = 0.0
 
     def updated(self, message: Message) -> StateTolerances:
         """With what a control_msgs/JointTolerance says: above 0 replaces, below 0 switches off, 0 keeps."""
@@ -101,7 +100,7 @@ class SegmentTolerances(NamedTuple):
 
     def numbers(self) -> tuple[float, ...]:
         """As they stand in a segment."""
-        return *self.path[:2], *self.goal[:2], self.goal_time_s
+        return *self.path, *self.goal, self.goal_time_s
 
 
 def _replaced(old: float, new: float) -> float:
@@ -299,23 +298,17 @@ def wraparound_offset(previous: float, following: float) -> float:
     return (previous + distance) - following
 
 
-class MeasuredJoints(NamedTuple):
-    """States of all joints in one update."""
-
-    positions: list[float]
-    velocities: list[float]
-    accelerations: list[float]
-    time_from_start_s: float = 0.0
-
-    def message(self, with_accelerations: bool = False) -> Message:
-        """As trajectory_msgs/JointTrajectoryPoint."""
-        return {
-            "positions": self.positions,
-            "velocities": self.velocities,
-            "accelerations": self.accelerations if with_accelerations else [],
-            "effort": [],
-            "time_from_start": to_stamp(from_seconds(self.time_from_start_s)),
-        }
+def point(
+    positions: list[float], velocities: list[float], accelerations: list[float], time_from_start_s: float
+) -> Message:
+    """As trajectory_msgs/JointTrajectoryPoint: states of all joints in one update."""
+    return {
+        "positions": positions,
+        "velocities": velocities,
+        "accelerations": accelerations,
+        "effort": [],
+        "time_from_start": to_stamp(from_seconds(time_from_start_s)),
+    }
 
 
 class JointTrajectoryController(ActionController[Any]):
@@ -364,7 +357,7 @@ class JointTrajectoryController(ActionController[Any]):
         self._joints = tuple(interface.get_handle(name) for name in self._names)
         warn_of_other_joints(node, "constraints", [*self._names, "goal_time", "stopped_velocity_tolerance"])
         self._tolerances = self._default_tolerances()
-        self._motions = [Motion() for _ in self._names]
+        self.motions = [Motion() for _ in self._names]
         self._get_commands(node)
         self._goals = 0
         """That were taken. The number of the present one stands in its segments."""
@@ -413,7 +406,7 @@ class JointTrajectoryController(ActionController[Any]):
     def starting(self, time_ns: int) -> None:
         """Stay where the joints are."""
         self._start_time(time_ns)
-        for motion, joint in zip(self._motions, self._joints, strict=True):
+        for motion, joint in zip(self.motions, self._joints, strict=True):
             motion.position, motion.velocity = joint.position, joint.velocity
         self._hold()
         self._start_commands()
@@ -427,7 +420,7 @@ class JointTrajectoryController(ActionController[Any]):
         uptime_ns = count_time(self, period_s)
         uptime_s, numbers = to_seconds(uptime_ns), self._numbers
         samples = []
-        for joint, motion in zip(self._joints, self._motions, strict=True):
+        for joint, motion in zip(self._joints, self.motions, strict=True):
             position, velocity, acceleration = sample(motion.segment_at(numbers, uptime_s), uptime_s)
             # Of any joint, as upstream, also of one that slides.
             error = shortest_angular_distance(joint.position, position)
@@ -456,7 +449,7 @@ class JointTrajectoryController(ActionController[Any]):
             if verdict == OFF_GOAL:
                 return self._abort(goal, GOAL_TOLERANCE_VIOLATED, f"{name} goal error {error:f}")
             motion.reached = motion.reached or verdict == REACHED
-        if all(motion.reached for motion in self._motions):
+        if all(motion.reached for motion in self.motions):
             goal.last_feedback = self._feedback()
             goal.decide(GoalStatus.SUCCEEDED, _result(SUCCESSFUL))
             self._end_goal()
@@ -470,7 +463,7 @@ class JointTrajectoryController(ActionController[Any]):
 
     def _end_goal(self) -> None:
         self._goal = None
-        for motion in self._motions:
+        for motion in self.motions:
             motion.reached = False
 
     def publish(self, time_ns: int, period_s: float) -> None:  # noqa: ARG002
@@ -482,45 +475,37 @@ class JointTrajectoryController(ActionController[Any]):
         return None if self.uptime_ns == self._goal_since_ns else self._message()
 
     def _message(self) -> Message:
-        """As control_msgs/JointTrajectoryControllerState, and as the action's feedback."""
+        """As control_msgs/JointTrajectoryControllerState, and as the action's feedback.
+
+        Nobody measures accelerations. The error of positions is the shortest angle.
+        """
+        motions = self.motions
+        # Of the first joint: the time from the start at which its segment begins, and where it is by now.
+        begin = motions[0].index * SIZE
+        desired_s = self._numbers[begin + FROM_START]
+        actual_s = to_seconds(self.uptime_ns) - self._numbers[begin + START] + desired_s
         return {
-            "header": {"seq": 0, "stamp": to_stamp(self.time_ns), "frame_id": ""},
+            "header": header_of(self.time_ns),
             "joint_names": self._names,
-            "desired": self.desired.message(with_accelerations=True),
-            "actual": self.actual.message(),
-            "error": self.error.message(),
+            "desired": point(
+                [motion.position for motion in motions],
+                [motion.velocity for motion in motions],
+                [motion.acceleration for motion in motions],
+                desired_s,
+            ),
+            "actual": point(
+                [motion.actual_position for motion in motions],
+                [motion.actual_velocity for motion in motions],
+                [],
+                actual_s,
+            ),
+            "error": point(
+                [motion.position_error for motion in motions],
+                [motion.velocity_error for motion in motions],
+                [],
+                desired_s - actual_s,
+            ),
         }
-
-    @property
-    def desired(self) -> MeasuredJoints:
-        """What the joints were to do in the last update."""
-        motions = self._motions
-        return MeasuredJoints(
-            [motion.position for motion in motions],
-            [motion.velocity for motion in motions],
-            [motion.acceleration for motion in motions],
-            self._segment_times()[0],
-        )
-
-    @property
-    def actual(self) -> MeasuredJoints:
-        """What they did. Nobody measures accelerations."""
-        motions = self._motions
-        positions, velocities = [one.actual_position for one in motions], [one.actual_velocity for one in motions]
-        return MeasuredJoints(positions, velocities, [], self._segment_times()[1])
-
-    @property
-    def error(self) -> MeasuredJoints:
-        """The difference; that of positions is the shortest angle."""
-        motions, (desired_s, actual_s) = self._motions, self._segment_times()
-        positions, velocities = [one.position_error for one in motions], [one.velocity_error for one in motions]
-        return MeasuredJoints(positions, velocities, [], desired_s - actual_s)
-
-    def _segment_times(self) -> tuple[float, float]:
-        """Of the first joint: the time from the start at which its segment begins, and where it is by now, in s."""
-        begin = self._motions[0].index * SIZE
-        from_start_s = self._numbers[begin + FROM_START]
-        return from_start_s, to_seconds(self.uptime_ns) - self._numbers[begin + START] + from_start_s
 
     @property
     def goal_number(self) -> int:
@@ -530,12 +515,12 @@ class JointTrajectoryController(ActionController[Any]):
     def parts(self) -> Parts:
         """What runs compiled besides this controller."""
         pids = self._pids or len(self._joints) * (None,)
-        members = [Member(*part) for part in zip(self._motions, self._joints, pids, strict=True)]
+        members = [Member(*part) for part in zip(self.motions, self._joints, pids, strict=True)]
         return Parts((self._state,), members=members, numbers=self._numbers)
 
     def check_restored(self) -> None:
         rows = len(self._numbers) // SIZE
-        if not all(0 <= motion.index <= motion.last < rows for motion in self._motions):
+        if not all(0 <= motion.index <= motion.last < rows for motion in self.motions):
             raise Refused(f"a motion is beyond the {rows} segments")
 
     # What clients ask for, between two cycles.
@@ -582,13 +567,13 @@ class JointTrajectoryController(ActionController[Any]):
     def _hold(self, goal_number: int = 0) -> None:
         """From now on come to rest: at the measured positions, or from the desired motion in the time for that."""
         now_s, duration_s = to_seconds(self.uptime_ns), self._stop_duration_s
-        begin_s = [now_s] * len(self._motions)
+        begin_s = [now_s] * len(self.motions)
         if duration_s == 0.0:
             begins = ends = segments.states([(joint.position, 0.0, 0.0) for joint in self._joints])
         else:
             # Half-way of a motion to the same place with the opposite velocity, the velocity is 0.
-            begins = segments.states([(motion.position, motion.velocity, 0.0) for motion in self._motions])
-            back = segments.states([(motion.position, -motion.velocity, 0.0) for motion in self._motions])
+            begins = segments.states([(motion.position, motion.velocity, 0.0) for motion in self.motions])
+            back = segments.states([(motion.position, -motion.velocity, 0.0) for motion in self.motions])
             double = segments.between(begin_s, begins, [now_s + 2.0 * duration_s] * len(begin_s), back)
             ends = segments.states([sample(row.tolist(), now_s + duration_s) for row in double])
         rows = segments.between(begin_s, begins, [now_s + duration_s] * len(begin_s), ends)
@@ -600,7 +585,7 @@ class JointTrajectoryController(ActionController[Any]):
         self._trajectory = trajectory
         self._numbers = segments.joined(trajectory)
         first = 0
-        for motion, rows in zip(self._motions, trajectory, strict=True):
+        for motion, rows in zip(self.motions, trajectory, strict=True):
             motion.place(first, first + len(rows) - 1)
             first += len(rows)
 
@@ -642,7 +627,9 @@ class JointTrajectoryController(ActionController[Any]):
         next_s, start_s = to_seconds(next_uptime_ns), to_seconds(start_uptime_ns)
         begin_s = max(start_s, next_s)
         tolerances = None if goal is None else self._goal_tolerances(goal.goal)
-        trajectory = [_for_goal(rows, next_s, goal_number) for rows in self._trajectory]
+        trajectory = [rows.copy() for rows in self._trajectory]
+        for rows in trajectory:  # of a joint that is not named, the segments to come count for the new goal
+            rows[segments.find(rows, next_s) :, GOAL] = goal_number
         begins = segments.states([segments.sample_at(self._trajectory[k], begin_s) for k in order])
         for column, k in enumerate(order):
             first_position = float(states[0, 0, column])
@@ -699,13 +686,6 @@ class JointTrajectoryController(ActionController[Any]):
         return found
 
 
-def _for_goal(rows: segments.Rows, next_s: float, goal_number: int) -> segments.Rows:
-    """The segments of a joint that a trajectory does not name: those to come count for the new goal."""
-    rows = rows.copy()
-    rows[segments.find(rows, next_s) :, GOAL] = goal_number
-    return rows
-
-
 def _time(time_ns: int) -> int:
     """The same time. Raises Refused: ros::Time cannot hold it."""
     if not 0 <= time_ns < 2**32 * NANOSECONDS:
@@ -738,7 +718,7 @@ class PositionJointTrajectoryController(JointTrajectoryController):
             joint.command = joint.position
 
     def _command(self, period_s: float) -> None:  # noqa: ARG002
-        for joint, motion in zip(self._joints, self._motions, strict=True):
+        for joint, motion in zip(self._joints, self.motions, strict=True):
             joint.command = motion.position
 
 
@@ -757,7 +737,7 @@ class PidJointTrajectoryController(JointTrajectoryController):
         for place in ("gains", "velocity_ff"):
             warn_of_other_joints(node, place, self._names)
         self._pids = [ReconfigurablePid(node.child(f"gains/{name}")).pid for name in self._names]
-        for motion, name in zip(self._motions, self._names, strict=True):
+        for motion, name in zip(self.motions, self._names, strict=True):
             motion.velocity_ff = params.number(node, f"velocity_ff/{name}") or 0.0
 
     def _start_commands(self) -> None:
@@ -766,7 +746,7 @@ class PidJointTrajectoryController(JointTrajectoryController):
             joint.command = 0.0
 
     def _command(self, period_s: float) -> None:
-        for motion, pid, joint in zip(self._motions, self._pids, self._joints, strict=True):
+        for motion, pid, joint in zip(self.motions, self._pids, self._joints, strict=True):
             correct(motion, pid, joint, period_s)
             if pid.observer is not None:
                 pid.tell(motion.position_error, period_s)
@@ -794,7 +774,7 @@ class PosVelJointTrajectoryController(JointTrajectoryController):
     _joints: tuple[PosVelJointHandle, ...]
 
     def _command(self, period_s: float) -> None:  # noqa: ARG002
-        for motion, joint in zip(self._motions, self._joints, strict=True):
+        for motion, joint in zip(self.motions, self._joints, strict=True):
             joint.command_position, joint.command_velocity = motion.position, motion.velocity
 
 
@@ -807,5 +787,5 @@ class PosVelAccJointTrajectoryController(PosVelJointTrajectoryController):
 
     def _command(self, period_s: float) -> None:
         super()._command(period_s)
-        for motion, joint in zip(self._motions, self._joints, strict=True):
+        for motion, joint in zip(self.motions, self._joints, strict=True):
             joint.command_acceleration = motion.acceleration

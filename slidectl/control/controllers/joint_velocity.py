@@ -41,13 +41,14 @@ class JointVelocityController(PidController):
     compiled = Compiled(
         update_velocity,
         Columns(changing="error updates_to_state states", fixed="set_point", whole="updates_to_state states"),
+        instead_of="track",
     )
+    track = staticmethod(track_velocity)
 
     def init(self, interface: JointCommandInterface, node: NodeHandle) -> None:
         """Raises SlidectlError: a parameter or the joint is missing."""
         self._joint = interface.get_handle(params.needed_text(node, JOINT.name))
         self._offer_pid(node)
-        self._offer_state(node)
         self._listen(node, "std_msgs/Float64", self._receive)
 
     def starting(self, time_ns: int) -> None:  # noqa: ARG002
@@ -62,13 +63,6 @@ class JointVelocityController(PidController):
     def set_command(self, value: float) -> None:
         """Move at this velocity (m/s or rad/s)."""
         self.set_point = value
-
-    def update(self, time_ns: int, period_s: float) -> None:
-        track_velocity(self, self._pid, self._joint, period_s)
-        if self._pid.observer is not None:
-            self._pid.tell(self.error, period_s)
-        if state_is_due(self) and self._state.wanted:
-            self.publish(time_ns, period_s)
 
     def publish(self, time_ns: int, period_s: float) -> None:
         """The state after an update. The derivative of the velocity is 0: the model never fills it in."""

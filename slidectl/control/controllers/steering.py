@@ -16,7 +16,6 @@ from slidectl.control.controller_interface import MultiInterfaceController
 from slidectl.control.duration import header_of, to_seconds
 from slidectl.control.hardware_interface import (
     I,
-    JointHandle,
     PositionJointInterface,
     RobotHW,
     VelocityJointInterface,
@@ -29,11 +28,13 @@ from slidectl.control.mobile_base import (
     LIMITS_WITHOUT_JERK,
     ODOM_FRAME,
     ODOM_TF,
+    OF_BASE,
     OPEN_LOOP,
     PUBLISH_RATE,
     SHORTEST_S,
     TIMEOUT,
     WINDOW,
+    BaseController,
     CommandTopic,
     LimitedVelocity,
     Odometry,
@@ -41,13 +42,13 @@ from slidectl.control.mobile_base import (
     RollingMean,
     check_lengths,
     clamp,
-    forget_if_put_back,
-    publish,
+    odometry_is_due,
+    travel,
     velocity_commands,
     wheel_radius,
     window_of,
 )
-from slidectl.control.node_handle import Message, NodeHandle
+from slidectl.control.node_handle import NodeHandle, publish_if_wanted
 from slidectl.control.params import NUMBER, TEXT, Kind, Parameter, as_texts
 from slidectl.control.registry import controller
 from slidectl.control.robot_description import find_joint, robot_on_paper
@@ -60,36 +61,6 @@ def _interface(hw: RobotHW, interface_type: type[I]) -> I:
     interface = hw.get(interface_type)
     assert interface is not None
     return interface
-
-
-class SteeringController(MultiInterfaceController):
-    """What both have: when they start and stop, everything stands still, with the wheels straight ahead.
-
-    An init sets `odometry`, `velocity`, `_topics`, `_commands` and `_joints`.
-    """
-
-    interface_types = (VelocityJointInterface, PositionJointInterface)
-    odometry: SteeredOdometry | FourWheelOdometry
-    velocity: LimitedVelocity
-    _topics: OdometryTopics
-    _commands: tuple[CommandTopic, ...]
-    _joints: tuple[JointHandle, ...]
-    _updated_ns = 0
-
-    def starting(self, time_ns: int) -> None:
-        """The limits go on from the last command, and so does the place, unless time was put back."""
-        forget_if_put_back(time_ns, self._updated_ns, self.odometry, self.velocity, *self._commands)
-        self._brake()
-        self._updated_ns = time_ns
-        self._topics.start(time_ns)
-        self.odometry.start(time_ns)
-
-    def stopping(self, time_ns: int) -> None:  # noqa: ARG002
-        self._brake()
-
-    def _brake(self) -> None:
-        for joint in self._joints:
-            joint.command = 0.0
 
 
 class SteeredOdometry(Odometry):
@@ -106,13 +77,14 @@ class SteeredOdometry(Odometry):
     def update(self, way: float, angle: float, separation: float, time_ns: int) -> None:
         """The wheel has made this way, in m, since the beginning, and the axles are so far apart."""
         linear, self._way = way - self._way, way
-        self.advance(linear, tan(angle) * linear / separation, time_ns)
+        travel(self, self.past, linear, tan(angle) * linear / separation, time_ns)
 
 
 @controller("ackermann_steering_controller/AckermannSteeringController")
-class AckermannSteeringController(SteeringController):
+class AckermannSteeringController(BaseController, MultiInterfaceController):
     """velocity of the rear wheel = linear / radius; angle of the front steering = angular, as it is."""
 
+    interface_types = (VelocityJointInterface, PositionJointInterface)
     parameters: ClassVar[tuple[Parameter, ...]] = (
         Parameter("rear_wheel", TEXT, "the joint of the rear wheel", default="rear_wheel_joint", names_joints=True),
         Parameter("front_steer", TEXT, "the steering joint", default="front_steer_joint", names_joints=True),
@@ -122,12 +94,7 @@ class AckermannSteeringController(SteeringController):
         Parameter("wheel_radius_multiplier", NUMBER, "corrects the radius, in the odometry only", default=1.0),
         Parameter("steer_pos_multiplier", NUMBER, "corrects the measured steering angle", default=1.0),
         PUBLISH_RATE,
-        OPEN_LOOP,
-        WINDOW,
-        TIMEOUT,
-        ALLOWS_MANY,
-        BASE_FRAME,
-        ODOM_FRAME,
+        *OF_BASE,
         ODOM_TF,
         *LIMITS,
         *COVARIANCES,
@@ -151,7 +118,7 @@ class AckermannSteeringController(SteeringController):
         self._is_open_loop: bool = params.value_of(node, OPEN_LOOP)
         self.odometry: SteeredOdometry = SteeredOdometry(window_of(node))
         self.velocity = LimitedVelocity(node)
-        self._topics = OdometryTopics(node, params.value_of(node, ODOM_FRAME))
+        self.topics = OdometryTopics(node, params.value_of(node, ODOM_FRAME))
         self._wheel = _interface(hw, VelocityJointInterface).get_handle(rear_wheel)
         self._steer = _interface(hw, PositionJointInterface).get_handle(front_steer)
         self._joints = (self._wheel, self._steer)
@@ -159,22 +126,23 @@ class AckermannSteeringController(SteeringController):
         self._commands = (velocity_commands(self, node, on_second_publisher),)
 
     def update(self, time_ns: int, period_s: float) -> None:
-        self._updated_ns = time_ns
+        self.updated_ns = time_ns
         odometry = self.odometry
         if self._is_open_loop:
-            odometry.advance_by(self.velocity.last, time_ns)
+            odometry.travel_at(self.velocity, time_ns)
         else:
             position, angle = self._wheel.position, self._steer.position
             if isnan(position) or isnan(angle):
                 return
             way = position * self._odometry_radius
             odometry.update(way, angle * self._steer_scale, self._separation, time_ns)
-        if self._topics.are_due(time_ns):
-            self._topics.publish(time_ns, odometry, (odometry.linear, 0.0, odometry.angular))
-        linear, angle = self._commands[0].at(time_ns) or (0.0, 0.0)
-        velocity = self.velocity.follow(linear, angle, period_s)
-        self._wheel.command = velocity.linear / self._radius
-        self._steer.command = velocity.angular
+        if odometry_is_due(self.topics, time_ns):
+            place = odometry.x, odometry.y, odometry.heading
+            self.topics.publish(time_ns, place, (odometry.linear, 0.0, odometry.angular))
+        linear, angle = self._commands[0].at(time_ns)
+        self.velocity.follow(linear, angle, period_s)
+        self._wheel.command = self.velocity.last_linear / self._radius
+        self._steer.command = self.velocity.last_angular
 
 
 # -- four-wheel steering -----------------------------------------------------------------------------------------------
@@ -287,12 +255,13 @@ class FourWheels(NamedTuple):
 
 
 @controller("four_wheel_steering_controller/FourWheelSteeringController")
-class FourWheelSteeringController(SteeringController):
+class FourWheelSteeringController(BaseController, MultiInterfaceController):
     """Twists turn the base about a point beside its middle; else speed and the angles of both axles are commanded.
 
     The newer command of the two counts.
     """
 
+    interface_types = (VelocityJointInterface, PositionJointInterface)
     parameters: ClassVar[tuple[Parameter, ...]] = (
         Parameter("front_wheel", TWO, "the joints of the front wheels", required=True, names_joints=True),
         Parameter("rear_wheel", TWO, "the joints of the rear wheels", required=True, names_joints=True),
@@ -324,14 +293,21 @@ class FourWheelSteeringController(SteeringController):
         self.odometry: FourWheelOdometry = FourWheelOdometry(
             window_of(node), self._track, self._offset, self._radius, self._base
         )
-        self._topics = OdometryTopics(node, "odom")
+        self.topics = OdometryTopics(node, "odom")
         self._odom_steer = node.advertise("odom_steer", f"{STEERING}Stamped")
         wheels, steering = _interface(hw, VelocityJointInterface), _interface(hw, PositionJointInterface)
         self._wheels = [wheels.get_handle(name) for name in (*front_wheel, *rear_wheel)]
         self._steering = [steering.get_handle(name) for name in (*front_steering, *rear_steering)]
         self._joints = (*self._wheels, *self._steering)
         self._twists = velocity_commands(self, node)
-        self._axles = CommandTopic(self, node, "cmd_four_wheel_steering", STEERING, _speed_and_angles)
+        self._axles = CommandTopic(
+            self,
+            node,
+            "cmd_four_wheel_steering",
+            STEERING,
+            lambda message: (message["speed"], message["front_steering_angle"], message["rear_steering_angle"]),
+            (0.0, 0.0, 0.0),
+        )
         self._commands = (self._twists, self._axles)
 
     def _find_geometry(
@@ -359,17 +335,18 @@ class FourWheelSteeringController(SteeringController):
         self._track = track - 2 * self._offset
 
     def update(self, time_ns: int, period_s: float) -> None:
-        self._updated_ns = time_ns
+        self.updated_ns = time_ns
         self._update_odometry(time_ns)
-        if self._axles.time_ns >= self._twists.time_ns:
-            linear, front, rear = self._axles.at(time_ns) or (0.0, 0.0, 0.0)
-            velocity = self.velocity.follow(linear, None, period_s)
+        velocity = self.velocity
+        if self._axles.received_ns >= self._twists.received_ns:
+            linear, front, rear = self._axles.at(time_ns)
+            velocity.follow(linear, None, period_s)
             angles = Angles(clamp(front, -pi / 2, pi / 2), clamp(rear, -pi / 2, pi / 2))
-            wheels, steering = self._by_axles(velocity.linear, angles)
+            wheels, steering = self._by_axles(velocity.last_linear, angles)
         else:
-            linear, angular = self._twists.at(time_ns) or (0.0, 0.0)
-            velocity = self.velocity.follow(linear, angular, period_s)
-            wheels, steering = self._by_twist(velocity.linear, velocity.angular)
+            linear, angular = self._twists.at(time_ns)
+            velocity.follow(linear, angular, period_s)
+            wheels, steering = self._by_twist(velocity.last_linear, velocity.last_angular)
         for joint, command in zip(self._joints, (*wheels, *steering), strict=True):
             joint.command = command
 
@@ -384,9 +361,10 @@ class FourWheelSteeringController(SteeringController):
             odometry.update((front_left, front_right), (rear_left, rear_right), angles, time_ns)
         except (ArithmeticError, ValueError):  # such wheels tell nothing of the way of the base
             return
-        if not self._topics.are_due(time_ns):
+        if not odometry_is_due(self.topics, time_ns):
             return
-        self._topics.publish(time_ns, odometry, (odometry.linear_x, odometry.linear_y, odometry.angular))
+        place = odometry.x, odometry.y, odometry.heading
+        self.topics.publish(time_ns, place, (odometry.linear_x, odometry.linear_y, odometry.angular))
         acceleration, jerk, front_velocity, rear_velocity = odometry.changes
         data = {
             "front_steering_angle": angles.front,
@@ -399,7 +377,7 @@ class FourWheelSteeringController(SteeringController):
         }
         # The check rounds to the 32 bits of the message's fields.
         header = header_of(time_ns, "odom")
-        publish(self._odom_steer, lambda: {"header": header, "data": msgs.check(STEERING, data)})
+        publish_if_wanted(self._odom_steer, lambda: {"header": header, "data": msgs.check(STEERING, data)})
 
     def _by_twist(self, linear: float, angular: float) -> tuple[FourWheels, FourWheels]:
         """Wheels and steering for the velocities of the base."""
@@ -452,10 +430,6 @@ class FourWheelSteeringController(SteeringController):
 
 
 STEERING = "four_wheel_steering_msgs/FourWheelSteering"
-
-
-def _speed_and_angles(message: Message) -> tuple[float, ...]:
-    return message["speed"], message["front_steering_angle"], message["rear_steering_angle"]
 
 
 def _hypot(x: float, y: float) -> float:
