@@ -19,7 +19,7 @@ from slidectl.errors import Refused, UnknownName
 PARAMETER = "robot_description"
 
 
-def joint_on_paper(node: NodeHandle, name: str) -> Joint:
+def joint_of_model(node: NodeHandle, name: str) -> Joint:
     """The joint `name` of the robot whose description is nearest above `node`.
 
     Raises:
@@ -28,10 +28,10 @@ def joint_on_paper(node: NodeHandle, name: str) -> Joint:
     where = node.search_param(PARAMETER)
     if where is None:
         raise Refused(f"no parameter {PARAMETER} in {node.namespace} or above it")
-    return find_joint(robot_on_paper(node, where), name, where)
+    return find_joint(robot_of_model(node, where), name, where)
 
 
-def robot_on_paper(node: NodeHandle, where: str = PARAMETER) -> Robot:
+def robot_of_model(node: NodeHandle, where: str = PARAMETER) -> Robot:
     """The robot that the parameter `where` of `node` describes.
 
     Raises:

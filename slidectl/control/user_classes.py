@@ -43,12 +43,12 @@ _HOOKS: dict[str, tuple[str, ...]] = {
 _RAISES_INTERRUPT = signal.default_int_handler
 
 
-class TookTooLong(BaseException):
+class CodeTimeout(BaseException):
     """Users' code was ended by `limit`. Not an Exception: `except Exception` in that code must not keep it."""
 
 
 limit: AbstractContextManager[None] = nullcontext()
-"""Surrounds users' code and raises TookTooLong in it. The daemon sets it, since its clients wait meanwhile."""
+"""Surrounds users' code and raises CodeTimeout in it. The daemon sets it, since its clients wait meanwhile."""
 
 
 def is_of_a_user(cls: type) -> bool:
@@ -77,7 +77,7 @@ class WrittenCommands:
             if type(command) is float and isfinite(command):
                 self._kept[place] = command
 
-    def mend(self) -> str:
+    def repair(self) -> str:
         """Put the command that was kept where another one is no finite number. What is wrong; empty when nothing is.
 
         Infinity is a number where a limit of the joint cuts it.
@@ -114,12 +114,12 @@ class HookGuard(AbstractContextManager[None]):
 
     def __exit__(self, kind: type[BaseException] | None, failure: BaseException | None, *trace: Any) -> None:
         limit.__exit__(kind, failure, *trace)
-        wrong = "" if self.commands is None else self.commands.mend()
+        wrong = "" if self.commands is None else self.commands.repair()
         if failure is None and wrong:
             raise Refused(wrong)
         if failure is None or isinstance(failure, Exception):
             return
-        if isinstance(failure, TookTooLong):
+        if isinstance(failure, CodeTimeout):
             raise _too_long(failure) from None
         if is_fault(failure):
             raise Refused(raised(failure)) from None
@@ -138,7 +138,7 @@ def watched_for(what: str, name: str) -> Iterator[None]:
             yield
     except SlidectlError:
         raise
-    except TookTooLong as failure:
+    except CodeTimeout as failure:
         raise _too_long(failure) from None
     except BaseException as failure:
         if not is_fault(failure):
@@ -158,7 +158,7 @@ def raised(failure: BaseException) -> str:
     return f"{type(failure).__name__}: {failure}{f' ({place[0]}:{place[1]})' if place else ''}".replace("\n", " ")
 
 
-def _too_long(failure: TookTooLong) -> Refused:
+def _too_long(failure: CodeTimeout) -> Refused:
     place = place_of(failure)
     return Refused(f"{failure}{f' ({place[0]}:{place[1]})' if place else ''}", "look for a loop without an end there")
 
@@ -247,7 +247,7 @@ def _importing(what: str) -> Iterator[None]:
     """Turn what users' code raises at its import into an error with file and line. SystemExit would end the process."""
     try:
         yield
-    except TookTooLong as failure:
+    except CodeTimeout as failure:
         raise _too_long(failure) from None
     except BaseException as failure:
         if not is_fault(failure):

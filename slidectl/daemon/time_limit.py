@@ -16,7 +16,7 @@ from types import FrameType
 from typing import Any
 
 from slidectl.control import controller_interface, controller_manager, user_classes
-from slidectl.control.user_classes import PACKAGE, TookTooLong
+from slidectl.control.user_classes import PACKAGE, CodeTimeout
 from slidectl.simulation import cycle, graph
 
 LIMIT_S = 5.0
@@ -31,7 +31,7 @@ _ENTRIES = tuple(
 
 
 class TimeLimit(AbstractContextManager[None]):
-    """Raises TookTooLong in what runs inside after `most_s`. Set as `user_classes.limit`; main thread only."""
+    """Raises CodeTimeout in what runs inside after `most_s`. Set as `user_classes.limit`; main thread only."""
 
     def __init__(self) -> None:
         self.most_s = LIMIT_S
@@ -88,7 +88,7 @@ class TimeLimit(AbstractContextManager[None]):
         self._spared += 1
         if _is_users(frame) or self._spared > _MOST_AGAIN:
             self._has_ended = True
-            raise TookTooLong(f"the code ran longer than {LIMIT_S:g} s and was ended")
+            raise CodeTimeout(f"the code ran longer than {LIMIT_S:g} s and was ended")
 
 
 def _is_users(frame: FrameType | None) -> bool:

@@ -427,7 +427,7 @@ class MujocoRobotHW(RobotHW):
     def write(self, time_ns: int, period_s: float) -> None:  # noqa: ARG002 - the interface of all hardware
         """Limit the commands, then drive the joints by them."""
         if self._is_special:
-            self._mind_estop()
+            self._hold_positions()
         for enforce in self._enforce:
             enforce(period_s)
         qvel, forces = self._qvel, self._forces
@@ -645,7 +645,7 @@ class MujocoRobotHW(RobotHW):
         for transmission in self._limited:
             transmission.bound(self._forces)
 
-    def _mind_estop(self) -> None:
+    def _hold_positions(self) -> None:
         """While stopped, position commands are the positions that were read when it began."""
         if self._estop and self._held is None:
             self._held = [joint.handle.position for joint in self._joints]

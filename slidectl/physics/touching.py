@@ -68,9 +68,14 @@ def put_robots(model: Any) -> None:
     sets = np.array([_EVERY, *itertools.islice(_sets(), len(roots) - 1)], dtype=np.int32)
     robot = np.searchsorted(roots, model.body_rootid[model.geom_bodyid])
     moves = model.body_weldid[model.geom_bodyid] != 0
-    solid, agile = np.bincount(robot, minlength=len(roots)) > 0, np.bincount(robot[moves], minlength=len(roots)) > 0
+    colliding_robots, moving_robots = (
+        np.bincount(robot, minlength=len(roots)) > 0,
+        np.bincount(robot[moves], minlength=len(roots)) > 0,
+    )
     # What moves touches all others, and what is fixed to the world only those that move.
-    partners = np.where(moves, solid.sum() - solid[robot], agile.sum() - agile[robot])
+    partners = np.where(
+        moves, colliding_robots.sum() - colliding_robots[robot], moving_robots.sum() - moving_robots[robot]
+    )
     chosen = np.where(partners > 0, sets[robot], 0)
     others = np.where(partners > 0, np.where(robot == 0, _EVERY, _EVERY & ~sets[robot]), 0)
     own = _SELF | _BASE

@@ -168,7 +168,7 @@ class GraphNode:
         self.before_entry: Callable[[], None] = lambda: None
         """Called before every callback that was given to this handle or a child of it."""
         self.guard: AbstractContextManager[None] | None = None
-        self.caution = ""
+        self.command_warning = ""
         """Of a handle without a parent: a warning for who publishes to it or to a child of it; empty for none."""
 
     def child(self, name: str) -> GraphNode:
@@ -275,7 +275,7 @@ class GraphNode:
         return [*self._servers, *(server for child in self._children for server in child.servers_below())]
 
     def _current_warning(self) -> str:
-        return self.caution if self._parent is None else self._parent._current_warning()
+        return self.command_warning if self._parent is None else self._parent._current_warning()
 
     def _entering(self, callback: Callable[P, T]) -> Callable[P, T]:
         """The callback in its guard, before which all handles above are told that somebody is about to call into what

@@ -183,7 +183,7 @@ def _put(simulation: Simulation, snapshot: Snapshot) -> list[str]:
     restoring = Restoring(snapshot.entries, timers, _modules_of_users(simulation))
     state = restoring.value(snapshot.state, live)
     for robot in simulation.robots:
-        robot.node.caution = state["robots"][robot.name]["caution"]
+        robot.node.command_warning = state["robots"][robot.name]["command_warning"]
         calls = state["robots"][robot.name]["calls"]
         for call in robot.node.calls_below():
             if call not in calls:
@@ -213,7 +213,7 @@ def _tree_of(robot: SpawnedRobot) -> dict[str, Any]:
         "actions": robot.node.servers_below(),
         **({"hardware": parts.hardware, "manager": parts.manager, "cycle": parts.cycle} if robot.is_controlled else {}),
         "start": robot.body.start,
-        "caution": robot.node.caution,
+        "command_warning": robot.node.command_warning,
         "kept": robot.kept,
         "calls": robot.node.calls_below(),
     }

@@ -137,7 +137,7 @@ class SpawnedRobot:
     def emergency_stop(self, stopped: bool) -> None:
         self.cycle.emergency_stop = self.hardware.estop = stopped
         text = f"emergency stop is on: {self.name}; slidectl estop release ends it"
-        self.node.caution = text if stopped else ""
+        self.node.command_warning = text if stopped else ""
         for stop in self.on_emergency_stop if stopped else ():
             stop()
 

@@ -47,7 +47,7 @@ from slidectl.control.node_handle import NodeHandle, ParameterChange, publish_if
 from slidectl.control.params import BOOLEAN, NUMBER, Kind, Parameter, as_number, as_texts
 from slidectl.control.reconfigure import Option, ReconfigureServer, Values
 from slidectl.control.registry import controller
-from slidectl.control.robot_description import find_joint, robot_on_paper
+from slidectl.control.robot_description import find_joint, robot_of_model
 from slidectl.description.robot import Cylinder, Sphere
 from slidectl.errors import Refused
 from slidectl.rotations import subtract
@@ -204,7 +204,7 @@ class DiffDriveController(BaseController, Controller[VelocityJointInterface]):
         """Separation and radius: by the parameters, else by the description in the robot's own namespace."""
         separation, radius = params.number(node, "wheel_separation"), params.number(node, "wheel_radius")
         if separation is None or radius is None:
-            robot = robot_on_paper(root)
+            robot = robot_of_model(root)
             one, other = find_joint(robot, left), find_joint(robot, right)
             if separation is None:
                 x, y, z = subtract(one.origin.xyz, other.origin.xyz)

@@ -21,7 +21,7 @@ from slidectl.control.params import JOINT, NUMBER, Parameter, within
 from slidectl.control.pid import Pid, next_command_from
 from slidectl.control.reconfigurable_pid import GAINS, ReconfigurablePid
 from slidectl.control.registry import controller
-from slidectl.control.robot_description import joint_on_paper
+from slidectl.control.robot_description import joint_of_model
 
 UNDECIDED, REACHED, STALLED = range(3)
 """What becomes of a goal."""
@@ -103,7 +103,7 @@ class GripperActionController(ActionController[JointCommandInterface]):
         self._node = node
         monitor_period_ns = period_of(node, MONITOR_RATE)
         name = params.needed_text(node, JOINT.name)
-        joint_on_paper(node, name)
+        joint_of_model(node, name)
         self._joint = interface.get_handle(name)
         self.tolerance: float = abs(params.value_of(node, TOLERANCE))
         self._default_effort: float = abs(params.value_of(node, MAX_EFFORT))

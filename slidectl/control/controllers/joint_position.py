@@ -25,7 +25,7 @@ from slidectl.control.params import JOINT, JOINTS, Parameter, within
 from slidectl.control.pid import Pid, next_command
 from slidectl.control.reconfigurable_pid import GAINS, ReconfigurablePid
 from slidectl.control.registry import controller
-from slidectl.control.robot_description import joint_on_paper
+from slidectl.control.robot_description import joint_of_model
 from slidectl.description.robot import Joint
 
 SLIDES, REVOLVES, TURNS = 0, 1, 2
@@ -105,7 +105,7 @@ class JointPositionController(PidController):
         name = params.needed_text(node, JOINT.name)
         self._offer_pid(node)
         self._joint = interface.get_handle(name)
-        self.lower, self.upper, self.turns = range_of(joint_on_paper(node, name))
+        self.lower, self.upper, self.turns = range_of(joint_of_model(node, name))
         self._listen(node, "std_msgs/Float64", self._receive)
 
     def starting(self, time_ns: int) -> None:  # noqa: ARG002
@@ -152,7 +152,7 @@ class EffortJointGroupPositionController(GroupController):
     def init(self, interface: JointCommandInterface, node: NodeHandle) -> None:
         """Raises SlidectlError: a parameter, a joint, or the robot description is missing."""
         self._get_joints(interface, node)
-        self._goals = [PositionGoal(joint_on_paper(node, joint.name)) for joint in self._joints]
+        self._goals = [PositionGoal(joint_of_model(node, joint.name)) for joint in self._joints]
         self._pids = [ReconfigurablePid(node.child(f"{joint.name}/pid")).pid for joint in self._joints]
         self._listen(node, "std_msgs/Float64MultiArray", self._receive)
 

@@ -39,7 +39,7 @@ from slidectl.control.params import BOOLEAN, JOINTS, NUMBER, Parameter, within
 from slidectl.control.pid import Pid, next_command_from
 from slidectl.control.reconfigurable_pid import GAINS, ReconfigurablePid
 from slidectl.control.registry import controller
-from slidectl.control.robot_description import joint_on_paper
+from slidectl.control.robot_description import joint_of_model
 from slidectl.control.segments import (
     END,
     END_POSITION,
@@ -353,7 +353,7 @@ class JointTrajectoryController(ActionController[Any]):
             raise Refused(f"parameter {node.namespace}/stop_trajectory_duration must not be below 0")
         self._allow_partial = params.boolean(node, "allow_partial_joints_goal") or False
         self._names = joint_names(node)
-        self._turns = [joint_on_paper(node, name).type == "continuous" for name in self._names]
+        self._turns = [joint_of_model(node, name).type == "continuous" for name in self._names]
         self._joints = tuple(interface.get_handle(name) for name in self._names)
         warn_of_other_joints(node, "constraints", [*self._names, "goal_time", "stopped_velocity_tolerance"])
         self._tolerances = self._default_tolerances()

@@ -51,7 +51,7 @@ from slidectl.control.mobile_base import (
 from slidectl.control.node_handle import NodeHandle, publish_if_wanted
 from slidectl.control.params import NUMBER, TEXT, Kind, Parameter, as_texts
 from slidectl.control.registry import controller
-from slidectl.control.robot_description import find_joint, robot_on_paper
+from slidectl.control.robot_description import find_joint, robot_of_model
 from slidectl.description.robot import Robot
 from slidectl.errors import Refused
 
@@ -106,7 +106,7 @@ class AckermannSteeringController(BaseController, MultiInterfaceController):
             params.value_of(node, parameter) for parameter in self.parameters[:7]
         )
         if separation is None or radius is None:
-            robot = robot_on_paper(root)
+            robot = robot_of_model(root)
             wheel = find_joint(robot, rear_wheel)
             if separation is None:
                 separation = abs(wheel.origin.xyz[0] - find_joint(robot, front_steer).origin.xyz[0])
@@ -313,7 +313,7 @@ class FourWheelSteeringController(BaseController, MultiInterfaceController):
     def _find_geometry(
         self, root: NodeHandle, node: NodeHandle, front: list[str], rear_left: str, steering_left: str
     ) -> None:
-        robot, frame = robot_on_paper(root), params.value_of(node, BASE_FRAME)
+        robot, frame = robot_of_model(root), params.value_of(node, BASE_FRAME)
         places = {name: _place(robot, name, frame) for name in (*front, rear_left, steering_left)}
 
         def length(name: str, found: float | None) -> float:
