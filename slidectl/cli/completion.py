@@ -1,7 +1,7 @@
 """`slidectl completion SHELL`, and the completers of names, which ask the daemon and wait at most 100 ms.
 
-A click argument or option takes one as `shell_complete=completion.topics`. Completers never raise; without a daemon
-they return no names.
+Use: `shell_complete=completion.topics` of a click argument or option. Completers never raise; without a daemon they
+return no names.
 """
 
 from __future__ import annotations

@@ -260,7 +260,7 @@ def _report(error: Exception, context: Context, words: Sequence[str]) -> int:
     message, hint, code = described(error)
     # In a command line that cannot be parsed, the parser may not have reached the option.
     as_json = isinstance(error, click.UsageError) and "--json" in words and words[0] != "ros"
-    with suppress(OSError):  # stderr may be on a full disk; then only the exit code tells of the error
+    with suppress(OSError):  # stderr may be on a full disk; then only the exit code shows the error
         if context.format == "json" or as_json:
             record = {"error": cut(message), "hint": hint, "exit_code": code}
             print(output.as_json(record), file=sys.stderr, flush=True)
