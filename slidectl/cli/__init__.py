@@ -29,7 +29,7 @@ def entry() -> NoReturn:
         except KeyboardInterrupt:
             pass
         _ignore_interrupts()
-    except KeyboardInterrupt:  # a second one, on the way to the line above
+    except KeyboardInterrupt:  # a second Ctrl-C before the line above
         _ignore_interrupts()
     leave(code)
 

@@ -1,4 +1,4 @@
-"""`slidectl action`: actions of the graph, five topics each as in actionlib: list, inspect, send, cancel, follow."""
+"""`slidectl action`: list, inspect, send, cancel and follow actions, which are five topics each as in actionlib."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ _DEFAULT_TOLERANCE = 0.01
 
 
 class _Bound(NamedTuple):
-    """A condition on a measure, such as `<5%`. `text` is the condition as the user wrote it."""
+    """A condition such as `<5%`. `text` is the user's text."""
 
     text: str
     relation: str

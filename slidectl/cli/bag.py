@@ -73,7 +73,7 @@ def info(ctx: Context, file: str) -> None:
 
 
 def _info_text(record: dict[str, Any]) -> str:
-    """The text of `bag info`, in the order of `rosbag info`."""
+    """The text, in the order of `rosbag info`."""
     times = {key: "-" if record[key] is None else f"{record[key]:.3f} s" for key in ("duration", "start", "end")}
     lines = {
         "path": record["path"],
@@ -209,7 +209,7 @@ def filter_command(
 
 
 def _condition(text: str | None, recording: Recording) -> Callable[[Record], bool]:
-    """The predicate of an expression. Raises UsageError: it is invalid, or no topic has the fields that it names."""
+    """The predicate of an expression. Raises UsageError: it is invalid, or no topic has its fields."""
     if text is None:
         return lambda _record: True
     from slidectl.msgs.message_expressions import Filter

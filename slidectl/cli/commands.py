@@ -103,7 +103,7 @@ def _add_verbosity(click_context: click.Context, _param: click.Parameter, value:
 
 @cache
 def common_options() -> tuple[click.Option, ...]:
-    """The shared options, in the order of the help. Those that pick the daemon come first."""
+    """The shared options, in the order of the help. The daemon's options come first."""
     rows: list[tuple[list[str], str, Callback, dict[str, Any]]] = [
         (["-i", "--instance"], "Which daemon, by name.", _store("instance"), {"metavar": "NAME"}),
         (["--socket"], "Which daemon, by its socket.", _store("socket"), {"metavar": "PATH"}),
@@ -117,7 +117,7 @@ def common_options() -> tuple[click.Option, ...]:
         (["-v", "--verbose"], "Say more; twice shows tracebacks.", _add_verbosity, {"count": True}),
         (["--timeout"], "Wait at most so long (wall time).", _store_timeout, {"type": float, "metavar": "SECONDS"}),
     ]  # fmt: skip
-    # The prefix `common_` makes a parameter name that no command uses for its own parameters.
+    # `common_` gives a parameter name that no command uses.
     return tuple(
         click.Option(
             [*flags, "common_" + flags[-1].lstrip("-")], help=text, callback=callback, expose_value=False, **more
@@ -242,7 +242,7 @@ class Command(_Shared):
 
 
 class Group(_Shared, click.Group):
-    """A group of commands. When the command is missing, it prints its help on stderr and exits with 2."""
+    """A group of commands. Without a command, it prints its help on stderr and exits with 2."""
 
     command_class = Command
 

@@ -100,7 +100,7 @@ def _rest_joints(
     """Give the joints of stopped controllers the command of `--zero` or `--hold`. Without one the last command stays.
 
     Args:
-        check_only: only check that the joints can take the command; used before the controllers are stopped.
+        check_only: only check that the joints can take the command, before the controllers are stopped.
         left_to: controllers that start in the same switch; their joints get no command here.
 
     Raises:
@@ -245,10 +245,7 @@ def _load_file(ctx: Context, manager: str | None, source: str, names: Sequence[s
 
 
 def _place_for(ctx: Context, manager: str | None, controller: str) -> tuple[Manager, str]:
-    """The manager for a controller that may have no parameters, and its name there.
-
-    It is the only manager, else the one that knows the name.
-    """
+    """The manager for a controller that may have no parameters: the only one, else the one that knows the name."""
     candidates = chosen(ctx, manager)
     inside = [one for one in candidates if controller.startswith(one.namespace.rstrip("/") + "/")] or candidates
     if len(inside) == 1:

@@ -277,7 +277,7 @@ def _growing(file: TextIO, path: Path, begun: str) -> Iterator[str]:
             yield begun[:-1]
             begun = ""
             continue
-        with suppress(FileNotFoundError):  # between two renames
+        with suppress(FileNotFoundError):  # the log is being rotated
             if not os.path.samestat(os.fstat(file.fileno()), os.stat(path)):
                 file.close()
                 file = _opened(path)

@@ -105,7 +105,7 @@ class Background:
 
 @contextmanager
 def pid_file(path: str | None) -> Iterator[None]:
-    """Write the process id into the file of `--pid`; remove the file at the end. Raises Refused when that fails."""
+    """Write the file of `--pid`, and remove it at the end. Raises Refused when it cannot be written."""
     if path is None:
         yield
         return

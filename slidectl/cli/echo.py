@@ -1,4 +1,4 @@
-"""`slidectl echo`: messages of a topic, or of one field, as rostopic prints them, as CSV, or as JSON lines."""
+"""`slidectl echo`: print messages of a topic, or of one field, as rostopic does, as CSV, or as JSON lines."""
 
 from __future__ import annotations
 

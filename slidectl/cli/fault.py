@@ -29,7 +29,7 @@ def _targets(context: Context) -> list[str]:
 
 
 def _kind_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Add a command-line option for each option of a fault kind."""
+    """Add the options of all fault kinds."""
     for name, option in reversed(OPTIONS.items()):
         more: dict[str, Any] = {"type": float, "metavar": "X"}
         if option.form == "vector":

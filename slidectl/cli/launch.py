@@ -217,7 +217,7 @@ class RunningDaemon:
         return self.context.client, False
 
     def stop(self) -> None:
-        """Do nothing: the launch did not start this daemon."""
+        """Do nothing: the daemon is not ours."""
 
 
 def _run(

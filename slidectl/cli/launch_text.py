@@ -142,7 +142,7 @@ def _parameters(plan: LaunchPlan) -> dict[str, Any]:
 
 
 def as_yaml(plan: LaunchPlan) -> str:
-    """The parameters letter for letter as `roslaunch --dump-params` prints them. Raises BadFile."""
+    """The parameters exactly as `roslaunch --dump-params` prints them. Raises BadFile."""
     import yaml
 
     return str(yaml.safe_dump(_parameters(plan), default_flow_style=False))

@@ -130,7 +130,7 @@ Environment:
 
 
 class Root(Group):
-    """The top-level group. It takes names and short helps from the table, without importing the commands."""
+    """The top-level group. It reads names and short helps from the table only."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
         return list(COMMANDS)
@@ -274,7 +274,7 @@ def described(error: Exception) -> tuple[str, str | None, int]:
     """The message of an error, a hint (None when there is none) and its exit code."""
     if isinstance(error, OSError) and error.errno in NoDescriptors.ERRNOS:
         error = NoDescriptors("slidectl")
-    if isinstance(error, OSError) and error.errno == errno.ENOSPC:  # click wrote it
+    if isinstance(error, OSError) and error.errno == errno.ENOSPC:  # raised by click's output
         error = Refused(f"cannot write the output: {error.strerror}")
     if isinstance(error, SlidectlError):
         return error.message, error.hint, error.exit_code

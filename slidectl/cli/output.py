@@ -20,7 +20,7 @@ Record = Mapping[str, Any]
 
 
 class ClosedPipe(Exception):
-    """The reader of the output is gone; the command ends without a message."""
+    """The output has no reader; end without a message."""
 
 
 def write(text: str) -> None:
@@ -98,7 +98,7 @@ def megabytes(size: int) -> str:
 
 
 def as_json(value: Any) -> str:
-    """One line of JSON; NaN becomes null and infinity 1e999, as on the wire."""
+    """One line of JSON; NaN becomes null and infinity 1e999, as in the protocol."""
     try:
         return json.dumps(value, ensure_ascii=False, allow_nan=False)
     except ValueError:
@@ -159,7 +159,7 @@ def table(rows: Sequence[Record], columns: Sequence[str]) -> str:
 
 
 def _rich_table(rows: Sequence[Sequence[str]], header: Sequence[str]) -> str:
-    """The table as rich draws it, with long cells wrapped inside their columns."""
+    """The table drawn by rich, with long cells wrapped."""
     import io
 
     from rich import box

@@ -146,7 +146,7 @@ def _check_type(channel: RecordedTopic) -> None:
 
 
 class _Player:
-    """Publishes messages at simulated times, and sends some of them ahead of their time."""
+    """Publishes messages at simulated times, some sent ahead."""
 
     def __init__(self, ctx: Context, renames: dict[str, str], background: Background | None) -> None:
         self._ctx = ctx

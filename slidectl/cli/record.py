@@ -98,7 +98,7 @@ def record(ctx: Context, /, topics: tuple[str, ...], **given: Any) -> None:
     from slidectl.recording.recording_files import SplitFiles
 
     background = None
-    _ = ctx.client  # without a daemon no file is touched
+    _ = ctx.client  # raises NoDaemon before a file is touched
     if given["detach"]:
         ctx.close()
         background = Background(ctx.paths, "recording")

@@ -190,7 +190,7 @@ def warn_of_call(ctx: Context, refusal: Sequence[str]) -> None:
 
 
 def ask_each(ctx: Context, question: str, services: Iterable[str], key: str) -> dict[str, str]:
-    """Service -> rosapi's answer about it. All requests are sent before the first answer is read."""
+    """Service -> rosapi's answer about it. The requests are sent all together."""
     calls = {name: ctx.client.call_async(question, {"service": name}) for name in services}
     return {name: str(ctx.client.answer(call)[key]) for name, call in calls.items()}
 

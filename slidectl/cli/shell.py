@@ -110,7 +110,7 @@ def _run_apart(context: Context, words: list[str]) -> int:
 
 
 def _run_script(context: Context, file: str | None, keep_going: bool) -> int:
-    """Run the lines of a script; return the exit code of the first line that failed, else 0."""
+    """Run a script; return the exit code of the first line that failed, else 0."""
     first_failure = EXIT_DONE
     with _script(file) as (name, lines):
         for number, line in enumerate(lines, 1):

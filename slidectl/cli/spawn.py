@@ -349,7 +349,7 @@ def _configured(manager: Manager, start: Sequence[str], missing: Missing) -> lis
 def _bring_up(manager: Manager, names: list[str], loads: dict[str, str], missing: Missing) -> list[str]:
     """Start the controllers, whose `loads` are pending. With `--keep-going`, load and start each one that can be.
 
-    Returns the names of the started controllers.
+    Returns their names.
     """
     if not missing.keeps_going:
         manager.loaded(loads)

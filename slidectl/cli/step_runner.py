@@ -96,7 +96,7 @@ class StepRunner:
         return CheckedWords(named=_named(leaf, values), brings_others=others, refusal=refusal)
 
     def stays(self, words: Sequence[str]) -> bool:
-        """True for a launch, the only command that goes on in the background once it is up."""
+        """True for a launch, the only command that goes on once it is up."""
         return words[0] == "launch"
 
     def run(self, words: Sequence[str], client: Client, up: Callable[[], None] = lambda: None) -> StepOutcome:

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from slidectl.scenarios.step_commands import Commands
 
 _VERDICTS = ("passed", "xfailed", "failed", "error", "xpassed")
-"""The verdicts in the order of the last line of the output."""
+"""In the order of the last output line."""
 _WORDS = re.compile(r"\(|\)|[^\s()]+")
 _MOST_WORDS = 100
 _OPERATORS = ("and", "or", "not", "(", ")")
@@ -222,7 +222,7 @@ def _run(
     timeout: float,
     maxfail: int | None,
 ) -> tuple[list[CaseResult], bool]:
-    """Run the cases, `count` at a time. Returns the results of those that ran, and whether Ctrl-C ended the run."""
+    """Run the cases, `count` at a time. Returns the results so far, and whether Ctrl-C ended the run."""
     from slidectl.launch.supervision import Interrupted, Interrupts
     from slidectl.scenarios.case_run import BAD
     from slidectl.scenarios.workers import WorkerPool

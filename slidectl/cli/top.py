@@ -46,7 +46,7 @@ def top(ctx: Context, text: str, delay: float, once: bool) -> None:
 
 
 def _watch(ctx: Context, screen: TopScreen, delay: float) -> None:
-    """Show the screen until the quit key is pressed. When the daemon ends, wait for the next one."""
+    """Show the screen until the quit key. When the daemon ends, wait for the next one."""
     from rich.console import Console, Group
     from rich.live import Live
 

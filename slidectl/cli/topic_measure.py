@@ -203,7 +203,7 @@ def measure(
 
     Args:
         say: prints the line `subscribed to [topic]`.
-        reports: the number of reports; None for no limit. With None, a stream with a limit has one report at its end.
+        reports: their number; None for no limit, or for one report at the end of a stream with `sim_seconds`.
 
     Raises:
         TimedOut: no message came for `--timeout`. Refused: no message came at all. NoDaemon.
@@ -255,7 +255,7 @@ def rates(
     wall_time: bool,
     sim_seconds: float | None = None,
 ) -> tuple[Stream, list[RateMeter]]:
-    """The stream and the meters that measure the rates of messages, one meter for each topic.
+    """The stream and the meters for the rates of topics, one meter for each.
 
     A message's time is its header's stamp, else its simulated arrival; with `wall_time` the computer's clock.
     """

@@ -53,7 +53,7 @@ def look_up(ctx: Context, text: str, role: str | None, *, with_field: bool = Tru
 
 
 def users_of(ctx: Context, topics: Iterable[str], role: str) -> dict[str, list[str]]:
-    """Topic -> the nodes in that role. All requests are sent before the first answer is read."""
+    """Topic -> the nodes in that role. The requests are sent all together."""
     calls = {topic: ctx.client.call_async(f"/rosapi/{role}", {"topic": topic}) for topic in topics}
     return {topic: list(ctx.client.answer(call)[role]) for topic, call in calls.items()}
 
@@ -140,7 +140,7 @@ class Stream:
         return self._queue.popleft() if self._queue else None
 
     def monotonic(self) -> float:
-        """The clock of deadlines."""
+        """The time in s on the clock of deadlines."""
         return self._client.monotonic()
 
     @property

@@ -1,4 +1,4 @@
-"""`slidectl view`, and `slidectl gui`: the world in a browser."""
+"""`slidectl view` and `slidectl gui`: show the world in a browser."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ from slidectl.errors import EXIT_REFUSED, EXIT_USAGE, BadFile, Refused, Slidectl
 HOST = "localhost"
 """The machine of every node and service."""
 NO_SUCH_VERB = 64
-"""EX_USAGE of sysexits.h, the exit code of most of the tools for an unknown verb."""
+"""EX_USAGE of sysexits.h, as in most of the tools."""
 
 _YAML_NUMBER = re.compile(r"-(0[xX][0-9a-fA-F_]+|[0-9][0-9_]*(:[0-5]?[0-9])+(\.[0-9]*)?)\Z")
 # A word of a command line cannot contain NUL.

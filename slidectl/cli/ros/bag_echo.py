@@ -72,7 +72,7 @@ def echo(ctx: Context, path: str, target: str | None, look: Look, condition: str
 
 
 def _chosen(schemas: dict[str, Schema], target: str, path: str) -> dict[str, str]:
-    """The topic and field of `target`, as topic -> field. Raises Failure."""
+    """Topic -> field, for `target`."""
     for topic, field in names.cut_from_field(target):
         if topic in schemas:
             return {topic: field}

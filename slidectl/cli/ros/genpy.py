@@ -22,7 +22,7 @@ Message = dict[str, Any]
 
 
 class NotYaml(Exception):
-    """Text that is not YAML, or has values that no message can hold. The exception's text is the report."""
+    """Text that is not YAML, or has values that no message can hold."""
 
 
 class Misfit(Exception):

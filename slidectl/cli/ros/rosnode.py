@@ -181,7 +181,7 @@ def _is_state_publisher(node: str) -> bool:
 
 
 def _asked(known: Sequence[str]) -> str:
-    """Ask for the number of a node. Raises Failure when the answer is not a number of the list."""
+    """Ask for the number of a node. Raises Failure for a wrong answer."""
     lines = [f"{number}. {node}" for number, node in enumerate(known, start=1)]
     sys.stdout.write("\n".join([*lines, "", "Please enter the number of the node you wish to kill.", "> "]))
     sys.stdout.flush()

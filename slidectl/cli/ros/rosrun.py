@@ -53,7 +53,7 @@ Usage: static_transform_publisher x y z yaw pitch roll frame_id child_frame_id{p
 or with a quaternion:
 Usage: static_transform_publisher x y z qx qy qz qw frame_id child_frame_id{period}
 """
-# Nodes with a usage of their own.
+# The usage texts of nodes.
 _USAGES = {
     ("controller_manager", "controller_manager"): """Usage: controller_manager <command> [name...]
 
@@ -167,7 +167,7 @@ class _Running:
         return self.context.client, False
 
     def stop(self) -> None:
-        """Do nothing: this command did not start the daemon."""
+        """Do nothing: the daemon is not ours."""
 
 
 def _plan(ctx: Context, package: str, kind: str, words: Sequence[str]) -> LaunchPlan:

@@ -39,7 +39,7 @@ _BW_WINDOW = 100
 
 
 def list_topics(ctx: Context, argv: Sequence[str]) -> None:
-    """Print the names, or with -v the types and the numbers of publishers and subscribers."""
+    """Print the names, with -v also types and counts of users."""
     parser = Parser(
         "rostopic",
         "rostopic list [/namespace]",
@@ -259,7 +259,7 @@ def _rates_text(records: Sequence[Record]) -> str:
 
 
 def _sizes_text(records: Sequence[Record]) -> str:
-    """rostopic's report of bw, with all four figures in the unit of the rate."""
+    """rostopic's report of bw, all in the unit of the rate."""
     from slidectl.cli.topic_measure import in_bytes
 
     rate = records[0]["rate"]
