@@ -1,4 +1,4 @@
-"""The command line: it parses, calls the client and prints. No other room imports this one.
+"""The command line: it parses, calls the client and prints. No other package of slidectl imports this one.
 
 `entry` is the console script. It must stay cheap to import: the command's own module, YAML, rich and the
 rest are imported inside the functions that need them.
@@ -10,18 +10,18 @@ import gc
 import os
 import sys
 
-TYPE_CHECKING = False  # typing takes milliseconds in which nobody would take a Ctrl-C
+TYPE_CHECKING = False  # the import of typing takes milliseconds in which no code handles Ctrl-C
 if TYPE_CHECKING:
     from typing import NoReturn
 
 _INTERRUPTED = 130
-# New objects between two looks for garbage: more than a short command makes (a tenth of its time went into looking),
-# and still few enough for one that follows a topic for days.
+# New objects between two garbage collections: more than a short command makes (collections took a tenth of its time),
+# and few enough for a command that follows a topic for days.
 _GARBAGE_THRESHOLD = 100_000
 
 
 def entry() -> NoReturn:
-    """Run the command line of this process and leave with its exit code. Of several Ctrl-C the first is enough."""
+    """Run the command line of this process and exit with its exit code. Every Ctrl-C after the first is ignored."""
     code = _INTERRUPTED
     try:
         try:  # noqa: SIM105 (contextlib takes too long here)
@@ -29,7 +29,7 @@ def entry() -> NoReturn:
         except KeyboardInterrupt:
             pass
         _ignore_interrupts()
-    except KeyboardInterrupt:  # a second one, on the way to the line above
+    except KeyboardInterrupt:  # a second Ctrl-C before the line above
         _ignore_interrupts()
     leave(code)
 
@@ -38,11 +38,11 @@ def _run() -> int:
     import signal
 
     gc.set_threshold(_GARBAGE_THRESHOLD)
-    # Shells start what a script has in its background with SIGINT ignored; it is to end a command there too.
+    # Shells start the background commands of a script with SIGINT ignored. SIGINT must end those commands too.
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
-        if getattr(sys, name) is None:  # it was closed; else a socket gets its number
+        if getattr(sys, name) is None:  # it was closed; without this a socket gets its number
             setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115
     from slidectl.cli.main import run
 
@@ -56,7 +56,7 @@ def _ignore_interrupts() -> None:
 
 
 def leave(code: int) -> NoReturn:
-    """Flush and end the process at once: an orderly teardown of the interpreter costs more than most commands."""
+    """Flush and end the process at once. The interpreter's normal shutdown takes longer than most commands."""
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()

@@ -1,4 +1,4 @@
-"""`slidectl action`: actions of the graph, five topics each as in actionlib: list, inspect, send, cancel, follow."""
+"""`slidectl action`: list, inspect, send, cancel and follow actions, which are five topics each as in actionlib."""
 
 from __future__ import annotations
 
@@ -147,7 +147,7 @@ def _open(ctx: Context, name: str) -> Action:
 
 
 def cancel_goals(ctx: Context, chosen: Action, goal_id: str = "") -> None:
-    """Cancel one goal or all, and say so."""
+    """Cancel one goal, or all when `goal_id` is empty, and print the outcome."""
     chosen.cancel(goal_id)
     ctx.done({"action": chosen.name, "id": goal_id}, f"{chosen.name}: {goal_id or 'all goals'} cancelled")
 
@@ -161,10 +161,10 @@ def run(
     tell_feedback: bool = False,
     describe: Describe = lambda _feedback: "the goal is active",
 ) -> None:
-    """Send a goal and, if asked, follow it to its end. `describe` makes the line for the terminal of a feedback.
+    """Send a goal; with `wait`, follow it to its end. `describe` turns a feedback into the terminal's status line.
 
     Raises:
-        Refused: it did not succeed; the text is the server's. TimedOut: --timeout; the goal goes on.
+        Refused: the goal did not succeed; the text is the server's. TimedOut: --timeout passed; the goal goes on.
     """
     from slidectl.client.action_client import new_goal_id
 
@@ -211,7 +211,7 @@ def _follow(ctx: Context, chosen: Action, goal_id: str, tell_feedback: bool, des
 
 
 def _tell(ctx: Context, chosen: Action, goal_id: str, ended: ActionResult, reasons: Sequence[str]) -> None:
-    """Say how a goal ended. Raises Refused unless it succeeded."""
+    """Print the outcome of a goal. Raises Refused unless it succeeded."""
     result = dict(ended.result)
     code, text = result.pop("error_code", 0), result.pop("error_string", "")
     parts = [ended.state, *([f"error_code {code}"] if code else [])]

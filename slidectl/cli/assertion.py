@@ -1,6 +1,6 @@
-"""`slidectl assert`: whether conditions on a joint or a field hold, and the measures of its motion.
+"""`slidectl assert`: check conditions on a joint or a field, and on the measures of its motion.
 
-What is measured, and how, is in `slidectl.measures`.
+`slidectl.measures` defines the measures.
 """
 
 from __future__ import annotations
@@ -34,15 +34,15 @@ _UNITS = {
     "deg": ("rad", math.pi / 180), "N": ("N", 1.0), "Nm": ("N·m", 1.0), "N·m": ("N·m", 1.0), "J": ("J", 1.0),
     "m/s": ("m/s", 1.0), "rad/s": ("rad/s", 1.0),
 }  # fmt: skip
-"""What may stand behind a number -> the unit of a measure, and the factor."""
+"""Unit behind a number -> unit of the measure, and the factor between them."""
 _POSSIBLE = {"value": ("m", "rad", "m/s", "rad/s", "N", "N·m", "J"), "effort": ("N", "N·m")}
-"""The units that a measure may have where that of the values is not known."""
+"""Unit kind of a measure -> units that it may have when the unit of the values is not known."""
 _OF_FORCES = ("contact", "peak-force")
 _DEFAULT_TOLERANCE = 0.01
 
 
 class _Bound(NamedTuple):
-    """`<5%`, as it was written."""
+    """A condition such as `<5%`. `text` is the user's text."""
 
     text: str
     relation: str
@@ -75,7 +75,7 @@ def _set_point(click_context: click.Context, param: click.Parameter, text: str |
 
 
 class _Verdict(NamedTuple):
-    """What became of one condition. `text` is the sentence about it."""
+    """The result of one condition. `text` is the sentence that is printed."""
 
     condition: str
     expected: str
@@ -95,7 +95,7 @@ class _Verdict(NamedTuple):
 
 
 def _measure_options(function: Callable[..., None]) -> Callable[..., None]:
-    """An option for each measure."""
+    """Add an option for each measure."""
     for name, measure in reversed(MEASURES.items()):
         click.option(f"--{name}", metavar="COND", callback=_bound, help=f"{measure.help}.")(function)
     return function
@@ -104,7 +104,7 @@ def _measure_options(function: Callable[..., None]) -> Callable[..., None]:
 def _conditions(
     last: float | None, duration: float | None, file: str | None, **given: Any
 ) -> tuple[dict[str, float], dict[str, _Bound]]:
-    """Those on values, and those on measures. Raises UsageError for options that do not go together."""
+    """The conditions on values, and those on measures, by name. Raises UsageError for options that do not combine."""
     values = {kind: given[kind] for kind in ("near", "above", "below", "equals") if given[kind] is not None}
     bounds = {name: bound for name in MEASURES if (bound := given[name.replace("-", "_")]) is not None}
     if not values and not bounds:
@@ -197,7 +197,7 @@ def _trace(
 
 
 def _of_value(trace: JointOrFieldTrace, kind: str, wanted: float, tolerance: float | None, whole: bool) -> _Verdict:
-    """The last value, or of all the one that is worst."""
+    """Check the last value, or with `whole` all values and report the worst."""
     allowed = _DEFAULT_TOLERANCE if tolerance is None else tolerance
     expected = f"{kind} {wanted:g}" + (f" ± {allowed:g}" if kind == "near" else "")
     part = trace if whole else replace(trace, times=trace.times[-1:], values=trace.values[-1:])

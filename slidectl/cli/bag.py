@@ -1,4 +1,4 @@
-"""`slidectl bag`: what is in recordings, where two differ, parts, tables, and files that were not closed."""
+"""`slidectl bag`: inspect, compare, filter and export recordings, and complete files that were not closed."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def bag() -> None:
 
 
 def open_recording(ctx: Context, file: str | Path) -> Recording:
-    """The recording; says when it was not closed. Raises BadFile, NoMcap."""
+    """Open a recording; warn when it was not closed. Raises BadFile, NoMcap."""
     from slidectl.recording.recording_files import opened
 
     recording = opened(Path(file))
@@ -73,7 +73,7 @@ def info(ctx: Context, file: str) -> None:
 
 
 def _info_text(record: dict[str, Any]) -> str:
-    """In the order of `rosbag info`."""
+    """The text, in the order of `rosbag info`."""
     times = {key: "-" if record[key] is None else f"{record[key]:.3f} s" for key in ("duration", "start", "end")}
     lines = {
         "path": record["path"],
@@ -141,7 +141,7 @@ def diff(ctx: Context, run: str, baseline: str, fields: tuple[str, ...], tol: fl
 
 
 def _target(file: str, source: str, force: bool) -> Path:
-    """Raises Refused: the file is there. UsageError: it is the source."""
+    """The path to write. Raises Refused when the file exists (unless `force`), UsageError when it is the source."""
     from slidectl.recording.recording_files import refuse_existing
 
     path = Path(file)
@@ -209,7 +209,7 @@ def filter_command(
 
 
 def _condition(text: str | None, recording: Recording) -> Callable[[Record], bool]:
-    """Raises UsageError: it is no expression, or no topic has the fields that it names."""
+    """The predicate of an expression. Raises UsageError: it is invalid, or no topic has its fields."""
     if text is None:
         return lambda _record: True
     from slidectl.msgs.message_expressions import Filter

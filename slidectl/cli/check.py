@@ -1,6 +1,6 @@
-"""`slidectl check`: what becomes of everything in a file, without a daemon.
+"""`slidectl check`: report how slidectl uses each entry of a file, without a daemon.
 
-Finding things out is the check room's; here they are printed.
+`slidectl.check` produces the findings; this module prints them.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ def check(
     files = [spawning.find(file) for file in controllers]
     text = _streamed(source)
     if source.endswith((".yaml", ".yml")):
-        source = str(spawning.find(source))  # a file of controllers by that name may be a shipped one
+        source = str(spawning.find(source))  # may be the name of a shipped controllers file
     words = ["<stdin>" if source == "-" else source]
     words += [word for word in arguments if ":=" not in word]
     given = pairs([word for word in arguments if ":=" in word], ":=", "check")
@@ -111,7 +111,7 @@ def check(
 
 
 def _streamed(source: str) -> bytes | None:
-    """What comes from standard input or a pipe (`<(xacro robot.xacro)`) and can be read but once; None of files."""
+    """The content of standard input or of a pipe (`<(xacro robot.xacro)`), which can be read only once; else None."""
     if source == "-":
         from slidectl.description.xml_tree import is_utf8
 

@@ -27,28 +27,28 @@ Callback = Callable[[click.Context, click.Parameter, Any], Any]
 
 
 def finite(_click: click.Context, _param: click.Parameter, value: float | None) -> float | None:
-    """The value of an option, or a usage error for nan, which click's ranges let through, and infinity."""
+    """The value of an option. Raises a usage error for infinity, and for nan, which click's ranges accept."""
     if value is not None and not math.isfinite(value):
         raise click.BadParameter(f"{value:g} is not a finite number")
     return value
 
 
 def positive_seconds(_click: click.Context, _param: click.Parameter, value: float | None) -> float | None:
-    """The value of an option in seconds, or a usage error unless it is above 0."""
+    """The value of an option in seconds. Raises a usage error unless it is above 0."""
     if value is not None and not value > 0:
         raise click.BadParameter(f"{value:g} is not above 0")
     return value
 
 
 def simulated_seconds(click_context: click.Context, param: click.Parameter, value: float | None) -> float | None:
-    """The value of an option in seconds of the world, which has no end to wait for: above 0 and finite."""
+    """The value of an option in simulated seconds. Raises a usage error unless it is above 0 and finite."""
     if value == math.inf:
         raise click.BadParameter("the simulated time never gets there; leave the option out for no limit")
     return positive_seconds(click_context, param, value)
 
 
 def pixel_size(smallest: int, largest: int) -> Callback:
-    """The callback of an option in pixels from side to side and from top to bottom, as 800x600: two numbers."""
+    """The callback of an option with a width and a height in pixels, such as 800x600. Its value is two numbers."""
 
     def parse(_click: click.Context, _param: click.Parameter, value: str | None) -> tuple[int, int] | None:
         if value is None:
@@ -62,9 +62,9 @@ def pixel_size(smallest: int, largest: int) -> Callback:
 
 
 def wait_for_world_s(simulated_s: float) -> float:
-    """Wall-clock limit for something that takes `simulated_s` in the world, where `--timeout` says nothing.
+    """Wall-clock limit in s for something that takes `simulated_s` of simulated time, when `--timeout` is not given.
 
-    A minute, plus what a world at a tenth of real time would need.
+    One minute, plus the time that a world at a tenth of real time needs.
     """
     return 60.0 + 10.0 * simulated_s
 
@@ -103,7 +103,7 @@ def _add_verbosity(click_context: click.Context, _param: click.Parameter, value:
 
 @cache
 def common_options() -> tuple[click.Option, ...]:
-    """The shared options, in the order of the help. Those that pick the daemon come first."""
+    """The shared options, in the order of the help. The daemon's options come first."""
     rows: list[tuple[list[str], str, Callback, dict[str, Any]]] = [
         (["-i", "--instance"], "Which daemon, by name.", _store("instance"), {"metavar": "NAME"}),
         (["--socket"], "Which daemon, by its socket.", _store("socket"), {"metavar": "PATH"}),
@@ -117,7 +117,7 @@ def common_options() -> tuple[click.Option, ...]:
         (["-v", "--verbose"], "Say more; twice shows tracebacks.", _add_verbosity, {"count": True}),
         (["--timeout"], "Wait at most so long (wall time).", _store_timeout, {"type": float, "metavar": "SECONDS"}),
     ]  # fmt: skip
-    # A storage name that no command's own parameter has.
+    # `common_` gives a parameter name that no command uses.
     return tuple(
         click.Option(
             [*flags, "common_" + flags[-1].lstrip("-")], help=text, callback=callback, expose_value=False, **more
@@ -130,7 +130,7 @@ def common_options() -> tuple[click.Option, ...]:
 
 
 def looks_like_number(token: str) -> bool:
-    """True for what a person writes as a number: `-5`, `1e-3`, `.5`, `-inf`, and YAML's `-.inf`."""
+    """True for a number as a user writes it: `-5`, `1e-3`, `.5`, `-inf`, and YAML's `-.inf`."""
     try:
         float(token.replace(".inf", "inf").replace(".nan", "nan"))
     except ValueError:
@@ -141,7 +141,7 @@ def looks_like_number(token: str) -> bool:
 class Variadic(click.Option):
     """An option that takes values until the next option, and may repeat: `--start A B --stop C`.
 
-    `takes` says of a token behind the option whether it is one of its values.
+    `takes` returns True when a token behind the option is one of its values.
     """
 
     def __init__(
@@ -152,7 +152,7 @@ class Variadic(click.Option):
 
 
 class _Shared(click.Command):
-    """What commands and groups have in common. `examples` are complete command lines."""
+    """Base class of commands and groups. `examples` are complete command lines."""
 
     def __init__(self, *args: Any, examples: Sequence[str] = (), **attributes: Any) -> None:
         super().__init__(*args, **attributes)
@@ -189,8 +189,8 @@ class _Shared(click.Command):
 class Command(_Shared):
     """A command. Override `is_value` to let more tokens that begin with `-` be values (expressions, say).
 
-    `check_words` takes the parameters by name, and raises SlidectlError for those that the command refuses in any
-    world: for who checks a command line and does not run it.
+    `check_words` checks a command line without running it. It takes the parameters by name, and raises SlidectlError
+    for those that the command refuses in any world.
     """
 
     def __init__(self, *args: Any, check_words: Callable[..., object] | None = None, **attributes: Any) -> None:
@@ -202,13 +202,13 @@ class Command(_Shared):
         return looks_like_number(token)
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """click's own parser, on the arguments in an order that leaves it nothing to guess: see `_ordered`."""
+        """Parse the arguments with click's parser, in the unambiguous order of `_ordered`."""
         return super().parse_args(ctx, self._ordered(list(args), ctx) if ctx.allow_interspersed_args else args)
 
     def _ordered(self, rest: list[str], ctx: click.Context) -> list[str]:
-        """The options with their values, then `--`, then the rest: so a value may begin with `-`.
+        """The options with their values, then `--`, then the other arguments. This lets a value begin with `-`.
 
-        An option that takes values until the next one is repeated before each of its values.
+        A `Variadic` option is repeated before each of its values.
         """
         every = [param for param in self.get_params(ctx) if isinstance(param, click.Option)]
         named = {name: param for param in every for name in (*param.opts, *param.secondary_opts)}
@@ -242,7 +242,7 @@ class Command(_Shared):
 
 
 class Group(_Shared, click.Group):
-    """A group of commands; without one it shows its help on stderr and exits 2."""
+    """A group of commands. Without a command, it prints its help on stderr and exits with 2."""
 
     command_class = Command
 
@@ -256,7 +256,7 @@ class Group(_Shared, click.Group):
         return super().parse_args(ctx, args)
 
     def elsewhere(self, ctx: click.Context, name: str) -> list[str]:  # noqa: ARG002
-        """The full commands that a name may mean which this group has not."""
+        """Full commands outside this group that a name may mean."""
         return []
 
     def resolve_command(
@@ -275,7 +275,7 @@ class Group(_Shared, click.Group):
 
 
 def command(name: str | None = None, *, examples: Sequence[str], **attributes: Any) -> Callable[..., Command]:
-    """Decorator of a command that stands on its own. Its first sentence is the short help of the command table."""
+    """Decorator of a top-level command. The first sentence of its help is the short help in the command table."""
     attributes.setdefault("cls", Command)
     return click.command(name, examples=examples, **attributes)
 

@@ -1,6 +1,7 @@
-"""`slidectl completion SHELL`, and the names that a shell completes: those of the daemon, within 100 ms.
+"""`slidectl completion SHELL`, and the completers of names, which ask the daemon and wait at most 100 ms.
 
-`shell_complete=completion.topics` on a click argument or option. No completer raises: without a daemon there are none.
+Use: `shell_complete=completion.topics` of a click argument or option. Completers never raise; without a daemon they
+return no names.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ def completion(shell: str) -> None:
 
 
 def fitting(names: Iterable[str], incomplete: str) -> list[str]:
-    """The names that begin with what was typed; a relative one is compared with the ends of the full names."""
+    """The names that begin with `incomplete`. A relative name is compared with the ends of the full names."""
     if incomplete and not incomplete.startswith("/"):
         parts = [name.strip("/").split("/") for name in names]
         names = {"/".join(part[index:]) for part in parts for index in range(len(part))}
@@ -72,7 +73,7 @@ managers = completer(lambda context: [manager.namespace for manager in context.m
 
 
 def files(_context: click.Context, _param: click.Parameter, incomplete: str) -> list[Any]:
-    """Leave it to the shell to complete a file."""
+    """Let the shell complete a file name."""
     from click.shell_completion import CompletionItem
 
     return [CompletionItem(incomplete, type="file")]

@@ -1,4 +1,4 @@
-"""What every command gets: which daemon, which namespace, how to print, how long to wait.
+"""The context of every command: the daemon, the namespace, the output format and the timeout.
 
 Commands take it with `@click.pass_obj def robots(ctx: Context, ...)`. It connects on first use of `client`
 and must not import the client, YAML or rich before they are needed.
@@ -30,10 +30,10 @@ _LISTS = {
 
 
 class Context:
-    """Options of one invocation and the connection that they lead to."""
+    """The options of one invocation, and the connection to the daemon that they select."""
 
     def __init__(self, shell: Context | None = None) -> None:
-        """`shell` is the context of the shell whose line this is: its options hold, and its connection is shared."""
+        """`shell` is the context of the `slidectl shell` that runs this line; its options and connection are used."""
         self.instance: str | None = None
         self.socket: str | None = None
         self.namespace = "/"
@@ -43,7 +43,7 @@ class Context:
         self.timeout: float | None = None
         """Wall seconds of `--timeout`; None when it was not given."""
         self.up: Callable[[], None] | None = None
-        """In a scenario: to be called by a command that goes on in the background, when it is up."""
+        """In a scenario: a command that goes on in the background calls this when it is up."""
         for option in list(vars(self)) if shell else ():
             setattr(self, option, getattr(shell, option))
         self._shell = shell
@@ -63,7 +63,7 @@ class Context:
 
     @property
     def client(self) -> Client:
-        """The connection to the daemon, made on first use. Raises NoDaemon when nobody answers."""
+        """The connection to the daemon, made on first use. Raises NoDaemon when no daemon answers."""
         if self._client is not None:
             return self._client
         shell = self._shell
@@ -78,7 +78,7 @@ class Context:
         return self._client
 
     def _say_other_version(self, theirs: str) -> None:
-        """Say that the daemon was started by another version of this program: the two may not understand each other."""
+        """Warn that the daemon was started by another version of this program; the two may be incompatible."""
         from slidectl import __version__
         from slidectl.client.link import command
 
@@ -88,11 +88,11 @@ class Context:
 
     @property
     def uri(self) -> str:
-        """Where every node and service answers: the daemon's socket."""
+        """The URI of every node and service: the daemon's socket."""
         return f"unix://{self.client.paths.socket_text}"
 
     def close(self) -> None:
-        """Close the connection if there is one, unless it is the shell's; where a process runs many commands."""
+        """Close the connection if there is one, unless it is the shell's. For a process that runs many commands."""
         if self._client is not None and (self._shell is None or self._client is not self._shell._client):
             self._client.close()
         self._client = None
@@ -102,7 +102,7 @@ class Context:
         return default_s if self.timeout is None else self.timeout
 
     def pause(self, seconds: float) -> None:
-        """Wait on the client's clock, and notice at once when the daemon goes away. Raises NoDaemon."""
+        """Wait on the client's clock. Raises NoDaemon as soon as the daemon closes the connection."""
         client = self.client
         deadline = client.monotonic() + seconds
         while (left := deadline - client.monotonic()) > 0:
@@ -113,7 +113,7 @@ class Context:
         return self.client.call(service, request, timeout=timeout)
 
     def manager(self, namespace: str) -> Manager:
-        """The controller manager of a namespace; what it warns of goes to stderr."""
+        """The controller manager of a namespace; its warnings go to stderr."""
         from slidectl.client.client import Manager
 
         return Manager(self.client, namespace, self.warn, timeout_s=self.timeout or 0.0)
@@ -133,13 +133,13 @@ class Context:
         return sorted(self.call(service)[key])
 
     def resolve(self, kind: str, name: str, role: str = "", with_field: bool = False) -> dict[str, Any]:
-        """What the user meant: the response of /slidectl/resolve. Raises as Client.resolve does."""
+        """The response of /slidectl/resolve for a name from the user. Raises as Client.resolve does."""
         return self.client.resolve(kind, name, namespace=self.namespace, role=role, with_field=with_field)
 
     # --- printing -----------------------------------------------------------------------------------------------
 
     def emit(self, record: Mapping[str, Any], text: str | None = None) -> None:
-        """One result of one or several. As text it is `text` (nothing when empty), else `key: value` lines.
+        """Print one result of one or several. As text it is `text` (nothing when empty), or `key: value` lines if None.
 
         Several are lines of json, documents of yaml, or rows of csv below one header.
         """
@@ -155,7 +155,7 @@ class Context:
         self._emitted = list(record)
 
     def emit_rows(self, rows: Sequence[Mapping[str, Any]], columns: Sequence[str], empty: str = "") -> None:
-        """Many results: a table as text, an object a line as json, a list as yaml, a header and rows as csv.
+        """Print many results: a table as text, an object a line as json, a list as yaml, a header and rows as csv.
 
         `columns` are the keys that text and csv show; json and yaml hold all keys of the rows. `empty` is a line
         for stderr when there are no rows.
@@ -172,7 +172,7 @@ class Context:
             output.write(output.table(rows, columns))
 
     def emit_names(self, names: Sequence[str], key: str, empty: str = "") -> None:
-        """A list of names: one a line as text, objects `{key: name}` as json, yaml and csv."""
+        """Print a list of names: one a line as text, objects `{key: name}` as json, yaml and csv."""
         if self.format != "text":
             self.emit_rows([{key: name} for name in names], [key], empty)
         elif names:
@@ -181,27 +181,27 @@ class Context:
             self.say(empty)
 
     def done(self, record: Mapping[str, Any], text: str) -> None:
-        """What an action did. As text it is one line that `-q` silences; other formats print the record."""
+        """Print the result of an action. As text it is one line that `-q` silences; other formats print the record."""
         if self.format != "text" or not self.quiet:
             self.emit(record, text)
 
     def say(self, text: str) -> None:
-        """A remark on stderr, silenced by `-q`."""
+        """Print a remark on stderr; `-q` silences it."""
         if text and not self.quiet:
             print(text, file=sys.stderr, flush=True)
 
     def warn(self, text: str) -> None:
-        """A warning on stderr, silenced by `-q`."""
+        """Print a warning on stderr; `-q` silences it."""
         self.say(f"{paint('warning:', 'yellow')} {text}")
 
     def detail(self, text: str) -> None:
-        """A remark on stderr that only `-v` shows."""
+        """Print a remark on stderr, only with `-v`."""
         if self.verbose:
             self.say(text)
 
 
 def paint(text: str, colour: str) -> str:
-    """Coloured for stderr when that is a terminal that wants colours."""
+    """The text, coloured when stderr is a terminal that takes colours."""
     if not output.wants_colour(sys.stderr):
         return text
     import click

@@ -1,6 +1,6 @@
-"""`slidectl controller`: the controller managers, which one a name means, and the parameter files of controllers.
+"""`slidectl controller`: the controller managers, the lookup of a controller's manager, and parameter files.
 
-What a file may hold is for description.controllers_file, what a parameter means for the controller.
+description.controllers_file defines what a file may hold, the controller defines what a parameter means.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def _strictness(function: Any) -> Any:
 
 
 def _rests(function: Any) -> Any:
-    """`--zero` and `--hold`, as the one argument `rest`: None when neither was given."""
+    """Add `--zero` and `--hold`. The function gets both as the argument `rest`, None when neither was given."""
 
     @functools.wraps(function)
     def with_rest(*given: Any, zero: bool, hold: bool, **named: Any) -> Any:
@@ -69,7 +69,7 @@ def _rests(function: Any) -> Any:
 
 @contextmanager
 def _changes(ctx: Context, manager: Manager, controllers: Sequence[str]) -> Iterator[dict[str, str]]:
-    """Say for each controller what it was and what it is, of a refused action for those that changed all the same.
+    """Print the state of each controller before and after; when the action is refused, only where they differ.
 
     Yields name -> state before the action.
     """
@@ -100,11 +100,11 @@ def _rest_joints(
     """Give the joints of stopped controllers the command of `--zero` or `--hold`. Without one the last command stays.
 
     Args:
-        check_only: before the controllers are stopped: whether the joints can do it.
-        left_to: controllers that start in the same switch; their joints are left to them.
+        check_only: only check that the joints can take the command, before the controllers are stopped.
+        left_to: controllers that start in the same switch; their joints get no command here.
 
     Raises:
-        Refused: the joints cannot do it.
+        Refused: the joints cannot take the command.
     """
     if command is None:
         return
@@ -163,7 +163,7 @@ def _rows(manager: Manager, with_unloaded: bool) -> list[dict[str, Any]]:
 
 
 def _times_text(times: dict[str, Any] | None) -> str:
-    """`3.2 us, longest 41.0 us`, and what there is to say of the budget."""
+    """`3.2 us, longest 41.0 us`, and the number of updates over the budget if there is one."""
     if times is None or not (times["compiled"] or times["updates"]):
         return ""
     if times["compiled"]:
@@ -245,7 +245,7 @@ def _load_file(ctx: Context, manager: str | None, source: str, names: Sequence[s
 
 
 def _place_for(ctx: Context, manager: str | None, controller: str) -> tuple[Manager, str]:
-    """The manager for a controller that need not be configured: the only one, else the one that knows the name."""
+    """The manager for a controller that may have no parameters: the only one, else the one that knows the name."""
     candidates = chosen(ctx, manager)
     inside = [one for one in candidates if controller.startswith(one.namespace.rstrip("/") + "/")] or candidates
     if len(inside) == 1:
@@ -485,14 +485,14 @@ def config(ctx: Context, manager: str | None, file: str) -> None:
 def read_parameters(ctx: Context, file: str, namespaces: Sequence[str]) -> Tree:
     """The parameters of a file by full name, moved to the robot's namespace where the file is for another one.
 
-    Names that no controller knows, such as `kd` for a gain, are warnings, as `check` tells them. Where no robot can be
-    told the file stays as it is, as `rosparam load` has it.
+    Names that no controller knows, such as `kd` for a gain, are printed as warnings, as in `check`. When the robot
+    cannot be determined, the names stay as in the file, as with `rosparam load`.
 
     Args:
-        namespaces: those of the robots that it may be for.
+        namespaces: namespaces of the robots that the file may be for.
 
     Raises:
-        BadFile: missing, or no parameters. UsageError: not clear which robot it is for.
+        BadFile: the file is missing or holds no parameters. UsageError: the robot is ambiguous.
     """
     from slidectl.check.controllers import ParameterFile, unknown
     from slidectl.check.findings import Findings
@@ -515,7 +515,7 @@ def read_parameters(ctx: Context, file: str, namespaces: Sequence[str]) -> Tree:
 
 
 def _warn_unknown(ctx: Context, namespace: str, controllers: Sequence[str]) -> None:
-    """Warn of names that no controller knows in the parameters that the daemon has for these."""
+    """Warn of parameter names of these controllers, in the daemon, that no controller knows."""
     from slidectl.check.controllers import ParameterFile, unknown
     from slidectl.check.findings import Findings
 
@@ -532,14 +532,14 @@ def _warn_unknown(ctx: Context, namespace: str, controllers: Sequence[str]) -> N
 
 
 def chosen(context: Context, wanted: str | None) -> list[Manager]:
-    """The managers that the options leave: that of `--cm`, else that of `--ns`, else all. Raises UnknownName."""
+    """The managers that the options select: that of `--cm`, else that of `--ns`, else all. Raises UnknownName."""
     every = context.managers()
     known = {manager.namespace: manager for manager in every}
     if wanted is not None:
         name = wanted.rstrip("/").removesuffix("controller_manager").rstrip("/") or "/"
         full = resolve(name, known, kind="controller manager", namespace=context.namespace)
         return [known[full]]
-    below_root = context.namespace != "/"  # which is also what `--ns` is when nobody gave it
+    below_root = context.namespace != "/"  # the root is also the default of `--ns`
     return [known[context.namespace]] if below_root and context.namespace in known else every
 
 
@@ -575,14 +575,14 @@ def owner(context: Context, wanted: str | None, controllers: Sequence[str]) -> t
 
 
 def owner_of_some(context: Context, wanted: str | None, controllers: Sequence[str]) -> tuple[Manager, list[str]]:
-    """As `owner`, but it is enough when the manager knows some of them, or is the only one: for best effort."""
+    """As `owner`, for best effort: the manager need only know some of the controllers, or be the only manager."""
     known = [name for name, found in _places(chosen(context, wanted), controllers).items() if found]
     manager, _ = owner(context, wanted, known)
     return manager, [name.removeprefix(manager.namespace.rstrip("/") + "/") for name in controllers]
 
 
 def next_step(context: Context, topic: str) -> str | None:
-    """The command that is missing before a controller takes messages on `topic`; None when none is."""
+    """A hint with the command that must run before a controller takes messages on `topic`; None when none must."""
     controller = parent(join("/", topic)).strip("/").rpartition("/")[2]
     found = context.managers()
     steps = [] if found else ["no robot with controllers is in the world; spawn one: slidectl spawn slider"]
@@ -612,7 +612,7 @@ def _places(candidates: Sequence[Manager], controllers: Sequence[str]) -> dict[s
 
 
 def wait_for_owner(context: Context, manager: str | None, controllers: Sequence[str]) -> None:
-    """Return when a controller manager knows all the controllers. Raises TimedOut with what is missing."""
+    """Wait until a controller manager knows all the controllers. Raises TimedOut with what is missing."""
     limit, client = context.wait_limit(WAIT_S), context.client
     deadline = client.monotonic() + limit
     while True:

@@ -1,6 +1,6 @@
-"""`slidectl daemon`: the life of the daemon's process, through daemon/lifecycle.py, and its log.
+"""`slidectl daemon`: start, stop and inspect the daemon's process, through daemon/lifecycle.py, and read its log.
 
-Nothing here knows how a daemon works inside.
+This module does not use the daemon's internals.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def daemon() -> None:
 
 
 def _world(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The options of a new world."""
+    """Add the options of a new world."""
     options = [
         click.option("--rtf", default="1.0", metavar="FACTOR|max", help="Real-time factor, or as fast as possible."),
         click.option("--paused/--running", default=False, help="Begin paused, or running (the default)."),
@@ -70,7 +70,7 @@ def _world(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _options(click_context: click.Context, world: dict[str, Any]) -> tuple[DaemonOptions, list[str]]:
-    """The options of the new world, and the names of those that stand on the command line."""
+    """The options of the new world, and the names of those given on the command line."""
     from slidectl.daemon import options
 
     source = click_context.get_parameter_source
@@ -81,7 +81,7 @@ def _options(click_context: click.Context, world: dict[str, Any]) -> tuple[Daemo
 
 
 def module_or_file(word: str) -> str:
-    """A file as an absolute path, also one that is meant by its module's name; any other name as it is."""
+    """The absolute path of a file, given by its path or by its module's name; any other name unchanged."""
     file = word if word.endswith(".py") else f"{word}.py"
     if word.endswith(".py") or os.path.isfile(file):
         return os.path.abspath(os.path.expanduser(file))
@@ -89,7 +89,7 @@ def module_or_file(word: str) -> str:
 
 
 def _gateways(function: Callable[..., Any]) -> Callable[..., Any]:
-    """An option for each gateway, with the port or without."""
+    """Add an option for each gateway, with an optional port."""
     for kind, port in reversed(PORTS.items()):
         function = click.option(
             f"--{kind}",
@@ -135,7 +135,7 @@ def start(click_context: click.Context, /, **world: Any) -> None:
 
 
 def _start(ctx: Context, options: DaemonOptions) -> bool:
-    """Start it and say so. True when it ran already."""
+    """Start the daemon and print the outcome. True when it ran already."""
     from slidectl.daemon import lifecycle
 
     pid, already = lifecycle.start(ctx.paths, options, ctx.wait_limit(START_LIMIT_S))
@@ -214,7 +214,7 @@ def restart(click_context: click.Context, /, **world: Any) -> None:
 
 
 def _shown(options: DaemonOptions, names: list[str]) -> list[str]:
-    """Those of the options that are not as they are without any, as they stand on a command line."""
+    """The options of these names that differ from the defaults, as command-line words."""
     import math
 
     usual = type(options)()
@@ -267,9 +267,9 @@ def logs(ctx: Context, following: bool, lines: int | None) -> None:
 
 
 def _growing(file: TextIO, path: Path, begun: str) -> Iterator[str]:
-    """New lines of the file, and of the one that takes its name when it is rotated away.
+    """Yield new lines of the file and, after a rotation, of the new file with its name.
 
-    `begun` is the beginning of a line whose end has not been written yet.
+    `begun` is the beginning of a line that is not yet complete.
     """
     while True:
         begun += file.readline()
@@ -277,7 +277,7 @@ def _growing(file: TextIO, path: Path, begun: str) -> Iterator[str]:
             yield begun[:-1]
             begun = ""
             continue
-        with suppress(FileNotFoundError):  # between two renames
+        with suppress(FileNotFoundError):  # the log is being rotated
             if not os.path.samestat(os.fstat(file.fileno()), os.stat(path)):
                 file.close()
                 file = _opened(path)

@@ -1,6 +1,6 @@
-"""Launches, recordings and playings that go on in the background: whoever stops the daemon waits until they have ended.
+"""Launches, recordings and playings in the background. `slidectl daemon stop` waits until they have ended.
 
-Each keeps its log locked. It ends by itself when its daemon does, but may take its time for that.
+Each holds a lock on its log. It ends by itself some time after its daemon.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from slidectl.paths import InstancePaths, make_private
 
 KINDS = ("launch", "recording", "playing")
 LIMIT_S = 30.0
-"""Longer than a launch gives its nodes before it kills them."""
+"""Longer than a launch waits before it kills its nodes."""
 _QUIET_S = 0.5
 _LOOK_EVERY_S = 0.02
 
 
 class Background:
-    """A command goes on in a child process; this one waits until everything runs, and leaves.
+    """A command that goes on in a child process. The parent process waits until everything runs, and exits.
 
     `what` is one of KINDS.
 
@@ -43,12 +43,12 @@ class Background:
         self._read, self._write = os.pipe()
 
     def fork(self) -> None:
-        """Returns in the child. The parent ends as the child says: with 0 when everything runs, else with its code.
+        """Fork; only the child returns. The parent exits with 0 when everything runs, else with the child's exit code.
 
-        The child leaves the terminal's group, so that a Ctrl-C reaches it once: by the parent.
+        The child leaves the terminal's process group, so that Ctrl-C reaches it only once, through the parent.
 
         Raises:
-            Refused: the child was killed. In the parent.
+            Refused: in the parent, when a signal killed the child.
         """
         from slidectl.launch.supervision import SIGNALS
 
@@ -59,7 +59,7 @@ class Background:
         if child == 0:
             os.close(self._read)
             os.setsid()
-            while signal.sigtimedwait(SIGNALS, 0) is not None:  # the parent got it too, and passes it on
+            while signal.sigtimedwait(SIGNALS, 0) is not None:  # the parent got it too, and forwards it
                 pass
             os.write(self._write, b"a")
             signal.pthread_sigmask(signal.SIG_SETMASK, held)
@@ -70,7 +70,7 @@ class Background:
                 os.kill(child, number)
 
         os.close(self._write)
-        os.read(self._read, 1)  # from here on the child is alone
+        os.read(self._read, 1)  # from here on the child is in its own process group
         for number in SIGNALS:
             signal.signal(number, pass_on)
         signal.pthread_sigmask(signal.SIG_SETMASK, held)
@@ -91,9 +91,9 @@ class Background:
         leave(code)
 
     def everything_runs(self) -> None:
-        """Let the parent end; from now on the child writes into its log."""
+        """Let the parent exit, and redirect the child's output into its log."""
         log = os.open(self.log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
-        fcntl.flock(log, fcntl.LOCK_EX)  # until this process ends: no program that it starts inherits the open file
+        fcntl.flock(log, fcntl.LOCK_EX)  # held until this process ends: programs that it starts do not inherit the file
         null = os.open(os.devnull, os.O_RDONLY)
         for stream in (sys.stdout, sys.stderr):
             stream.flush()
@@ -105,7 +105,7 @@ class Background:
 
 @contextmanager
 def pid_file(path: str | None) -> Iterator[None]:
-    """`--pid FILE`. Raises Refused when it cannot be written."""
+    """Write the file of `--pid`, and remove it at the end. Raises Refused when it cannot be written."""
     if path is None:
         yield
         return
@@ -120,7 +120,7 @@ def pid_file(path: str | None) -> Iterator[None]:
 
 
 def wait(paths: InstancePaths, limit_s: float, say: Callable[[str], None]) -> None:
-    """Until the detached launches, recordings and playings of a daemon that has ended have ended. Raises TimedOut."""
+    """Wait for the end of the background launches, recordings and playings of an ended daemon. Raises TimedOut."""
     began = time.monotonic()
     told = False
     for log in sorted(log for what in KINDS for log in paths.folder.glob(f"{paths.prefix}{what}-*.log")):

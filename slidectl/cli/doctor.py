@@ -1,4 +1,4 @@
-"""`slidectl doctor`: whether slidectl can run here, and what to do where it cannot."""
+"""`slidectl doctor`: check whether slidectl can run on this machine, with a remedy for each problem."""
 
 from __future__ import annotations
 

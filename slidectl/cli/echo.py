@@ -1,4 +1,4 @@
-"""`slidectl echo`: messages of a topic, or of one field, as rostopic prints them, as CSV, or as JSON lines."""
+"""`slidectl echo`: print messages of a topic, or of one field, as rostopic does, as CSV, or as JSON lines."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Keep = Callable[[dict[str, Any]], bool]
 
 
 class Look(NamedTuple):
-    """How messages are to look."""
+    """The format in which messages are printed."""
 
     form: str
     arrays: bool
@@ -33,7 +33,7 @@ class Look(NamedTuple):
     clear: bool
     offset: bool
     from_bag: bool = False
-    """The time of a CSV line is when the message came, whatever its header says; a chosen field is there in full."""
+    """If true, a CSV line has the time of the record, not of the header, and a selected field is printed in full."""
 
 
 @command(
@@ -85,7 +85,7 @@ def echo(
 
 
 def predicate(condition: str | None, schema: Schema) -> Keep:
-    """The test of `--filter`. Raises UsageError before the first message when it is not valid."""
+    """The predicate of `--filter`. Raises UsageError, before the first message, when it is not valid."""
     if condition is None:
         return lambda _message: True
     from slidectl.msgs.message_expressions import Filter
@@ -101,10 +101,10 @@ def print_messages(
     count: int | None,
     sim_seconds: float | None = None,
 ) -> None:
-    """Print messages of a topic until so many are printed, or so many simulated seconds are over.
+    """Print messages of a topic until `count` are printed or `sim_seconds` of simulated time are over.
 
     Raises:
-        TimedOut: none comes for `--timeout`. UsageError: no such field, or no valid condition.
+        TimedOut: no message comes for `--timeout`. UsageError: the field is unknown or the condition is not valid.
     """
     schema, patience = target.schema, math.inf if ctx.timeout is None else ctx.timeout
     write, keep = writer(ctx, schema, target.field, look), predicate(condition, schema)
@@ -128,7 +128,7 @@ def print_messages(
 
 
 def writer(ctx: Context, schema: Schema, field: str, look: Look) -> Write:
-    """The function that prints one message, or a field of it, in the form that was asked for."""
+    """The function that prints one message, or a field of it, in the requested form."""
     selection = select(schema.fields, schema.root, field)
     if look.form == "csv":
         return _csv_writer(ctx, schema, selection, look)
@@ -147,7 +147,7 @@ def writer(ctx: Context, schema: Schema, field: str, look: Look) -> Write:
 
 
 def _pruned(schema: Schema, type_name: str, depth: int, value: Any, look: Look) -> Any:
-    """The value without its arrays or strings, if these were left out."""
+    """The value, without its arrays or strings when `look` leaves them out."""
     if look.arrays and look.strings:
         return value
     if depth:

@@ -1,4 +1,4 @@
-"""`slidectl fault`: faults on purpose. Calls of /slidectl/fault services, no more."""
+"""`slidectl fault`: inject faults. It only calls the /slidectl/fault services."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def _targets(context: Context) -> list[str]:
 
 
 def _kind_options(command: Callable[..., None]) -> Callable[..., None]:
-    """An option for each option of a kind."""
+    """Add the options of all fault kinds."""
     for name, option in reversed(OPTIONS.items()):
         more: dict[str, Any] = {"type": float, "metavar": "X"}
         if option.form == "vector":
@@ -53,7 +53,7 @@ def fault() -> None:
 
 
 def _check_words(kind: str, start: float | None, end: float | None, **given: Any) -> None:
-    """Raises SlidectlError for what is no fault at any time; the daemon looks for itself."""
+    """Raise SlidectlError for options that are invalid in any world. The daemon repeats the check."""
     checked_options(kind, {name: given[name] for name in OPTIONS if given[name] is not None})
     check_span(start or 0.0, math.inf if end is None else end)
 
@@ -93,7 +93,7 @@ def add(ctx: Context, /, target: str, kind: str, start: float | None, end: float
 
 
 def _record(found: dict[str, Any]) -> dict[str, Any]:
-    """A fault with the keys that this command line promises."""
+    """A fault with the documented JSON keys."""
     end = None if found["end"] == math.inf else found["end"]
     record = {**found, "from": found["start"], "to": end}
     return {key: record[key] for key in _COLUMNS}

@@ -1,4 +1,4 @@
-"""`slidectl gateway`: the processes by which programs that speak other protocols reach the daemon."""
+"""`slidectl gateway`: the processes that connect programs of other protocols to the daemon."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from slidectl.gateways.process import RunningGateway
 
 PORTS = {"ros1": 11311, "websocket": 9090, "foxglove": 8765}
-"""Where each listens unless told otherwise, as roscore, rosbridge and Foxglove's bridge do."""
+"""The default port of each gateway, as of roscore, rosbridge and Foxglove's bridge."""
 _ACTIONS = ("run", "start", "stop", "status")
 
 
@@ -52,7 +52,7 @@ _FOR_BROWSERS = (
 
 
 def _listening(kind: str, *more: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """The argument and the options that all have, and these."""
+    """Add the argument and the options of every gateway, and `more` options."""
     port = click.option("--port", type=click.IntRange(0, 65535), default=PORTS[kind], show_default=True, metavar="N",
                         help="The port; 0 takes any.")  # fmt: skip
     action = click.argument("action", type=click.Choice(_ACTIONS), default="run")
@@ -128,7 +128,7 @@ def status(ctx: Context) -> None:
 
 
 def start(ctx: Context, kind: str, options: dict[str, Any]) -> bool:
-    """Start one in the background, and say so. True when it ran already. Raises Refused, TimedOut."""
+    """Start a gateway in the background and print it. True when it ran already. Raises Refused, TimedOut."""
     from slidectl.gateways import process
 
     found, already = process.start(ctx.paths, kind, options, ctx.wait_limit(process.START_LIMIT_S))
@@ -139,7 +139,7 @@ def start(ctx: Context, kind: str, options: dict[str, Any]) -> bool:
 
 
 def stop_all(ctx: Context) -> None:
-    """Stop those of this daemon. Raises TimedOut."""
+    """Stop the gateways of this daemon. Raises TimedOut."""
     from slidectl.gateways import process
 
     for kind in PORTS:
@@ -174,7 +174,7 @@ def _place(found: RunningGateway) -> dict[str, Any]:
 
 
 def _state(ctx: Context, found: RunningGateway) -> dict[str, Any]:
-    """Where it is, and what it says of itself."""
+    """The process and address of a gateway, and its counters."""
     from slidectl.gateways.gateway import status_service
 
     try:

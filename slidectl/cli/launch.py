@@ -1,6 +1,6 @@
-"""`slidectl launch`: roslaunch's files. It parses the command line, prints what is asked for, and runs what they say.
+"""`slidectl launch`: run roslaunch files. It parses the command line, prints the listings and runs the plan.
 
-Reading files, and what nodes do, is slidectl.launch's.
+`slidectl.launch` reads the files and implements the nodes.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ def launch(ctx: Context, /, words: tuple[str, ...], packages: tuple[str, ...], *
         return
     master = ros_master(ctx)
     tasks = node_kinds.tasks(plan, lookup, gather=True, has_master=bool(master))
-    if given["dry_run"] or plan.missing:  # where something is not there, a daemon is not begun before the rest is known
+    if given["dry_run"] or plan.missing:  # find everything that is missing before a daemon is started
         execution.look_ahead(plan, tasks, lookup, run_commands=False)
     tell_own_packages(ctx, lookup)
     if given["dry_run"] or given["args_of"]:
@@ -111,7 +111,7 @@ def launch(ctx: Context, /, words: tuple[str, ...], packages: tuple[str, ...], *
 
 
 def ros_master(ctx: Context) -> str:
-    """The URI by which programs of ROS 1 reach the daemon, where its gateway runs; else nothing."""
+    """The ROS master URI of the daemon's ros1 gateway; empty when the gateway does not run."""
     from slidectl.gateways import process
 
     gateway = process.find(ctx.paths if ctx.up is None else ctx.client.paths, "ros1")
@@ -121,7 +121,7 @@ def ros_master(ctx: Context) -> str:
 def load_plan(
     words: Sequence[str], packages: Sequence[str], given: Mapping[str, Any]
 ) -> tuple[LaunchPlan, Packages, str]:
-    """What the words of a launch come to, where its packages are, and how it is called. Raises SlidectlError."""
+    """The plan for the words of a launch, the lookup of its packages, and its title. Raises SlidectlError."""
     from slidectl.description.missing import Missing
     from slidectl.launch import files, loader
 
@@ -143,7 +143,7 @@ def load_plan(
 
 
 class LaunchDaemon:
-    """The daemon of this command line, for a launch. With `child`, one that is begun here ends with this process."""
+    """The daemon of this command line, for a launch. With `child`, a daemon started here ends with this process."""
 
     def __init__(self, context: Context, child: bool, wait: bool) -> None:
         self.context = context
@@ -181,7 +181,7 @@ class LaunchDaemon:
         return Client(socket=self.context.paths.socket_text, timeout=limit), is_ours
 
     def _wait_for_one(self) -> None:
-        """`--wait`: nobody tells of a daemon that begins, so look now and then."""
+        """Wait for a daemon, for `--wait`. It polls, because a daemon's start is not announced."""
         from slidectl.daemon import lifecycle
 
         paths, limit = self.context.paths, self.context.wait_limit(WAIT_LIMIT_S)
@@ -192,7 +192,7 @@ class LaunchDaemon:
             if time.monotonic() >= deadline:
                 raise TimedOut(f"no daemon within {limit:g} s", "start it with: " + to_type(paths, "daemon start"))
             select.select([], [], [], _LOOK_EVERY_S)
-        # It holds the lock before it answers; a start waits for the answer.
+        # A daemon holds the lock before it answers; `start` waits for the answer.
         lifecycle.start(paths, timeout=max(1.0, deadline - time.monotonic()))
 
     def stop(self) -> None:
@@ -205,7 +205,7 @@ class LaunchDaemon:
 
 
 class RunningDaemon:
-    """The daemon, or the world of a scenario, that is there already, and stays."""
+    """A daemon, or the world of a scenario, that exists before the launch and continues after it."""
 
     def __init__(self, context: Context) -> None:
         self.context = context
@@ -217,7 +217,7 @@ class RunningDaemon:
         return self.context.client, False
 
     def stop(self) -> None:
-        """It is not ours."""
+        """Do nothing: the daemon is not ours."""
 
 
 def _run(
@@ -235,7 +235,7 @@ def _run(
         background = Background(ctx.paths, "launch")
         background.fork()
     paths = ctx.paths if ctx.up is None else ctx.client.paths
-    # For the programs of nodes, so that commands of this kind in them reach the same daemon, by the same slidectl.
+    # For the programs of nodes: slidectl commands in them use the same daemon and the same installation of slidectl.
     environment = {
         "SLIDECTL_PYTHON": sys.executable,
         "SLIDECTL_SOCKET": paths.socket_text if paths.prefix else "",
@@ -252,12 +252,12 @@ def _run(
             if ctx.up is not None:
                 daemon, run.watch = RunningDaemon(ctx), WorldWatch(ctx.client)
             _drive(ctx, Execution(run, tasks, daemon), title, given["detach"], background)
-    except Interrupted as interrupted:  # before there was anything to end
+    except Interrupted as interrupted:  # before anything was started
         _interrupted(interrupted.number, was_up=False)
 
 
 def _drive(ctx: Context, execution: Execution, title: str, detach: bool, background: Background | None) -> None:
-    """Up, watched, down. A detached launch that needs nobody to stay is left as it is."""
+    """Bring the launch up, watch it, shut it down. A detached launch that needs no process is left running."""
     from slidectl.launch.supervision import Interrupted
 
     leave = False
@@ -274,7 +274,7 @@ def _drive(ctx: Context, execution: Execution, title: str, detach: bool, backgro
     except Interrupted as interrupted:
         _interrupted(interrupted.number, execution.is_up)
         execution.judge()
-    except KeyboardInterrupt:  # so a scenario ends, which is held to its nodes
+    except KeyboardInterrupt:  # this ends a scenario, which fails when a node has failed
         execution.judge()
         raise
     finally:
@@ -283,14 +283,14 @@ def _drive(ctx: Context, execution: Execution, title: str, detach: bool, backgro
         else:
             try:
                 execution.shut_down()
-            except Interrupted:  # it came just before they are held; only one is ever raised
+            except Interrupted:  # it was raised just before shut_down defers interrupts; only one is ever raised
                 execution.shut_down()
             if execution.run.interrupts.received:
-                execution.run.interrupts.ignore()  # a further one must not cut the last messages short
+                execution.run.interrupts.ignore()  # a further interrupt must not cut off the last messages
 
 
 def _interrupted(number: int, was_up: bool) -> None:
-    """Ctrl-C is exit code 130. SIGTERM and SIGHUP are an error only before everything ran."""
+    """Raise KeyboardInterrupt for Ctrl-C (exit code 130), and Refused for SIGTERM or SIGHUP before everything ran."""
     if number == signal.SIGINT:
         raise KeyboardInterrupt
     if not was_up:

@@ -1,4 +1,4 @@
-"""What `slidectl launch` prints: the steps of a run as it goes, and what a plan comes to without starting anything."""
+"""The output of `slidectl launch`: the steps of a run, and the listings of a plan, which start nothing."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _LONGEST = 60
 
 
 class Terminal:
-    """What a run says: a line for each step; on a terminal also one at the bottom that changes."""
+    """The console of a run: prints a line for each step, and on a terminal a status line at the bottom."""
 
     def __init__(self, context: Context) -> None:
         self.context = context
@@ -54,7 +54,7 @@ class Terminal:
         self.status("")
 
     def _say(self, action: Callable[[], None]) -> None:
-        """Do it above the status. A reader, terminal or disk that takes no more ends the launch, and only once."""
+        """Print above the status line. The first failed write (closed pipe or terminal, full disk) ends the launch."""
         if self._unheard:
             return
         try:
@@ -65,7 +65,7 @@ class Terminal:
                 self._draw(paint(self._status, "cyan"))
         except (output.ClosedPipe, Refused, OSError) as error:
             self._unheard = True
-            if self._closing:  # what ends a launch needs no reader
+            if self._closing:  # the end of a launch needs no reader
                 return
             if isinstance(error, BrokenPipeError):
                 raise output.ClosedPipe from None
@@ -80,7 +80,7 @@ class Terminal:
 
 
 def tell_plan(ctx: Context, plan: LaunchPlan, given: dict[str, Any]) -> bool:
-    """Print what needs the files alone; False when nothing of that was asked for."""
+    """Print the requested listing if it needs only the files; else return False."""
     if given["nodes"]:
         ctx.emit_names([node.full_name for node in plan.nodes], "node", "no nodes")
     elif given["files"]:
@@ -106,7 +106,7 @@ def tell_plan(ctx: Context, plan: LaunchPlan, given: dict[str, Any]) -> bool:
 
 
 def tell_tasks(ctx: Context, plan: LaunchPlan, tasks: Sequence[Task], node_name: str | None) -> None:
-    """The steps of a launch, or the command line of one node."""
+    """Print the steps of a launch, or the command line of one node."""
     if node_name:
         node = find_node(plan, node_name)
         task = next((task for task in tasks if task.node is node), None)
@@ -136,20 +136,20 @@ def find_node(plan: LaunchPlan, name: str) -> Node:
 
 
 def _parameters(plan: LaunchPlan) -> dict[str, Any]:
-    """All of them by name, descriptions of robots as any reader takes them. Raises BadFile."""
+    """All parameters by name, robot descriptions without their source notes. Raises BadFile."""
     shown = ((name, value) for name, (value, _) in sorted(plan.parameters().items()))
     return {name: source_note.split(value)[0] if isinstance(value, str) else value for name, value in shown}
 
 
 def as_yaml(plan: LaunchPlan) -> str:
-    """The parameters letter for letter as `roslaunch --dump-params` prints them. Raises BadFile."""
+    """The parameters exactly as `roslaunch --dump-params` prints them. Raises BadFile."""
     import yaml
 
     return str(yaml.safe_dump(_parameters(plan), default_flow_style=False))
 
 
 def arguments(plan: LaunchPlan) -> str:
-    """As `roslaunch --ros-args` prints them."""
+    """The arguments as `roslaunch --ros-args` prints them."""
     lines: dict[str, list[str]] = {"Required Arguments:": [], "Optional Arguments:": []}
     for one in sorted(plan.arguments.values(), key=lambda argument: argument.name):
         title, default = "Required Arguments:", ""
@@ -160,7 +160,7 @@ def arguments(plan: LaunchPlan) -> str:
 
 
 def command_line(task: Task) -> str:
-    """The exact command line of a node with its environment; of a counterpart, what it does."""
+    """The exact command line of a node with its environment; of a counterpart, a description."""
     namespace = {"ROS_NAMESPACE": task.node.namespace} if task.node.namespace != "/" else {}
     own = {**namespace, **dict(task.node.environment)}
     environment = "".join(f'{name}="{value}" ' for name, value in own.items())
@@ -170,10 +170,10 @@ def command_line(task: Task) -> str:
 
 
 def _steps(plan: LaunchPlan, tasks: Sequence[Task]) -> Iterator[tuple[str, str, Location]]:
-    """What a launch would do, in order: the kind of step, its text, its place. Programs are not run for it.
+    """Yield the steps of a launch in order: kind, text and place. It runs no programs.
 
     Raises:
-        BadFile: the value of a parameter cannot be had.
+        BadFile: the value of a parameter cannot be determined.
     """
     for command in plan.commands:
         into = f" into {command.file}" if command.file else ""
@@ -186,7 +186,7 @@ def _steps(plan: LaunchPlan, tasks: Sequence[Task]) -> Iterator[tuple[str, str, 
             continue
         try:
             values = list(setting.parameters())
-        except NotThere:  # which is told with all that is not there
+        except NotThere:  # it is printed with everything that is missing
             continue
         for name, value in values:
             yield "parameter", f"{name} = {_short(value)}", setting.place

@@ -1,8 +1,7 @@
-"""The root command: a table of all commands, whose modules are imported only when they run; and how a command ends.
+"""The root command: the table of all commands, whose modules are imported only when they run, and the exit codes.
 
-It parses the options before the command, and nothing else. From an exception to lines on stderr and an exit code: this
-is the only place that decides either. With `--json` the lines are one object with the keys error, hint (null when
-there is none) and exit_code.
+It parses only the options before the command. No other module turns an exception into lines on stderr and an exit
+code. With `--json` the lines are one object with the keys error, hint (null when there is none) and exit_code.
 """
 
 from __future__ import annotations
@@ -106,7 +105,7 @@ _CALLED_ELSEWHERE = {
     "switch_controller": ("controller switch",),
     **{tool: (f"ros {tool}",) for tool in ("roslaunch", "rostopic", "rosservice", "rosparam", "rosrun", "rosnode")},
 }
-"""Words that people type for a command -> the commands."""
+"""Words that users may type in place of a command -> the commands."""
 
 HELP = """Run the ros_control and Gazebo tutorials from the shell, without ROS and without Gazebo.
 
@@ -131,7 +130,7 @@ Environment:
 
 
 class Root(Group):
-    """The group at the top. It knows names and short helps from the table alone."""
+    """The top-level group. It reads names and short helps from the table only."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
         return list(COMMANDS)
@@ -151,7 +150,7 @@ class Root(Group):
         return super().resolve_command(ctx, [*args[1:], "--help"])
 
     def elsewhere(self, ctx: click.Context, name: str) -> list[str]:
-        """The full commands that a name may mean: the groups that have one of that name, or what others call it."""
+        """The full commands that a name may mean: commands of that name in groups, and those of _CALLED_ELSEWHERE."""
         found = []
         for group_name in COMMANDS:
             group = self.get_command(ctx, group_name)
@@ -180,7 +179,7 @@ class Root(Group):
 
 
 def load(name: str, entry: Entry) -> click.Command:
-    """Import the module of a command and take the command out of it."""
+    """Import the module of a command and return the command."""
     attribute = name.replace("-", "_") + "_" * iskeyword(name)
     command = getattr(import_module(f"slidectl.cli.{entry.module}"), attribute)
     assert isinstance(command, click.Command)
@@ -197,7 +196,7 @@ click.version_option(__version__, message="slidectl %(version)s", help="Print th
 
 
 def run(argv: Sequence[str]) -> int:
-    """Run one command line; its exit code. Prints errors itself and raises nothing but KeyboardInterrupt."""
+    """Run one command line and return its exit code. It prints errors, and raises only KeyboardInterrupt."""
     if COMPLETION_VARIABLE in os.environ:
         from click.shell_completion import shell_complete
 
@@ -214,7 +213,7 @@ def run(argv: Sequence[str]) -> int:
 
 
 def invoke(argv: Sequence[str], context: Context) -> None:
-    """Run the command of a command line. Raises what it raises."""
+    """Run the command of a command line. Its exceptions pass through."""
     with root.make_context("slidectl", list(argv), obj=context) as click_context:
         root.invoke(click_context)
 
@@ -223,7 +222,7 @@ def invoke(argv: Sequence[str], context: Context) -> None:
 
 
 def guard(action: Callable[[], None], context: Context, words: Sequence[str] = ()) -> int:
-    """Run the action; the exit code. Errors are printed, with a traceback when `-v` was given twice.
+    """Run the action and return the exit code. Errors are printed, with a traceback when `-v` was given twice.
 
     `words` are those of the command line.
     """
@@ -241,13 +240,13 @@ def guard(action: Callable[[], None], context: Context, words: Sequence[str] = (
             return EXIT_DONE
         return _report(NoDaemon(f"the connection broke: {error}"), context, words)
     except Exception as error:
-        if _was_interrupted(error) or output.terminal_is_closed():  # SIGHUP may come after what cannot be written
+        if _was_interrupted(error) or output.terminal_is_closed():  # SIGHUP may come after a failed write
             return EXIT_INTERRUPTED
         return _report(error, context, words)
 
 
 def _was_interrupted(error: BaseException | None) -> bool:
-    """Python turns an interrupt that comes while it makes a class into a RuntimeError; what it was is the cause."""
+    """True when an interrupt caused the error: Python turns one during the creation of a class into a RuntimeError."""
     while isinstance(error, Exception):
         error = error.__cause__
     return error is not None
@@ -259,9 +258,9 @@ def _report(error: Exception, context: Context, words: Sequence[str]) -> int:
 
         traceback.print_exception(error)
     message, hint, code = described(error)
-    # Of a command line that cannot be read, the option may not have been reached.
+    # In a command line that cannot be parsed, the parser may not have reached the option.
     as_json = isinstance(error, click.UsageError) and "--json" in words and words[0] != "ros"
-    with suppress(OSError):  # stderr may be a full disk, and the exit code is all that is left then
+    with suppress(OSError):  # stderr may be on a full disk; then only the exit code shows the error
         if context.format == "json" or as_json:
             record = {"error": cut(message), "hint": hint, "exit_code": code}
             print(output.as_json(record), file=sys.stderr, flush=True)
@@ -272,10 +271,10 @@ def _report(error: Exception, context: Context, words: Sequence[str]) -> int:
 
 
 def described(error: Exception) -> tuple[str, str | None, int]:
-    """What failed, what to do next (if that is known), and the exit code of an error."""
+    """The message of an error, a hint (None when there is none) and its exit code."""
     if isinstance(error, OSError) and error.errno in NoDescriptors.ERRNOS:
         error = NoDescriptors("slidectl")
-    if isinstance(error, OSError) and error.errno == errno.ENOSPC:  # click wrote it
+    if isinstance(error, OSError) and error.errno == errno.ENOSPC:  # raised by click's output
         error = Refused(f"cannot write the output: {error.strerror}")
     if isinstance(error, SlidectlError):
         return error.message, error.hint, error.exit_code

@@ -1,4 +1,4 @@
-"""`slidectl msg` and `slidectl srv`: what types are made of, from the installed definitions. They ask no daemon."""
+"""`slidectl msg` and `slidectl srv`: show the installed message and service types, without a daemon."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from slidectl.errors import UnknownName, UsageError
 
 
 class TypeFamily(NamedTuple):
-    """Messages or services: how they are called, and the functions of slidectl.msgs for them."""
+    """Messages or services: the noun for them, and the functions of slidectl.msgs for them."""
 
     noun: str
     names: Callable[[], Sequence[str]]
@@ -36,7 +36,7 @@ def services() -> TypeFamily:
 
 
 def found_types(kind: TypeFamily, name: str) -> list[str]:
-    """The types that are meant: one for `pkg/Name`, those of every package for a bare `Name`."""
+    """The types that a name means: one for `pkg/Name`, those of every package for a bare `Name`."""
     if "::" in name or "." in name:
         raise UsageError(f"{name!r} is no type: write it as package/Type, or Type alone")
     known = kind.names()
@@ -47,13 +47,13 @@ def found_types(kind: TypeFamily, name: str) -> list[str]:
 
 
 def definition_text(kind: TypeFamily, found: str, wanted: str, raw: bool) -> str:
-    """The fields of a type, or its definition as it was written, as rosmsg prints them; `wanted` is what was typed."""
+    """The fields of a type, or its original definition, as rosmsg prints them; `wanted` is the name from the user."""
     body = (kind.source if raw else kind.show)(found).rstrip("\n")
     return ("" if "/" in wanted else f"[{found}]:\n") + (f"{body}\n\n" if body else "\n")
 
 
 def _verbs(parent: Group, kind: Callable[[], TypeFamily], example: str) -> None:
-    """Give the group its three commands."""
+    """Add the commands show, list and md5 to the group."""
     tool = f"slidectl {parent.name}"
 
     def complete(_context: click.Context, _param: click.Parameter, incomplete: str) -> list[str]:

@@ -1,4 +1,4 @@
-"""`slidectl graph`: nodes, topics and services, and who uses what."""
+"""`slidectl graph`: show the graph of nodes, topics and services."""
 
 from __future__ import annotations
 

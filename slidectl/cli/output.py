@@ -1,6 +1,6 @@
-"""How results look: text, JSON lines, YAML, CSV; plain in a pipe, rich tables on a terminal.
+"""The formats of results: text, JSON lines, YAML, CSV; plain tables in a pipe, rich tables on a terminal.
 
-Text building, and the functions that write to stdout and into a file. It knows no command and no daemon.
+Functions that build text, and that write to stdout and into files. They depend on no command and no daemon.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ Record = Mapping[str, Any]
 
 
 class ClosedPipe(Exception):
-    """Whoever read our output has gone: end quietly."""
+    """The output has no reader; end without a message."""
 
 
 def write(text: str) -> None:
-    """One result on stdout, with a line end if it has none, flushed at once.
+    """Write one result to stdout, with a line end if it has none, and flush.
 
     Raises:
-        ClosedPipe: the reader has gone. Refused: the output cannot be written (a full disk).
+        ClosedPipe: the reader is gone. Refused: the output cannot be written (a full disk).
     """
     try:
         sys.stdout.write(text if text.endswith("\n") else text + "\n")
@@ -39,7 +39,7 @@ def write(text: str) -> None:
 
 
 def save(path: str, text: str) -> None:
-    """A result into a file, whole or not at all. Raises BadFile: it cannot be written."""
+    """Write a result into a file, whole or not at all. Raises BadFile when it cannot be written."""
     from slidectl.writing import write_whole
 
     try:
@@ -49,7 +49,7 @@ def save(path: str, text: str) -> None:
 
 
 def reader_has_gone() -> bool:
-    """True when standard output or standard error is a pipe that nobody can read any more."""
+    """True when standard output or standard error is a pipe without a reader."""
     import select
 
     poll = select.poll()
@@ -59,26 +59,26 @@ def reader_has_gone() -> bool:
 
 
 def terminal_is_closed() -> bool:
-    """True when standard output is a terminal that is gone."""
+    """True when standard output is a terminal that was closed."""
     import termios
 
     try:
         termios.tcgetattr(sys.stdout.fileno())
     except termios.error as error:
         return bool(error.args[0] == errno.EIO)
-    except (OSError, ValueError):  # no file
+    except (OSError, ValueError):  # stdout is not a file
         return False
     return False
 
 
 def check_reader() -> None:
-    """Raises ClosedPipe when the reader has gone: for what goes on without end and may have nothing to write."""
+    """Raise ClosedPipe when the reader is gone. For commands that run without end and may have nothing to write."""
     if reader_has_gone():
         raise ClosedPipe
 
 
 def is_terminal(stream: TextIO) -> bool:
-    """True for a terminal that can do more than lines of text."""
+    """True for a terminal that takes control sequences."""
     return stream.isatty() and os.environ.get("TERM", "") != "dumb"
 
 
@@ -98,7 +98,7 @@ def megabytes(size: int) -> str:
 
 
 def as_json(value: Any) -> str:
-    """One line of JSON; NaN becomes null and infinity 1e999, as on the wire."""
+    """One line of JSON; NaN becomes null and infinity 1e999, as in the protocol."""
     try:
         return json.dumps(value, ensure_ascii=False, allow_nan=False)
     except ValueError:
@@ -132,7 +132,7 @@ def as_lines(record: Record) -> str:
 
 
 def cell(value: Any) -> str:
-    """A value in a table: lists are joined by blanks, nothing is `-`, floats have six significant digits."""
+    """A value in a table: lists are joined by blanks, an empty value is `-`, floats have six significant digits."""
     if value is None or value == "" or value == []:
         return "-"
     if isinstance(value, bool):
@@ -159,7 +159,7 @@ def table(rows: Sequence[Record], columns: Sequence[str]) -> str:
 
 
 def _rich_table(rows: Sequence[Sequence[str]], header: Sequence[str]) -> str:
-    """It wraps inside its columns."""
+    """The table drawn by rich, with long cells wrapped."""
     import io
 
     from rich import box

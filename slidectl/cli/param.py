@@ -1,6 +1,6 @@
 """`slidectl param`: get, set, load and dump parameters, with the semantics of rosparam.
 
-Behind the commands: values of parameters as they are typed, as files hold them and as YAML, for all that set them.
+For all commands that set parameters: reads values from command-line words and from files, and writes them as YAML.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ def set_parameter(ctx: Context, name: str, value: str | None, textfile: str | No
     created = store(ctx, settings(content, full), known_only=not new)
     if full != names.join(ctx.namespace, name):
         ctx.say(f"set {full}")
-    if created and not new:  # which one of those that were there may have been meant
+    if created and not new:  # suggest an existing parameter that the user may have meant
         others = [known for known in ctx.names("parameter") if known not in created]
         for made in created:
             near = closest(made, others) if names.parent(made) != "/" else None
@@ -124,10 +124,10 @@ def set_parameter(ctx: Context, name: str, value: str | None, textfile: str | No
 
 
 def _name_to_set(ctx: Context, name: str, new: bool) -> str:
-    """An existing parameter's full name, else a new one in the namespace.
+    """The full name of an existing parameter, else of a new one in the namespace.
 
     Raises:
-        AmbiguousName, BadName. UnknownName: a short name whose beginning means a namespace that is elsewhere.
+        AmbiguousName, BadName. UnknownName: the beginning of a short name is a namespace that exists elsewhere.
     """
     full = names.check_parameter(names.join(ctx.namespace, name))
     try:
@@ -142,7 +142,7 @@ def _name_to_set(ctx: Context, name: str, new: bool) -> str:
 
 
 def _elsewhere(ctx: Context, name: str, full: str) -> list[str]:
-    """`.../pid/P` for `pid/P`, for each `.../pid` that there is, when /pid is not there."""
+    """Full names that a short one may mean: `.../pid/P` for `pid/P` and each `.../pid`, when /pid does not exist."""
     if "/" not in name.rstrip("/"):
         return []
     above, _, last = name.rstrip("/").rpartition("/")
@@ -225,7 +225,7 @@ def get_value(ctx: Context, full: str) -> Any:
 
 
 def typed(text: str) -> Any:
-    """What was typed: YAML, angles in radians, empty text for no text. Raises UsageError."""
+    """The value of a command-line word: YAML, angles converted to radians, '' for no text. Raises UsageError."""
     if "deg" not in text and "rad" not in text:
         return "" if text == "" else values.read(text)
     from slidectl.description import angles
@@ -234,7 +234,7 @@ def typed(text: str) -> Any:
 
 
 def parameters_in(ctx: Context, text: str, file: str, may_be_list: bool) -> Any:
-    """The parameters in a text: a mapping; where a namespace names it, a list or text too. Raises BadFile."""
+    """The parameters in a text: a mapping or, with `may_be_list`, also a list or a text. Raises BadFile."""
     from slidectl.description import yaml_tree
 
     if may_be_list and _BEGINS_AS_LIST.match(text) and not text.startswith("---"):
@@ -243,7 +243,7 @@ def parameters_in(ctx: Context, text: str, file: str, may_be_list: bool) -> Any:
     try:
         content = yaml_tree.read(text, file, notices, rooted=True)
     except BadFile:
-        with suppress(BadFile):  # text that is all there is in a file is how one parameter is dumped
+        with suppress(BadFile):  # a dump of one text parameter is only that text
             bare = yaml_tree.read_value(text, file) if may_be_list else None
             if isinstance(bare, str):
                 return bare
@@ -268,7 +268,7 @@ def dumped(value: Any) -> str:
 
 
 def _scalar(value: Any) -> str | None:
-    """The text of a scalar that needs neither quotes nor another notation than Python's."""
+    """The text of a scalar that needs no quotes and has Python's notation; None for any other value."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
@@ -281,7 +281,7 @@ def _scalar(value: Any) -> str | None:
 
 
 def settings(content: Any, full: str) -> dict[str, Any]:
-    """What to set for a value at `full`: a mapping one by one, so that it is merged, anything else as a whole.
+    """Full name -> value to set, for a value at `full`. A mapping is split into its leaves, so that it is merged.
 
     Raises UsageError for null, which no parameter can be.
     """
@@ -293,13 +293,13 @@ def settings(content: Any, full: str) -> dict[str, Any]:
 
 
 def store(ctx: Context, parameters: Tree, known_only: bool = False) -> list[str]:
-    """Set them all, or none; others that are there stay. What controllers say to it is a warning.
+    """Set all parameters, or none; other parameters stay. Answers of controllers are printed as warnings.
 
     Args:
         known_only: a name below a loaded controller that it does not read is an error.
 
     Returns:
-        The names that were not set before, without those below a loaded controller: the controller has judged these.
+        The names that were not set before, without those below a loaded controller, which has checked them.
 
     Raises:
         Refused: a loaded controller cannot take a value. UsageError: JSON cannot carry a value.

@@ -1,4 +1,4 @@
-"""`slidectl play`: the messages of recordings once more, each at its simulated time."""
+"""`slidectl play`: publish the messages of recordings again, each at its simulated time."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 
 _SECOND = 10**9
 _AHEAD, _AHEAD_BYTES = 1000, 4 * 1024 * 1024
-"""Messages that the daemon has before their time, and their bytes in the recording."""
+"""The most messages that are sent ahead of their time, and the most bytes of them in the recording."""
 _FIRST_DELAY_NS = _SECOND // 5
-"""Simulated time from now to the first message, rosbag's --delay: its time must still be to come."""
+"""Simulated time from now to the first message, as rosbag's --delay, so that its time is in the future."""
 _MOST_TOLD = 5
 _SECONDS: dict[str, Any] = {"type": click.FloatRange(min=0), "callback": finite, "metavar": "S"}
 
@@ -119,7 +119,7 @@ def play(
 
 
 def _sorted(words: tuple[str, ...]) -> tuple[list[str], dict[str, str]]:
-    """The files, and new names by old ones. Raises UsageError, BadName."""
+    """The files, and old topic name -> new name. Raises UsageError, BadName."""
     files, renames = [], {}
     for word in words:
         old, given, new = word.partition(":=")
@@ -135,7 +135,7 @@ def _sorted(words: tuple[str, ...]) -> tuple[list[str], dict[str, str]]:
 
 
 def _check_type(channel: RecordedTopic) -> None:
-    """Raises UsageError: the type is unknown here, or another one of that name."""
+    """Raise UsageError when the type is unknown here, or has another definition."""
     topic, type_name, md5 = channel.topic, channel.type, channel.md5
     if not msgs.exists(type_name):
         raise UsageError(f"{topic} has the type {type_name}, which is not known here", "leave it out: --topic")
@@ -146,7 +146,7 @@ def _check_type(channel: RecordedTopic) -> None:
 
 
 class _Player:
-    """Publishes at simulated times, some messages ahead."""
+    """Publishes messages at simulated times, some sent ahead."""
 
     def __init__(self, ctx: Context, renames: dict[str, str], background: Background | None) -> None:
         self._ctx = ctx
@@ -162,7 +162,7 @@ class _Player:
         self._last_ns = 0
 
     def publish(self, messages: Iterator[DueMessage], base_ns: int) -> int:
-        """Until the last is published; the simulated time of that. Raises NoDaemon, Refused."""
+        """Publish all messages; returns the simulated time of the last one. Raises NoDaemon, Refused."""
         client = self._ctx.client
         waiting: deque[tuple[str, int]] = deque()
         ahead = 0
@@ -185,7 +185,7 @@ class _Player:
 
     def _take(self, publish_id: str) -> None:
         client = self._ctx.client
-        if not self._has_looked:  # the answer says that the daemon has all that was sent
+        if not self._has_looked:  # its answer confirms that the daemon has all messages sent so far
             self._has_looked = True
             status = self._ctx.call("/slidectl/status")
             if status["paused"]:
@@ -203,7 +203,7 @@ class _Player:
                 self._ctx.warn(error.message)
 
     def tell(self) -> None:
-        """Say what was played. Raises Refused: messages were refused."""
+        """Print what was played. Raises Refused when messages were refused."""
         seconds = 0.0 if self._first_ns is None else (self._last_ns - self._first_ns) / _SECOND
         record = {
             "published": self.published, "late": self.late, "refused": self.refused, "topics": sorted(self._topics),

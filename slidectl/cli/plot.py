@@ -26,12 +26,12 @@ from slidectl.viewing.plots import Curve, Plot
 from slidectl.writing import file_kind, write_whole
 
 _LIVE_S = 10.0
-"""The window of a live plot, and how long one is followed that is drawn once; simulated seconds."""
+"""The window of a live plot, and how long the topics of a plot drawn once are followed; simulated seconds."""
 _REDRAW_S = 0.2
 _QUEUE = 1_000_000
 _LEAST_PLAIN_ROWS = 12
 _ENTER, _HOME, _LEAVE = "\033[?1049h\033[?25l", "\033[H", "\033[?25h\033[?1049l"
-"""Another screen without a cursor, its first line, and back: what was in the terminal stays."""
+"""Terminal sequences: show the alternate screen without a cursor, go to its first line, show the old screen."""
 
 
 @command(
@@ -117,7 +117,7 @@ def plot(
         try:
             now = (lambda: made(plot_fields.curves_of(found, bool(xy)))) if live else None
             _follow(ctx, found, length, cut, now, lambda: bool(interrupts.received))
-        except (NoDaemon, TimedOut, KeyboardInterrupt) as error:  # what has arrived is shown first
+        except (NoDaemon, TimedOut, KeyboardInterrupt) as error:  # the samples so far are shown before the error
             ended = error
         if interrupts.received:
             ended = click.exceptions.Exit(EXIT_INTERRUPTED)
@@ -127,11 +127,11 @@ def plot(
         raise ended
 
 
-# --- the end: a file, text, or records --------------------------------------------------------------------------------
+# --- output: a file, text, or records ---------------------------------------------------------------------------------
 
 
 def check(ctx: Context, save: str | None) -> None:
-    """Before anything is waited for. Raises as `plots.check_file` and `plots.check_terminal`. Refused: no folder."""
+    """Check the output before waiting. Raises as `plots.check_file`, `plots.check_terminal`; Refused: no folder."""
     if save is not None:
         plots.check_file(save)
         if not Path(save).parent.is_dir():
@@ -147,7 +147,7 @@ def show(
     size: tuple[int, int] | None = None,
     records: Sequence[dict[str, Any]] = (),
 ) -> None:
-    """Write the file, or print the plot; `records` are what json shows, without them a line a curve.
+    """Write the file, or print the plot; `records` are the JSON output, by default one a curve.
 
     Raises:
         Refused: it cannot be written.
@@ -185,7 +185,7 @@ def _record(curve: Curve, begin: float, save: str | None) -> dict[str, Any]:
 
 
 def _phase(drawn: Plot, wanted: list[str]) -> Plot:
-    """Of two curves, the second over the first, at the times of the first that both have."""
+    """The plot of the second curve over the first, at the times of the first that both curves cover."""
     if not drawn.curves:
         return drawn
     if len(drawn.curves) != 2:
@@ -203,7 +203,7 @@ def _phase(drawn: Plot, wanted: list[str]) -> Plot:
 
 
 def _arrived(ctx: Context, found: Mapping[str, TopicCurves], is_phase: bool, where: str) -> list[Curve]:
-    """The curves that there are; topics without a message are told. Raises Refused, with a `where`: there are none."""
+    """The curves with samples; warns of topics without a message. With `where`, raises Refused when there are none."""
     curves = plot_fields.curves_of(found, is_phase)
     if silent := [topic for topic, messages in found.items() if not messages.curves]:
         text = f"no message of {', '.join(silent)} {where}".rstrip()
@@ -241,10 +241,10 @@ def _follow(
     now: Callable[[], Plot] | None,
     is_over: Callable[[], bool],
 ) -> None:
-    """Take in messages until `is_over` or the simulated time has passed; draw what there is `now` again and again.
+    """Collect messages until `is_over`, or for `duration` simulated s; redraw the plot of `now` periodically.
 
     Raises:
-        NoDaemon: the daemon went away. TimedOut. ClosedPipe. NoElement, UsageError: about the first message.
+        NoDaemon: the daemon ended. TimedOut. ClosedPipe. NoElement, UsageError: about the first message.
     """
     client = ctx.client
     status = ctx.call("/slidectl/status")
@@ -283,9 +283,9 @@ def _follow(
                     remark = ""
                 drawn.notes = [remark] if remark else []
                 text = _text(drawn) if drawn.curves else "\n".join(["no message has come yet", *drawn.notes])
-                # Each line is written over the one that was there, so that nothing flickers.
+                # Each line overwrites the old one, so that the plot does not flicker.
                 output.write(_HOME + text.replace("\n", "\033[K\n") + "\033[J")
-        if is_over():  # what was published up to now is on its way
+        if is_over():  # receive what was published up to now
             client.call("/rosapi/get_time")
         elif sleep:
             client.answer(sleep)

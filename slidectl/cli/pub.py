@@ -1,4 +1,4 @@
-"""`slidectl pub`: one message, one at a rate, or those of a file or a pipe; done when they have been taken in.
+"""`slidectl pub`: publish one message, messages at a rate, or those of a file or pipe, and wait for their delivery.
 
 The everyday case (`slidectl pub command 1.0`) takes two round trips and loads neither YAML nor the evaluator.
 """
@@ -24,7 +24,7 @@ from slidectl.msgs.schema import Schema
 from slidectl.values import check_quotes, documents_of, documents_on_stdin, is_numeric, read
 
 Values = Sequence[Any]
-"""What a message is made of: one mapping of fields, or one value for each field."""
+"""The content of a message: one mapping of fields, or one value for each field."""
 
 _ONCE = "-1"
 _TYPE = r"[A-Za-z]\w*/[A-Za-z]\w*\Z"
@@ -32,7 +32,7 @@ _EXPRESSION = r"-\s*(\d|\.\d|\(|[A-Za-z_]\w*\()"
 _FELL_BEHIND_S = 1.0
 _KEPT_UP = 0.95
 _MOST_TOLD = 5
-"""Different warnings that one command passes on: a wave beyond the limits has a new one in every message."""
+"""The most different warnings that one command prints: a sine beyond the limits causes one per message."""
 
 
 class PubCommand(Command):
@@ -119,7 +119,7 @@ def _check_options(words: Sequence[str], once: bool, rate: float | None, file: s
 def _target(
     ctx: Context, name: str, given: list[str], allow_unheard: bool, from_elsewhere: bool
 ) -> tuple[Target, list[str]]:
-    """The topic, and what is left of the words when TYPE is taken away. Raises as `look_up` does."""
+    """The topic, and the words without TYPE. Raises as `look_up` does."""
     try:
         target = look_up(ctx, name, SUBSCRIBERS, with_field=False)
     except Unused as error:
@@ -145,7 +145,7 @@ def _target(
 
 
 def _with_next_step(ctx: Context, name: str, error: SlidectlError, step: str) -> SlidectlError:
-    """The error with a last line: `step`, or where controllers are not loaded yet which command comes first."""
+    """The error with one more line: the command that loads a missing controller, else `step`."""
     from slidectl.cli.controller import next_step
 
     error.hint = f"{error.hint}\n{next_step(ctx, name) or step}"
@@ -153,7 +153,7 @@ def _with_next_step(ctx: Context, name: str, error: SlidectlError, step: str) ->
 
 
 def _is_type(given: Sequence[str], target: Target, from_elsewhere: bool) -> bool:
-    """A lone word such as `a/b` is the text to publish when the topic takes text, else a TYPE."""
+    """True when the first word is a TYPE. A lone word such as `a/b` is a value when the topic takes text."""
     if given[0] == target.type:
         return True
     alone = [word for word in given if word != _ONCE] == [given[0]] and not from_elsewhere
@@ -165,7 +165,7 @@ def _is_type(given: Sequence[str], target: Target, from_elsewhere: bool) -> bool
 
 
 def without_once(given: list[str], fields: int) -> tuple[list[str], bool]:
-    """The values without `-1` as an option, and whether it was one; where a value is missing it is a number."""
+    """The values without the option `-1`, and whether it was given. It is a number if a value is missing without it."""
     plain = [word for word in given if word != _ONCE]
     by_name = len(plain) == 1 and (":" in plain[0] or plain[0].startswith("{"))
     if len(plain) == len(given) or (len(given) == fields and len(plain) != fields and not by_name):
@@ -174,7 +174,7 @@ def without_once(given: list[str], fields: int) -> tuple[list[str], bool]:
 
 
 def _from_words(target: Target, given: Sequence[str], rate: float | None, count: int | None) -> Iterator[Values]:
-    """The values on the command line: for ever at a rate, else `count` times or once."""
+    """The values on the command line: without end at a rate, else `count` times or once."""
     check_quotes(given, target.typedefs[0]["fieldnames"])
     if not given and target.typedefs[0]["fieldnames"]:
         fields = ", ".join(target.typedefs[0]["fieldnames"])
@@ -184,7 +184,7 @@ def _from_words(target: Target, given: Sequence[str], rate: float | None, count:
 
 
 def _from_documents(target: Target, file: str | None, rate: float | None) -> Iterator[Values]:
-    """Those of a file or of stdin; a single one of a file repeats for ever at a rate."""
+    """The values of a file or of stdin; at a rate, a single document of a file repeats without end."""
     fields = len(target.typedefs[0]["fieldnames"])
     source = documents_on_stdin() if file is None else documents_of(file)
     if source == [] and file != "-":
@@ -217,18 +217,18 @@ def publish(
     stays: bool,
     from_documents: bool = False,
 ) -> None:
-    """Send one message for each of the values, each when the one before has been taken in, and tell what was published.
+    """Send one message for each of the values, each after the delivery of the one before; print what was published.
 
     Args:
-        rate: in Hz; values may be expressions then. The schedule is absolute; after a long halt it begins anew.
+        rate: in Hz; values may be expressions then. The schedule is absolute; after a long delay it begins anew.
         advertise: become a publisher of the topic, which may be new or have no subscribers.
         stays: stay connected at the end, so that a latched message stays.
-        from_documents: when one of them fails, say how many were published before it.
+        from_documents: when one of them fails, print how many were published before it.
 
     Raises:
-        BadMessage: values that do not fit the type. MessageRefused: a subscriber will not take the message.
-        UsageError, Refused: an expression that is none, or cannot be computed. NoDaemon.
-        TimedOut: not taken in, or latched for `--timeout`.
+        BadMessage: values that do not fit the type. MessageRefused: a subscriber refuses the message.
+        UsageError, Refused: an expression is not valid, or cannot be computed. NoDaemon.
+        TimedOut: not delivered within `--timeout`, or latched for that time.
     """
     client, topic, schema = ctx.client, target.topic, target.schema
     told: set[str] = set()
@@ -247,7 +247,7 @@ def publish(
                 client.deliver(topic, message, target.type if advertise else None, latch)
                 published += 1
                 latest = client.monotonic()
-                for reason in client.reasons:  # what subscribers say of a message that they took; the same words once
+                for reason in client.reasons:  # warnings of subscribers that accepted the message; each text once
                     if reason not in told and len(told) < _MOST_TOLD:
                         told.add(reason)
                         ctx.warn(reason)
@@ -269,7 +269,7 @@ def publish(
 
 
 def _judge_rate(ctx: Context, rate: float | None, published: int, seconds: float) -> None:
-    """Warn of a rate that was not reached. One late message among a handful says nothing about the rate."""
+    """Warn when the rate was not reached. Ten messages or fewer are too few to judge it."""
     if rate is not None and published > 10:
         reached = (published - 1) / seconds if seconds > 0 else math.inf
         if reached < _KEPT_UP * rate:
@@ -279,11 +279,11 @@ def _judge_rate(ctx: Context, rate: float | None, published: int, seconds: float
 def message_of(
     ctx: Context, schema: Schema, values: Values, expressions: bool = False, index: int = 0, seconds: float = 0.0
 ) -> dict[str, Any]:
-    """The message of the schema's root type that the values mean, at i = index and t = seconds in expressions.
+    """The message of the schema's root type with these values; expressions have i = index and t = seconds.
 
     Raises as `fill` and `Numbers.at`.
     """
-    if is_numeric(list(values)):  # nothing in them can be an expression or stand for the time
+    if is_numeric(list(values)):  # no value can be an expression or stand for the time
         return fill(schema.fields, schema.root, values)
     from slidectl.msgs.message_expressions import Numbers
 

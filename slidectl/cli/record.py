@@ -1,4 +1,4 @@
-"""`slidectl record`: topics into a .bag or .mcap file, as they come, until Ctrl-C or an end that was asked for."""
+"""`slidectl record`: record topics into a .bag or .mcap file, until Ctrl-C or a limit is reached."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def _duration(_click: click.Context, _param: click.Parameter, value: str | None)
 
 
 def _chosen(topics: tuple[str, ...], **given: Any) -> tuple[_Choice, Path]:
-    """What is recorded, and where. Raises UsageError."""
+    """The choice of topics, and the path of the file. Raises UsageError."""
     from slidectl.recording.recording_files import check_kind
 
     path = Path(given["file"] if given["file"] is not None else time.strftime("%Y-%m-%d-%H-%M-%S"))
@@ -98,7 +98,7 @@ def record(ctx: Context, /, topics: tuple[str, ...], **given: Any) -> None:
     from slidectl.recording.recording_files import SplitFiles
 
     background = None
-    _ = ctx.client  # without a daemon no file is touched
+    _ = ctx.client  # raises NoDaemon before a file is touched
     if given["detach"]:
         ctx.close()
         background = Background(ctx.paths, "recording")
@@ -122,7 +122,7 @@ def record(ctx: Context, /, topics: tuple[str, ...], **given: Any) -> None:
 
 
 def _readable(path: Path) -> int:
-    """How many messages a file has that was not completed."""
+    """The number of readable messages in a file that was not completed."""
     from slidectl.recording.recording_files import opened
 
     try:
@@ -133,7 +133,7 @@ def _readable(path: Path) -> int:
 
 
 class _Choice:
-    """Which topics are recorded."""
+    """The selection of topics to record."""
 
     def __init__(self, topics: tuple[str, ...], given: dict[str, Any]) -> None:
         """Raises UsageError."""
@@ -154,7 +154,7 @@ class _Choice:
             try:
                 self.named[index] = ctx.resolve("topic", name)["name"]
             except UnknownName:
-                if not name.startswith("/"):  # a full name is recorded as soon as it is there
+                if not name.startswith("/"):  # a topic with a full name is recorded as soon as it exists
                     raise
 
     def takes(self, topic: str) -> bool:
@@ -171,7 +171,7 @@ def _compiled(text: str) -> re.Pattern[str]:
 
 
 class _Recorder:
-    """Subscribes what is chosen, and writes what comes."""
+    """Subscribes to the chosen topics, and writes their messages."""
 
     def __init__(self, ctx: Context, choice: _Choice, out: SplitFiles, given: dict[str, Any]) -> None:
         self._ctx = ctx
@@ -189,13 +189,13 @@ class _Recorder:
         self._progress_at = 0.0
 
     def begin(self) -> None:
-        """Returns when everything that is there is subscribed."""
+        """Subscribe to the chosen topics that exist."""
         client = self._ctx.client
         topics = client.topics()
         self._subscribe_new(topics)
         if self._length_s is not None:
             self._sleep = client.call_async("/slidectl/sleep", {"duration": self._length_s})
-            client.flush()  # the time counts from before the caller goes on
+            client.flush()  # the duration begins before this method returns
         for name in self._choice.named:
             if name not in topics:
                 self._ctx.warn(f"nobody publishes {name} yet; it is recorded as soon as somebody does")
@@ -212,14 +212,14 @@ class _Recorder:
                     self._ctx.warn(f"{topic} is not recorded: {error.message}")
         client = self._ctx.client
         new = [topic for topic in self._codecs if topic not in self.subscriptions]
-        for topic in new:  # all from the same moment on
+        for topic in new:  # all subscriptions begin at the same time
             self.subscriptions[topic] = client.subscribe(
                 topic, topics[topic], queue_length=_QUEUE, take=self._take, wait=False
             )
         if new:
             try:
                 client.flush()
-            except MessageRefused as error:  # somebody advertised it with another type meanwhile
+            except MessageRefused as error:  # a node advertised it with another type meanwhile
                 self._ctx.warn(f"not recorded: {error.message}")
 
     def _take(self, published: dict[str, Any]) -> None:
@@ -233,7 +233,7 @@ class _Recorder:
             self._failure = error
 
     def run(self, is_over: Callable[[], bool]) -> None:
-        """Until `is_over`, or what was asked for has come.
+        """Record until `is_over` or a limit is reached.
 
         Raises:
             Refused: the file cannot be written. NoDaemon.
@@ -258,13 +258,13 @@ class _Recorder:
                         self._progress()
                     else:
                         show(self._so_far())
-            if is_over():  # what was published up to now is on its way
+            if is_over():  # receive what was published up to now
                 client.call("/rosapi/get_time")
-        except KeyboardInterrupt:  # so the background of a scenario ends
+        except KeyboardInterrupt:  # this ends a background step of a scenario
             client.call("/rosapi/get_time")
             raise
         except NoDaemon:
-            with suppress(NoDaemon):  # a daemon that ends has sent what was published
+            with suppress(NoDaemon):  # before it ended, the daemon sent all that was published
                 deque(client.events(0.0), maxlen=0)
             raise
 
@@ -286,7 +286,7 @@ class _Recorder:
         return self._sleep is not None and self._ctx.client.is_answered(self._sleep)
 
     def _progress(self) -> None:
-        """A line a second on stdout."""
+        """Print a line on stdout each second."""
         now = self._ctx.client.monotonic()
         if now >= self._progress_at:
             self._progress_at = now + _PROGRESS_EVERY_S
@@ -304,7 +304,7 @@ class _Recorder:
         return f"{messages} of {topics}, {seconds:.3f} s"
 
     def end(self) -> None:
-        """Complete the file and say what is in it.
+        """Complete the file and print a summary of it.
 
         Raises:
             Refused: the file could not be completed, or messages were lost.

@@ -22,13 +22,13 @@ if TYPE_CHECKING:
     from slidectl.viewing.picture_files import VideoFile
 
 _LOOK_S = 1.0
-"""Wall seconds without a picture after which it is looked whether the world is paused."""
+"""Wall seconds without a picture, after which the command checks whether the world is paused."""
 _HOLD_S = 60.0
 """Wall seconds for which a running world waits for a picture."""
 
 
 def _looks(function: Callable[..., None]) -> Callable[..., None]:
-    """The options that both commands have."""
+    """Add the options of both commands."""
     for option in (
         click.option("--software", is_flag=True, help="Draw without OpenGL."),
         click.option("--camera", default="iso", show_default=True, metavar="CAMERA",
@@ -131,7 +131,7 @@ def _view(ctx: Context, given: dict[str, Any]) -> WorldView:
 
 @contextmanager
 def _time(ctx: Context, rate: Fraction) -> Iterator[Callable[[int], object]]:
-    """What lets the world go on to the picture with a number, counted from 0 which is now."""
+    """Yield a function that advances the world to the picture with the given number; picture 0 is now."""
     client, status = ctx.client, ctx.call("/slidectl/status")
     step, now, is_told = Fraction(round(1e9 * status["timestep"]), 10**9), status["time"], False
     if rate * step > 1:
@@ -153,7 +153,7 @@ def _time(ctx: Context, rate: Fraction) -> Iterator[Callable[[int], object]]:
     with client.lockstep(float(cycles(1) * step), _HOLD_S) as lock:
 
         def advance(number: int) -> None:
-            # The period is whole cycles, and the time between two pictures need not be: each has its own.
+            # The period is a whole number of cycles, the time between pictures need not be: each picture sets its own.
             client.call("/slidectl/lockstep", {"period": float(cycles(number) * step), "timeout": _HOLD_S})
             is_told = False
             while True:

@@ -1,4 +1,4 @@
-"""`slidectl replay`: the run of a journal again, in this process, or in a daemon that stays at its end."""
+"""`slidectl replay`: repeat the run of a journal, in this process, or in a daemon that stays paused at its end."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def _recorder(contents: Contents, file: str, until: float | None, last: float | 
 
     if last is None:
         return ReplayRecording(Path(file))
-    # A state is kept each simulated second that passes, also where the clock is set back.
+    # The journal has a state for each simulated second that passes, also after the clock is set back.
     step_s = contents.options.timestep
     most = math.inf if until is None else round(until / step_s)
     states = since = before = 0

@@ -1,6 +1,6 @@
-"""`slidectl robots` and `slidectl delete`: what is in the world, and taking it out.
+"""`slidectl robots`, `slidectl delete` and `slidectl estop`: list, delete and stop robots.
 
-Also what other commands need to know of robots: finding one by name, and telling its report.
+Other commands use its functions to find a robot by name, and to print its report.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def robots(ctx: Context, name: str | None) -> None:
 
 
 def record(robot: Robot, with_report: bool = True) -> Robot:
-    """A slidectl/RobotInfo with the keys that this command line promises."""
+    """A slidectl/RobotInfo with the documented JSON keys."""
     joints = [{**joint, "interface": joint["hardware_interface"]} for joint in robot["joints"]]
     shown = {**robot, "joints": [{key: joint[key] for key in _JOINT_COLUMNS} for joint in joints]}
     keys = ("name", "namespace", "kind", "fixed", "pose", "links", "joints", "controllers", "estop", "report")
@@ -73,18 +73,18 @@ def record(robot: Robot, with_report: bool = True) -> Robot:
 
 
 def warn_stopped(ctx: Context, stopped: Sequence[str]) -> None:
-    """That joints are held by the emergency stop of these robots."""
+    """Warn that the emergency stop of these robots holds their joints."""
     if stopped:
         ctx.warn(f"emergency stop is on: {', '.join(stopped)}; slidectl estop release ends it")
 
 
 def moving(robot: Robot) -> list[str]:
-    """The names of its joints, without the fixed ones."""
+    """The names of the robot's joints, without the fixed ones."""
     return [joint["name"] for joint in robot["joints"] if joint["type"] != "fixed"]
 
 
 def robot_text(robot: Robot, with_report: bool) -> str:
-    """One robot for people."""
+    """The text of one robot."""
     head = {
         "name": robot["name"],
         "namespace": robot["namespace"],
@@ -114,7 +114,7 @@ def notice_text(notice: dict[str, Any]) -> str:
 
 
 def summary(name: str, notices: Sequence[dict[str, Any]]) -> str:
-    """One line that counts the notices and says where they are listed."""
+    """One line with the counts of the notices and the command that lists them."""
     titles = {"wrong": "wrong", "ignored": "without effect", "converted": "converted"}
     counts = {verdict: sum(notice["verdict"] == verdict for notice in notices) for verdict in titles}
     parts = [f"{count} {titles[verdict]}" for verdict, count in counts.items() if count]
@@ -173,7 +173,7 @@ def estop(ctx: Context, words: tuple[str, ...], namespaces: tuple[str, ...]) -> 
 
 
 def _below(present: Sequence[Robot], namespace: str) -> list[Robot]:
-    """The robots in a namespace. Raises UnknownName when it holds none of several."""
+    """The robots in a namespace. Raises UnknownName when all robots are outside it."""
     found = [robot for robot in present if is_under(robot["namespace"], namespace)]
     if present and not found:
         raise UnknownName("robot's namespace", namespace, [robot["namespace"] for robot in present])

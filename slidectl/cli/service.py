@@ -157,14 +157,14 @@ def call(ctx: Context, name: str, given: tuple[str, ...], stdin: bool) -> None:
         raise Refused("\n".join(refusals))
 
 
-# --- what rosservice shares -----------------------------------------------------------------------------------------
+# --- shared with rosservice -----------------------------------------------------------------------------------------
 
 _RESULT_OK = 1
-"""Of simulation_interfaces/Result."""
+"""RESULT_OK of simulation_interfaces/Result."""
 
 
 def call_service(ctx: Context, full: str, request: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
-    """The response, and when it says no (a false `ok` or `success`, or a result) the lines that say so, and why.
+    """The response and, when it is a refusal (`ok` or `success` false, or a result but OK), its lines and reasons.
 
     Raises as Client.call; TimedOut after a minute.
     """
@@ -183,14 +183,14 @@ def call_service(ctx: Context, full: str, request: dict[str, Any]) -> tuple[dict
 
 
 def warn_of_call(ctx: Context, refusal: Sequence[str]) -> None:
-    """Print what belongs to the call and is no part of the refusal."""
+    """Print the reasons of the call that are not part of the refusal."""
     for reason in ctx.client.reasons:
         if reason.is_warning or not refusal:
             ctx.warn(reason)
 
 
 def ask_each(ctx: Context, question: str, services: Iterable[str], key: str) -> dict[str, str]:
-    """Service -> the answer of rosapi about it, asked in one go."""
+    """Service -> rosapi's answer about it. The requests are sent all together."""
     calls = {name: ctx.client.call_async(question, {"service": name}) for name in services}
     return {name: str(ctx.client.answer(call)[key]) for name, call in calls.items()}
 

@@ -1,7 +1,7 @@
 """`slidectl shell`: command lines from a terminal, a file or a pipe, all on one connection and in one process.
 
-It reads lines, on a terminal with a prompt, a history and the completion of live names, hands each to the root command,
-and decides when to stop. What the commands do is theirs.
+It reads lines, on a terminal with a prompt, a history and the completion of names from the daemon, runs each with the
+root command, and decides when to stop.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _MOST_HISTORY = 1000
 
 
 def _words(line: str) -> list[str]:
-    """The words of a line, as a shell parts them; `slidectl` in front may be written. Raises UsageError."""
+    """The words of a line, split as in a shell, without a leading `slidectl`. Raises UsageError."""
     try:
         words = shlex.split(line, comments=True)
     except ValueError as error:
@@ -69,7 +69,7 @@ def shell(click_context: click.Context, file: str | None, keep_going: bool) -> N
 
 
 def _run_line(context: Context, line: str) -> int:
-    """One line; its exit code. Errors are printed. `context` is that of the shell."""
+    """Run one line and return its exit code. Errors are printed. `context` is that of the shell."""
     own = Context(context)
     words: list[str] = []
 
@@ -87,12 +87,12 @@ def _run_line(context: Context, line: str) -> int:
     finally:
         own.close()
     if code in (EXIT_NO_DAEMON, EXIT_INTERRUPTED) or not _DAEMON_CHANGES.isdisjoint(words):
-        context.close()  # the daemon is gone, or the connection may be in the middle of something
+        context.close()  # the daemon is gone, or a request on the connection may be incomplete
     return code
 
 
 def _run_apart(context: Context, words: list[str]) -> int:
-    """Run a line in a process of its own, which may fork and leave as the shell may not; its exit code."""
+    """Run a line in a separate process, which may fork and exit (the shell must not); return its exit code."""
     import subprocess
 
     said = {
@@ -105,12 +105,12 @@ def _run_apart(context: Context, words: list[str]) -> int:
     argv = [sys.executable, "-P", "-m", "slidectl", *options, *words]
     with subprocess.Popen(argv, stdin=stdin, env=with_package(os.environ)) as process:
         while True:
-            with suppress(KeyboardInterrupt):  # the process gets it too, and says what comes of it
+            with suppress(KeyboardInterrupt):  # the process gets the Ctrl-C too, and handles it
                 return process.wait()
 
 
 def _run_script(context: Context, file: str | None, keep_going: bool) -> int:
-    """The exit code of the first line that failed, else 0."""
+    """Run a script; return the exit code of the first line that failed, else 0."""
     first_failure = EXIT_DONE
     with _script(file) as (name, lines):
         for number, line in enumerate(lines, 1):
@@ -127,9 +127,9 @@ def _run_script(context: Context, file: str | None, keep_going: bool) -> int:
 
 @contextmanager
 def _script(file: str | None) -> Iterator[tuple[str, Iterator[str]]]:
-    """Name and lines of the script. One that comes by stdin is not for its commands to read: they find it empty."""
+    """Yield the name and lines of the script. When it comes from stdin, its commands read an empty stdin."""
     if file is not None and file != "-":
-        try:  # what is no text stays in the words as it does on stdin: names of files may have such bytes
+        try:  # bytes that are not UTF-8 are kept, as on stdin: names of files may have them
             opened = open(file, encoding="utf-8", errors="surrogateescape")  # noqa: SIM115 - closed below
         except OSError as error:
             raise BadFile(error.strerror or str(error), file) from None
@@ -147,7 +147,7 @@ def _script(file: str | None) -> Iterator[tuple[str, Iterator[str]]]:
 
 
 def _converse(context: Context) -> int:
-    """Lines until Ctrl-D; Ctrl-C gives up a line. Failures are for the person to see; only leaving ends it."""
+    """Run lines until Ctrl-D or `exit`. Ctrl-C discards a line. A command that fails does not end the shell."""
     save = _with_readline(context)
     while True:
         try:
@@ -165,13 +165,13 @@ def _converse(context: Context) -> int:
 
 
 def history_file() -> str:
-    """Where the lines are remembered: `$XDG_STATE_HOME/slidectl/history`, by default below `~/.local/state`."""
+    """The path of the history file: `$XDG_STATE_HOME/slidectl/history`, by default below `~/.local/state`."""
     base = os.environ.get("XDG_STATE_HOME") or os.path.expanduser("~/.local/state")
     return os.path.join(base, "slidectl", "history")
 
 
 def _with_readline(context: Context) -> Callable[[], None]:
-    """Editing, history and completion, where Python has readline. Returns what saves the history."""
+    """Set up editing, history and completion, if Python has readline. Returns a function that saves the history."""
     try:
         import readline
     except ImportError:
@@ -185,7 +185,7 @@ def _with_readline(context: Context) -> Callable[[], None]:
         return found[state] if state < len(found) else None
 
     def save() -> None:
-        with suppress(OSError):  # a history that cannot be kept is no reason to stop
+        with suppress(OSError):  # the shell goes on without a saved history
             os.makedirs(os.path.dirname(path), mode=0o700, exist_ok=True)
             readline.write_history_file(path)
 
@@ -199,7 +199,7 @@ def _with_readline(context: Context) -> Callable[[], None]:
 
 
 def _completions(context: Context, before: str, text: str) -> list[str]:
-    """What the word `text` may become, after the words `before` it; with a blank where a word is complete."""
+    """The completions of the word `text` after the words `before`; a complete word ends with a blank."""
     from glob import escape, glob
 
     from click.shell_completion import ShellComplete

@@ -1,4 +1,4 @@
-"""`slidectl sim`: the time of the world. Calls of /gazebo and /slidectl services, no more."""
+"""`slidectl sim`: the time of the world, and snapshots. It only calls /gazebo and /slidectl services."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def status(ctx: Context) -> None:
 
 
 def status_text(answer: dict[str, Any]) -> str:
-    """The answer of /slidectl/status for people."""
+    """The answer of /slidectl/status as text."""
     cycles = [f"{_micro(answer[f'cycle_{name}'])} {name}" for name in ("mean", "p99", "worst")]
     late = f"{_micro(answer['lateness_p50'])} p50, {_micro(answer['lateness_p99'])} p99"
     journal_ended = f", which has ended: {answer['journal_trouble']}" if answer["journal_trouble"] else ""
@@ -158,7 +158,7 @@ def step(ctx: Context, amount: str | None, until: str | None) -> None:
 
 
 def _time(text: str) -> float:
-    """`12.5` or `12.5s`. Raises UsageError."""
+    """The time in s of `12.5` or `12.5s`. Raises UsageError."""
     with suppress(ValueError):
         if 0.0 < (value := float(text.removesuffix("s"))) < math.inf:
             return value

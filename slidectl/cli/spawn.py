@@ -1,6 +1,6 @@
-"""`slidectl spawn` and `slidectl urdf`: a model is expanded here; spawn has the daemon put it into the world.
+"""`slidectl spawn` and `slidectl urdf`: expand a model; spawn also sends it to the daemon.
 
-The order of the checks matters: nothing of the world or of the parameters changes before the rest is known to be right.
+The order matters: all checks come before the first change of the world or of the parameters.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 def _check_words(
     model: str, arguments: tuple[str, ...], packages: tuple[str, ...], joints: tuple[str, ...], **_: Any
 ) -> None:
-    """Raises SlidectlError for words that are wrong, and for a model that is not there."""
+    """Raise SlidectlError for wrong words, and for a model that does not exist."""
     from slidectl.description import models, sdf
 
     _positions(joints)
@@ -129,7 +129,7 @@ def spawn(
     manager = ctx.manager(namespace)
     there = _configured(manager, start, missing)
     warnings = ctx.client.spawn_urdf(wanted, xml, pose, positions, timeout=ctx.wait_limit(SPAWN_LIMIT_S))
-    loads = {} if keep_going else manager.ask_to_load(there)  # the robot is new: it has none yet
+    loads = {} if keep_going else manager.ask_to_load(there)  # the robot is new, so none is loaded yet
     _tell_report(ctx, wanted, document, positions)
     for warning in warnings:
         ctx.warn(warning)
@@ -187,7 +187,7 @@ def urdf(ctx: Context, model: str, arguments: tuple[str, ...], target: str | Non
 
 
 def _single_model(source: str, places: Packages) -> Document:
-    """The URDF of SDF with one model. Raises UsageError where there are several."""
+    """The URDF of an SDF file with one model. Raises UsageError when it has several."""
     from slidectl import description
 
     scene = spawning.scene(source, places)
@@ -209,11 +209,11 @@ def pairs(words: Sequence[str], sign: str, command: str = "spawn") -> dict[str, 
 def _document(
     ctx: Context, source: str, given: dict[str, str], name: str | None, places: Packages, missing: Missing
 ) -> Document:
-    """The robot in a file or on standard input, with all that its file names. Raises BadFile, NotThere."""
+    """The robot in a file or on standard input, and all that its file refers to. Raises BadFile, NotThere."""
     from slidectl.description import source_note
 
     text, title = source, None
-    if source == "-":  # it may be a parameter's, as `slidectl param get` prints it: the daemon knows its sources
+    if source == "-":  # it may be a parameter, as `slidectl param get` prints it; the daemon knows its sources
         text, title = standard_input(), "<stdin>"
         note = ctx.call("/slidectl/sources", {"digest": source_note.digest(text)})["note"]
         text = source_note.join(text, note)
@@ -224,7 +224,7 @@ def _document(
 
 
 def _positions(words: Sequence[str]) -> dict[str, float]:
-    """`--joint JOINT=POSITION`. Raises UsageError."""
+    """The positions of `--joint JOINT=POSITION`, in rad or m. Raises UsageError."""
     positions = {}
     for joint, text in pairs(words, "=").items():
         try:
@@ -236,14 +236,14 @@ def _positions(words: Sequence[str]) -> dict[str, float]:
 
 
 def package_lookup(given: Sequence[str], command: str = "spawn") -> Packages:
-    """Where packages are: those of `--package`, of the search paths, and from the working folder upwards."""
+    """The lookup of packages: those of `--package`, of the search paths, and from the working folder upwards."""
     from slidectl.description import Packages
 
     return Packages({name: Path(path) for name, path in pairs(given, "=", command).items()}, Path.cwd())
 
 
 def tell_own_packages(ctx: Context, packages: Packages) -> None:
-    """Say which of the user's packages were used that are shipped, too."""
+    """Print which packages of the user were used in place of shipped ones."""
     for name, folder in packages.own.items():
         ctx.say(f"using package {name} of {folder} (also shipped)")
     packages.own.clear()
@@ -252,10 +252,10 @@ def tell_own_packages(ctx: Context, packages: Packages) -> None:
 def in_package(
     model: str, words: Sequence[str], packages: Packages, command: str = "spawn"
 ) -> tuple[str, dict[str, str]]:
-    """What `MODEL [FILE] [KEY:=VALUE]...` means: a model, or a file of the package MODEL; and the arguments.
+    """Resolve `MODEL [FILE] [KEY:=VALUE]...` to a model, or a file of the package MODEL, and the arguments.
 
     Raises:
-        UsageError: a word that is none of these. UnknownPackage, UnknownName: no such package, or no such file in it.
+        UsageError: a word is none of these. UnknownPackage, UnknownName: no such package, or no such file in it.
     """
     file, rest = (words[0], words[1:]) if words and ":=" not in words[0] else (None, words)
     arguments = pairs(rest, ":=", command)
@@ -274,7 +274,7 @@ def in_package(
 
 
 def standard_input() -> str:
-    """The model on standard input. Raises BadFile when that is no XML."""
+    """The model on standard input. Raises BadFile when it is not XML."""
     text = parameter_text(sys.stdin.buffer.read().decode("utf-8", "replace"))
     if not text.lstrip("\ufeff \t\r\n").startswith("<"):
         raise BadFile("is no XML", "<stdin>", hint="pipe a URDF in, or name a model")
@@ -282,11 +282,11 @@ def standard_input() -> str:
 
 
 _YAML_TEXTS = ('"', "'", "|", ">")
-"""How a text of several lines begins in YAML."""
+"""The first characters of a YAML text of several lines."""
 
 
 def parameter_text(text: str) -> str:
-    """The robot in a text that `param get` and rosparam print as YAML; anything else as it is."""
+    """The robot in a text that `param get` or rosparam printed as YAML; any other text unchanged."""
     if text.lstrip()[:1] not in _YAML_TEXTS:
         return text
     import yaml
@@ -309,7 +309,7 @@ def _rooted(xml: str, file: str, fixed: bool | None) -> str:
 def _spawn_scene(
     ctx: Context, scene: Scene, name: str | None, at: Sequence[float], fixed: bool | None, strict: bool
 ) -> None:
-    """All models of a file, or none of them."""
+    """Spawn all models of a file, or none."""
     from slidectl import description
 
     requests = []
@@ -335,7 +335,7 @@ def _tell_left_out(ctx: Context, missing: Missing) -> None:
 
 
 def _configured(manager: Manager, start: Sequence[str], missing: Missing) -> list[str]:
-    """Those of the controllers that have parameters. Raises UnknownName when one has none and nothing is left out."""
+    """The controllers that have parameters. Raises UnknownName for one without, unless `missing` keeps going."""
     known = manager.configured() if start else []
     for name in start:
         if name not in known:
@@ -347,7 +347,7 @@ def _configured(manager: Manager, start: Sequence[str], missing: Missing) -> lis
 
 
 def _bring_up(manager: Manager, names: list[str], loads: dict[str, str], missing: Missing) -> list[str]:
-    """Start the controllers whose `loads` are under way, or each that can be where the others are left out.
+    """Start the controllers, whose `loads` are pending. With `--keep-going`, load and start each one that can be.
 
     Returns their names.
     """
@@ -368,7 +368,7 @@ def _bring_up(manager: Manager, names: list[str], loads: dict[str, str], missing
 
 
 def _tell_report(ctx: Context, name: str, document: Document, positions: Mapping[str, float]) -> None:
-    """What became of the tags: wrong ones and mended inertias in full, the others counted unless `-v`."""
+    """Print the report on the tags: wrong tags and corrected inertias in full, the others counted unless `-v`."""
     from slidectl.description.parser import is_put_inside
 
     for notice in document.report:
@@ -390,7 +390,7 @@ def _tell_notices(ctx: Context, notices: Sequence[dict[str, Any]]) -> None:
 
 def _tell(ctx: Context, name: str) -> None:
     robot = robots.record(robots.find(robots.all_robots(ctx), name))
-    # Where the physics diverges at once the pose is no number, which is null on the wire.
+    # When the physics diverges at once, the pose is NaN, which the protocol sends as null.
     x, y, z = (math.nan if value is None else round(value, 3) + 0.0 for value in robot["pose"][:3])
     joints = " ".join(robots.moving(robot)) or "none"
     how = f"spawned in {robot['namespace']}" if robot["kind"] == "robot" else f"{robot['kind']}, spawned"

@@ -1,4 +1,4 @@
-"""The commands of this command line as steps of scenarios: what they take, whether words are right, and to run them."""
+"""The commands of this command line as steps of scenarios: their parameters, the check of words, and the execution."""
 
 from __future__ import annotations
 
@@ -35,16 +35,16 @@ _NO_STEPS = (
     "top",
     "view",
 )
-"""Commands about other things than the world of a scenario, which is there already, or for a terminal."""
+"""Commands that do not act in the world of a scenario, which exists already, or that need a terminal."""
 _BRING_OTHERS = ("param", "controller config", "service call", "launch", "ros", "sim load")
-"""Commands, and groups, after which there may be controllers, or parameters of some, that no file of a spawn has."""
+"""Commands, and groups, that may add controllers, or parameters of controllers, that no file of a spawn has."""
 _NO_ROS_STEPS = ("roscore", "roslaunch", "rosrun")
 _PLACE = re.compile(r"\[?([A-Z]+)\]?(\.\.\.)?\Z")
 _KEPT_OUTPUT = 20_000
 
 
 class StepRunner:
-    """`scenarios.step_commands.Commands` by click. `live`: for worlds that have a daemon, which programs can reach."""
+    """Implements `scenarios.step_commands.Commands` with click. `live`: the world has a daemon, for other programs."""
 
     def __init__(self, live: bool = False) -> None:
         self._live = live
@@ -59,7 +59,7 @@ class StepRunner:
         return found
 
     def check(self, words: Sequence[str]) -> CheckedWords:
-        """Raises SlidectlError for words that click would not take or no step has, and for wrong files of launches."""
+        """Check the words of a step. Raises SlidectlError for words that click refuses, or that no step may have."""
         context = Context()
         try:
             with redirect_stdout(io.StringIO()):
@@ -96,11 +96,11 @@ class StepRunner:
         return CheckedWords(named=_named(leaf, values), brings_others=others, refusal=refusal)
 
     def stays(self, words: Sequence[str]) -> bool:
-        """Of all commands only a launch does."""
+        """True for a launch, the only command that goes on once it is up."""
         return words[0] == "launch"
 
     def run(self, words: Sequence[str], client: Client, up: Callable[[], None] = lambda: None) -> StepOutcome:
-        """Run a command line with the connection; results are records as JSON, unless the words say otherwise."""
+        """Run a command line with the connection; results are JSON records, unless the words give a format."""
         shell = Context()
         shell.up = up
         shell._client = client
@@ -136,7 +136,7 @@ def _named(leaf: str, values: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def _written() -> int:
-    """How much has been printed, where that goes into a file, as it does in a worker of scenarios."""
+    """The bytes printed so far, when stdout is a file, as in a worker of scenarios; else 0."""
     try:
         return os.lseek(1, 0, os.SEEK_CUR)
     except OSError:
@@ -146,12 +146,12 @@ def _written() -> int:
 def _output_since(begin: int) -> str:
     try:
         return os.pread(1, _KEPT_OUTPUT, max(begin, _written() - _KEPT_OUTPUT)).decode("utf-8", "replace")
-    except OSError:  # it cannot be read again
+    except OSError:  # stdout cannot be read back
         return ""
 
 
 def _parsed(words: Sequence[str], context: Context) -> tuple[str, click.Command, dict[str, Any]]:
-    """The command that the words mean, its name before it, and its parameters. Raises what click raises."""
+    """The full name of the command that the words mean, the command, and its parameters. Raises click's exceptions."""
     command: click.Command = root
     above, rest, names = click.Context(root, info_name="slidectl", obj=context), list(words), ""
     while isinstance(command, click.Group):
@@ -180,7 +180,7 @@ def _shapes(name: str, command: click.Command) -> Iterator[StepCommand]:
 
 
 def _places(param: click.Argument) -> Iterator[StepArgument]:
-    """The arguments by the names that the help has: `TOPIC [TYPE] [VALUE]...` are topic, type and values."""
+    """The arguments, named as in the help: `TOPIC [TYPE] [VALUE]...` are topic, type and values."""
     tokens = [_PLACE.match(token) for token in (param.metavar or "").split()]
     if tokens and all(tokens):
         for token in tokens:
@@ -207,7 +207,7 @@ def _option(param: click.Option) -> StepOption:
 
 
 def _check_launch(values: Mapping[str, Any], live: bool) -> CheckedWords:
-    """Raises SlidectlError: nodes are programs, which need a daemon, and there is none."""
+    """Check the files of a launch. Raises SlidectlError when nodes are programs, which need a daemon, and none runs."""
     from slidectl.cli.launch import load_plan
     from slidectl.launch import execution, node_kinds
     from slidectl.launch.nodes.programs import Process

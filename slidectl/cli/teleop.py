@@ -1,4 +1,4 @@
-"""`slidectl teleop`: a base or a joint moves while a key of the terminal is held."""
+"""`slidectl teleop`: move a base or a joint while a key of the terminal is pressed."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from slidectl.names import is_under
 from slidectl.viewing.teleoperation import TWIST, BaseDriver, Driver, JointDriver
 
 _REPEAT_S = 0.25
-"""A key that has begun to repeat is let go when it does not come for so long."""
+"""A repeating key counts as released after this many wall seconds without a repetition."""
 _PUBLISH_EVERY_S = 0.1
-"""Often enough for bases that stop without commands (`cmd_vel_timeout`)."""
+"""Short enough for bases that stop without commands (`cmd_vel_timeout`)."""
 
 
 @command(examples=["slidectl teleop", "slidectl teleop /cart/cmd_vel --speed 0.2", "slidectl teleop --joint joint1"])
@@ -62,7 +62,7 @@ def teleop(
 
 
 def _topic_of_base(ctx: Context, text: str | None) -> str:
-    """The topic of Twists that is meant, or that there is. Raises as `look_up`; UsageError, Refused."""
+    """The topic of Twists that `text` means, or the only one. Raises as `look_up`; UsageError, Refused."""
     if text is not None:
         found = look_up(ctx, text, SUBSCRIBERS, with_field=False)
         if found.type != TWIST:
@@ -80,18 +80,18 @@ def _topic_of_base(ctx: Context, text: str | None) -> str:
 
 
 def _drive(ctx: Context, driver: Driver, key_timeout: float) -> None:
-    """Until a signal. Whatever ends it, the last message is one that stops."""
+    """Drive until a signal or an error. In all cases the last message is a stop."""
     client = ctx.client
     with terminal_keys() as keys:
         output.write(f"{driver.help}\npublishes on {driver.topic}")
         held, moves = "", False
-        """The key that moves something, and whether the last message does so."""
+        """The pressed key that moves something, and whether the last message moves something."""
         let_go = publish = math.inf
         try:
             while True:
                 wait = None if math.isinf(let_go) else max(0.0, min(let_go, publish) - monotonic())
                 ready = select.select([sys.stdin, client], (), (), wait)[0]
-                if client in ready:  # the daemon's end is noticed here
+                if client in ready:  # raises NoDaemon when the daemon has ended
                     for _ in client.events(0.0):
                         pass
                 pressed = keys() if sys.stdin in ready else []
@@ -104,9 +104,9 @@ def _drive(ctx: Context, driver: Driver, key_timeout: float) -> None:
                     driver.stop()
                     held, let_go = "", math.inf
                 if pressed or held != was_held or now >= publish:
-                    # Nothing is published but to move and to stop that: others may drive the same.
+                    # Publish only motions and the stop after them: other nodes may drive the same base or joint.
                     if (held or moves) and (message := driver.message()) is not None:
-                        moves = True  # before it is sent: what is cut off may have been sent
+                        moves = True  # set before sending: an interrupted send may have succeeded
                         client.deliver(driver.topic, message)
                         moves = bool(held)
                     publish = now + _PUBLISH_EVERY_S if held else math.inf

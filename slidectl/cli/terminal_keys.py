@@ -1,4 +1,4 @@
-"""Keys from a terminal, one at a time. The terminal is put back, whatever ends the command."""
+"""Keys from a terminal, one at a time. The terminal is restored in all cases."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ _KEY = re.compile(rb"\x1b\[[\d;]*[A-Za-z~]|\x1bO[A-Za-z]|[\xc2-\xf4][\x80-\xbf]+
 
 @contextmanager
 def terminal_keys() -> Iterator[Callable[[], list[str]]]:
-    """Inside, the terminal of stdin gives each key at once and shows none.
+    """Within the block, the terminal of stdin gives each key at once and echoes none.
 
-    Yields what reads the keys that are there: a character, or one of `up`, `down`, `left`, `right`, `enter`, `tab`,
-    `escape`, `backspace`, `space`; it waits for one. Ctrl-Z is a key: a process that is stopped stops no robot. Ctrl-C,
-    SIGTERM, and the end of the terminal end the block, with the exit code of an interrupt.
+    Yields a function that waits for a key and returns all pressed keys, each a character or one of `up`, `down`,
+    `left`, `right`, `enter`, `tab`, `escape`, `backspace`, `space`. Ctrl-Z is a key, because a suspended process cannot
+    stop a robot. Ctrl-C, SIGTERM and the end of the terminal end the block, with the exit code of an interrupt.
     """
     import click
 
@@ -53,7 +53,7 @@ def terminal_keys() -> Iterator[Callable[[], list[str]]]:
                 yield read
             finally:
                 with suppress(termios.error):
-                    termios.tcflush(descriptor, termios.TCIFLUSH)  # a key that repeats is no input of the shell
+                    termios.tcflush(descriptor, termios.TCIFLUSH)  # discard repeated keys, which the shell would read
                     termios.tcsetattr(descriptor, termios.TCSANOW, before)
     except Interrupted:
         raise click.exceptions.Exit(EXIT_INTERRUPTED) from None

@@ -1,6 +1,6 @@
-"""What a terminal shows while a command goes on: a line that changes, or a bar. Both are gone at the end.
+"""Progress on a terminal while a command runs: a status line, or a bar. Both are erased at the end.
 
-Nothing is shown where stderr is no terminal, nor with `-q`.
+Nothing is shown when stderr is not a terminal, nor with `-q`.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from slidectl.cli.context import Context
 
 @contextmanager
 def status_line(ctx: Context, text: str = "", *, wanted: bool = True) -> Iterator[Callable[[str], None]]:
-    """A line with that text; what it yields takes the next one."""
+    """Show a status line; yields a function that sets its text."""
     if not wanted or ctx.quiet or not output.is_terminal(sys.stderr):
         yield lambda _: None
         return
     from rich.console import Console
-    from rich.text import Text  # brackets of a name are no styles
+    from rich.text import Text  # rich must not read brackets in a name as styles
 
     with Console(stderr=True, highlight=False).status(Text(text), spinner="line") as status:
         yield lambda text: status.update(Text(text))
@@ -28,7 +28,7 @@ def status_line(ctx: Context, text: str = "", *, wanted: bool = True) -> Iterato
 
 @contextmanager
 def progress_bar(ctx: Context, total: int | None, unit: str) -> Iterator[Callable[[int, str], None]]:
-    """A bar up to `total`; what it yields takes how many there are, and a remark."""
+    """Show a bar up to `total`; yields a function that takes the count so far and a remark."""
     if ctx.quiet or not output.is_terminal(sys.stderr):
         yield lambda _count, _remark: None
         return
@@ -39,7 +39,7 @@ def progress_bar(ctx: Context, total: int | None, unit: str) -> Iterator[Callabl
         BarColumn(), MofNCompleteColumn(), TextColumn(unit), TimeElapsedColumn(), TextColumn("{task.description}"),
     )  # fmt: skip
     console = Console(stderr=True, highlight=False)
-    # No thread that refreshes it: a fork would take over the locks that it holds.
+    # No refresh thread: a fork would copy the locks that it holds.
     with Progress(*columns, console=console, transient=True, auto_refresh=False) as bar:
         task = bar.add_task("", total=total)
         yield lambda count, remark: bar.update(task, completed=count, description=remark, refresh=True)

@@ -1,6 +1,6 @@
-"""`slidectl test`: runs scenarios, and tells what became of them.
+"""`slidectl test`: run scenarios, and print their results.
 
-Reading, checking and running them is slidectl.scenarios'.
+`slidectl.scenarios` reads, checks and runs them.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from slidectl.scenarios.step_commands import Commands
 
 _VERDICTS = ("passed", "xfailed", "failed", "error", "xpassed")
-"""In the order of the last line."""
+"""In the order of the last output line."""
 _WORDS = re.compile(r"\(|\)|[^\s()]+")
 _MOST_WORDS = 100
 _OPERATORS = ("and", "or", "not", "(", ")")
@@ -132,7 +132,7 @@ def test(
         with _written(keep_failed):
             os.makedirs(keep_failed, exist_ok=True)
     if junitxml is not None and not (Path(junitxml).is_fifo() or Path(junitxml).is_char_device()):
-        _write_junit(junitxml, cases, [])  # a path that cannot be written is told of before anything runs
+        _write_junit(junitxml, cases, [])  # report a path that cannot be written before anything runs
     runner = stages.CaseRuns(commands, stage, sim_timeout, keep_failed, baselines)
     count = 1 if live else workers or len(os.sched_getaffinity(0))
     results, interrupted = _run(ctx, cases, lambda: stage.warm(cases, commands), runner, count, timeout, maxfail)
@@ -149,11 +149,11 @@ def test(
         click_context.exit(EXIT_REFUSED)
 
 
-# --- which ----------------------------------------------------------------------------------------------------------
+# --- choice of cases ------------------------------------------------------------------------------------------------
 
 
 def _read(ctx: Context, paths: Sequence[str], commands: Commands) -> tuple[list[Case], list[Case]]:
-    """The cases that are named, and all of their files. Raises BadFile with all that is wrong."""
+    """The named cases, and all cases of their files. Raises BadFile with all errors."""
     from slidectl.scenarios import scenario_file
 
     slips: list[BadFile] = []
@@ -195,7 +195,7 @@ def _list(ctx: Context, cases: Sequence[Case]) -> None:
 
 
 def _keyword(text: str) -> Callable[[Case], bool]:
-    """The test of `-k`: words that a case's id, name or tags hold, with and, or, not. Raises UsageError."""
+    """The predicate of `-k`: words in a case's id, name or tags, with and, or, not. Raises UsageError."""
     words = {f"word{index}": word for index, word in enumerate(_WORDS.findall(text))}
     tree = None
     with suppress(SyntaxError):
@@ -222,7 +222,7 @@ def _run(
     timeout: float,
     maxfail: int | None,
 ) -> tuple[list[CaseResult], bool]:
-    """The results of those that ran, `count` at a time, and whether Ctrl-C ended it."""
+    """Run the cases, `count` at a time. Returns the results so far, and whether Ctrl-C ended the run."""
     from slidectl.launch.supervision import Interrupted, Interrupts
     from slidectl.scenarios.case_run import BAD
     from slidectl.scenarios.workers import WorkerPool
@@ -249,7 +249,7 @@ def _run(
 
 @contextmanager
 def _written(path: str) -> Iterator[None]:
-    """Inside, it is written. Raises BadFile."""
+    """Turn an OSError of a block that writes to `path` into BadFile."""
     try:
         yield
     except OSError as error:
@@ -257,14 +257,14 @@ def _written(path: str) -> Iterator[None]:
 
 
 def _write_junit(path: str, cases: Sequence[Case], results: Sequence[CaseResult]) -> None:
-    """Raises BadFile."""
+    """Write the results as JUnit XML. Raises BadFile."""
     from slidectl.scenarios.junit import junit
 
     with _written(path):
         write_whole(path, junit(cases, results))
 
 
-# --- telling --------------------------------------------------------------------------------------------------------
+# --- output ---------------------------------------------------------------------------------------------------------
 
 
 def _tell(ctx: Context, cases: Sequence[Case], results: Sequence[CaseResult]) -> int:

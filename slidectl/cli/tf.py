@@ -18,7 +18,7 @@ from slidectl.errors import Refused, SlidectlError
 from slidectl.viewing.transform_tree import MOVING, STATIC, FramePose, Frames, View, roll_pitch_yaw
 
 PATIENCE_S = 3.0
-# A publisher repeats itself; when a frame has come so often, all that publish as fast have had their turn.
+# Publishers repeat their transforms. After a frame has come this often, all publishers of the same rate have published.
 _ROUNDS = 3
 
 
@@ -31,7 +31,7 @@ def tf() -> None:
 
 
 class Listener:
-    """Collects transforms from a stream of `topics` until there is enough."""
+    """Collects transforms from a stream of `topics` until a condition holds."""
 
     def __init__(self, ctx: Context, stream: Stream, topics: list[str]) -> None:
         self._ctx = ctx
@@ -41,9 +41,9 @@ class Listener:
         self._heard: Counter[str] = Counter()
 
     def listen(self, enough: Callable[[Frames], bool]) -> None:
-        """Until it is enough, all frames have come, or `--timeout` (3 s) is over."""
+        """Collect until `enough` is true, all frames have come, or `--timeout` (3 s) is over."""
         deadline = self.stream.monotonic() + self._ctx.wait_limit(PATIENCE_S)
-        # Its answer comes after all that a world that stands still has to tell.
+        # The answer arrives after all messages of a paused world.
         is_paused = self._ctx.call("/slidectl/status")["paused"]
         while not enough(self.frames) and not self._is_complete(is_paused):
             event = self.stream.next(deadline)
@@ -52,14 +52,14 @@ class Listener:
             self._take(event.topic, event.message)
 
     def until(self, deadline: float) -> None:
-        """Take in what comes until then (on the stream's clock)."""
+        """Collect until `deadline` (on the stream's clock)."""
         while (event := self.stream.next(deadline)) is not None:
             self._take(event.topic, event.message)
             if self.stream.monotonic() >= deadline:
                 return
 
     def find(self, *wanted: str) -> list[str]:
-        """The frames' full names; an error says so when the reason may be a world that stands still."""
+        """The frames' full names. The error has a hint when a paused world may be the reason."""
         try:
             return [self.frames.find(name, self._ctx.namespace) for name in wanted]
         except SlidectlError as error:
@@ -73,7 +73,7 @@ class Listener:
             self._heard.update(transform["child_frame_id"] for transform in message["transforms"])
 
     def _is_complete(self, is_paused: bool) -> bool:
-        """Static transforms are latched: they come at once, before the first moving one or the answer of a call."""
+        """True when all frames have come. Static ones are latched: they precede moving ones and a call's answer."""
         if MOVING not in self._topics or (is_paused and self._heard and self.stream.is_drained):
             return self.stream.is_drained
         return any(count >= _ROUNDS for count in self._heard.values())
@@ -81,7 +81,7 @@ class Listener:
 
 @contextmanager
 def listening(ctx: Context) -> Iterator[Listener]:
-    """A listener to the topics of transforms that somebody publishes. Raises Refused when there is none."""
+    """A listener to the transform topics that have publishers. Raises Refused when there is none."""
     known = ctx.client.topics()
     users = users_of(ctx, [topic for topic in (STATIC, MOVING) if topic in known], PUBLISHERS)
     topics = [topic for topic, nodes in users.items() if nodes]
@@ -92,7 +92,7 @@ def listening(ctx: Context) -> Iterator[Listener]:
 
 
 def _frames(ctx: Context) -> Frames:
-    """All frames there are."""
+    """All frames."""
     with listening(ctx) as listener:
         listener.listen(lambda _: False)
     return listener.frames
@@ -178,7 +178,7 @@ def _tell(ctx: Context, reference: str, target: str, view: View) -> None:
 
 
 def pose_text(pose: FramePose, digits: int = 3) -> str:
-    """The lines of tf_echo below the time: where the frame is, in m, and how it is turned."""
+    """The lines of tf_echo below the time: the frame's translation, in m, and its rotation."""
     rpy = roll_pitch_yaw(pose.rotation)
     degrees = [math.degrees(angle) for angle in rpy]
     return (

@@ -1,4 +1,4 @@
-"""`slidectl top`: a world as it goes on, on a terminal, or once as text."""
+"""`slidectl top`: watch a world on a terminal, or print it once as text."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def top(ctx: Context, text: str, delay: float, once: bool) -> None:
 
 
 def _watch(ctx: Context, screen: TopScreen, delay: float) -> None:
-    """Until the key for the end. A daemon that goes away is waited for."""
+    """Show the screen until the quit key. When the daemon ends, wait for the next one."""
     from rich.console import Console, Group
     from rich.live import Live
 
@@ -63,21 +63,21 @@ def _watch(ctx: Context, screen: TopScreen, delay: float) -> None:
             try:
                 while not (pressed := _pressed(keys, monitor, due - monotonic())) and monotonic() < due:
                     pass
-            except NoDaemon:  # the refresh tells it
+            except NoDaemon:  # the refresh reports it
                 due = 0.0
             if not all(map(screen.press, pressed)):
                 return
 
 
 def _connected(ctx: Context, delay: float) -> WorldMonitor:
-    """On a connection of its own: the shell's, say, may be that to a daemon that has gone. Raises NoDaemon."""
+    """A monitor on a new connection, since an existing one (the shell's) may be to an ended daemon. Raises NoDaemon."""
     own = Context()
     own.instance, own.socket, own.quiet = ctx.instance, ctx.socket, True
     return WorldMonitor(own.client, delay)
 
 
 def _refreshed(ctx: Context, screen: TopScreen, monitor: WorldMonitor | None, delay: float) -> WorldMonitor | None:
-    """The monitor after a refresh, a new one where there was none; None while no daemon answers."""
+    """Refresh the monitor, or make a new one if there is none. Returns None while no daemon answers."""
     try:
         monitor = monitor or _connected(ctx, delay)
         monitor.refresh()
@@ -94,7 +94,7 @@ def _refreshed(ctx: Context, screen: TopScreen, monitor: WorldMonitor | None, de
 
 
 def _pressed(keys: Callable[[], list[str]], monitor: WorldMonitor | None, seconds: float) -> list[str]:
-    """The keys that are pressed within the time, or none when something else has come; what comes is taken in.
+    """Wait for keys, at most `seconds`; returns none when data from the daemon comes first. That data is processed.
 
     Raises:
         NoDaemon.

@@ -42,7 +42,7 @@ def list_topics(ctx: Context, namespace: str | None, published: bool, subscribed
     types = ctx.client.topics()
     if namespace is not None:
         text = namespace.rstrip("/") or "/"
-        inside = names.join(ctx.namespace, text)  # below `--ns`, else as it stands
+        inside = names.join(ctx.namespace, text)  # below `--ns`, else below the root
         inside = inside if any(names.is_under(name, inside) for name in types) else names.join("/", text)
         types = {name: kind for name, kind in types.items() if names.is_under(name, inside)}
     rows: list[dict[str, Any]] = [{"topic": name, "type": types[name]} for name in sorted(types)]

@@ -1,6 +1,6 @@
-"""`slidectl topic hz | bw | delay`: how often, how much and how late messages come.
+"""`slidectl topic hz | bw | delay`: measure the rate, bandwidth and delay of messages.
 
-The figures are measured here for `rostopic hz`, `bw` and `delay` too, which print them in lines of their own.
+`rostopic hz`, `bw` and `delay` use these measurements too, and print them in rostopic's format.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from slidectl.msgs.serialization import packer
 
 Record = dict[str, Any]
 Render = Callable[[Sequence[Record]], str]
-"""What a report prints of the records of all topics; nothing when it is empty."""
+"""Turns the records of all topics into the text of a report; an empty text is not printed."""
 
 NOTHING_NEW = "no new messages"
 _REPORT_PERIOD_S = 1.0
@@ -36,14 +36,14 @@ _LARGEST_WINDOW = 10_000_000
 
 
 class Meter:
-    """Figures of the last `window` messages of a topic. `take` has a message with the simulated time when it came."""
+    """Figures of the last `window` messages of a topic. `take` gets a message with its simulated arrival time."""
 
     def __init__(self, topic: str, window: int) -> None:
         self.topic = topic
         self.total = self.new = 0
         """Messages in all, and since the last report."""
         self._window: deque[tuple[float, float]] = deque(maxlen=window)
-        """A time and a number of each message. A clock that jumps back starts the window anew."""
+        """A time and a number of each message. When the clock jumps back, the window is cleared."""
 
     def take(self, event: Event) -> None:
         raise NotImplementedError
@@ -56,7 +56,7 @@ class Meter:
         self._window.append((time, number))
 
     def record(self) -> Record:
-        """The figures by name; those that cannot be told yet are None."""
+        """The figures by name; a figure that is not known yet is None."""
         return {"topic": self.topic, **self._figures(), "window": len(self._window), "new": self.new}
 
     def _figures(self) -> Record:
@@ -66,7 +66,7 @@ class Meter:
 class RateMeter(Meter):
     """Intervals between messages; a silent topic keeps its rate.
 
-    `time_ns` gives a message's time, `keep` whether it counts.
+    `time_ns` returns a message's time, `keep` whether it counts.
     """
 
     def __init__(
@@ -85,14 +85,14 @@ class RateMeter(Meter):
             self._count(self._time_ns(event))
 
     def _figures(self) -> Record:
-        """`rate` in Hz (None when all messages came at one time), and of the intervals in s."""
+        """`rate` in Hz (None when all messages came at one time), and statistics of the intervals in s."""
         spread = spread_of([(after - before) / 1e9 for (before, _), (after, _) in pairwise(self._window)])
         mean = spread.pop("mean")
         return {"rate": 1.0 / mean if mean else None, **spread}
 
 
 class SizeMeter(Meter):
-    """Bytes in ROS 1's serialisation, and how many a second from the oldest message of the window to `now()`."""
+    """Bytes in ROS 1's serialisation, and bytes a second from the oldest message of the window to `now()`."""
 
     def __init__(
         self, topic: str, window: int, size: Callable[[dict[str, Any]], int], now: Callable[[], float]
@@ -105,7 +105,7 @@ class SizeMeter(Meter):
         self._count(self._now(), self._size(event.message))
 
     def _figures(self) -> Record:
-        """`rate` in bytes a second, and of the sizes in bytes."""
+        """`rate` in bytes a second, and statistics of the sizes in bytes."""
         sizes = [number for _, number in self._window]
         passed = self._now() - self._window[0][0] if len(sizes) > 1 else 0.0
         spread = spread_of(sizes)
@@ -119,7 +119,7 @@ class DelayMeter(Meter):
         self._count(0.0, (event.time_ns - nanoseconds(event.message["header"]["stamp"])) / 1e9)
 
     def _figures(self) -> Record:
-        """`delay`, the mean, and the others in s."""
+        """`delay`, the mean, and the other statistics, in s."""
         spread = spread_of([number for _, number in self._window])
         return {"delay": spread.pop("mean"), **spread}
 
@@ -145,7 +145,7 @@ def spread_of(numbers: Sequence[float]) -> dict[str, float | None]:
 
 
 def rates_text(records: Sequence[Record], digits: int = 6, digits_of_deviation: int = 6) -> str:
-    """A report of hz in rostopic's form, unless told otherwise with microseconds; a table for several topics."""
+    """A report of hz in rostopic's form, by default with microseconds; a table for several topics."""
     if len(records) > 1:
         rows = [record for record in records if record["min"] is not None]
         table = output.table(rows, ["topic", "rate", "min", "max", "std_dev", "window"])
@@ -158,7 +158,7 @@ def rates_text(records: Sequence[Record], digits: int = 6, digits_of_deviation: 
 
 
 def sizes_text(records: Sequence[Record]) -> str:
-    """A report of bw, each number in the unit that suits it."""
+    """A report of bw, each number in B, KB or MB by its size."""
     (record,) = records
     if record["rate"] is None:
         return NOTHING_NEW
@@ -168,7 +168,7 @@ def sizes_text(records: Sequence[Record]) -> str:
 
 
 def delays_text(records: Sequence[Record], digits: int = 6, digits_of_deviation: int = 6) -> str:
-    """A report of delay in rostopic's form, unless told otherwise with microseconds."""
+    """A report of delay in rostopic's form, by default with microseconds."""
     (record,) = records
     if not record["new"]:
         return NOTHING_NEW
@@ -183,7 +183,7 @@ def _seconds_line(record: Record, digits: int, digits_of_deviation: int) -> str:
 
 
 def in_bytes(number: float, like: float) -> str:
-    """The number in the unit that suits `like`."""
+    """The number in B, KB or MB, chosen by the size of `like`."""
     divisor, unit = (1, "B") if like < 1000 else (1000, "KB") if like < 1_000_000 else (1_000_000, "MB")
     return f"{number / divisor:.2f}{unit}"
 
@@ -202,11 +202,11 @@ def measure(
     """Take messages into the meters and report each second of wall time, until all is reported or the stream ends.
 
     Args:
-        say: tells that it listens.
-        reports: how many; None for no end but that of the stream. A stream that has one is reported once then.
+        say: prints the line `subscribed to [topic]`.
+        reports: their number; None for no limit, or for one report at the end of a stream with `sim_seconds`.
 
     Raises:
-        TimedOut: no message came for `--timeout`. Refused: not one message came. NoDaemon.
+        TimedOut: no message came for `--timeout`. Refused: no message came at all. NoDaemon.
     """
     by_topic = {meter.topic: meter for meter in meters}
     patience = math.inf if ctx.timeout is None else ctx.timeout
@@ -229,7 +229,7 @@ def measure(
                     left -= 1
                     _report(ctx, meters, text)
         except (KeyboardInterrupt, NoDaemon):
-            if any(meter.new for meter in meters):  # the report that was cut off, as rostopic gives one on Ctrl-C
+            if any(meter.new for meter in meters):  # the pending report, which rostopic prints on Ctrl-C, too
                 _report(ctx, meters, text)
             raise
     if not any(meter.total for meter in meters):
@@ -255,9 +255,9 @@ def rates(
     wall_time: bool,
     sim_seconds: float | None = None,
 ) -> tuple[Stream, list[RateMeter]]:
-    """What measures how often messages come, each topic once.
+    """The stream and the meters for the rates of topics, one meter for each.
 
-    Their times are the stamps of their headers, else the clock when they came; with `wall_time` the computer's clock.
+    A message's time is its header's stamp, else its simulated arrival; with `wall_time` the computer's clock.
     """
     schemas = {target.topic: target.schema for target in targets}
 
@@ -276,7 +276,7 @@ def rates(
 
 
 def _options(function: Callable[..., None]) -> Callable[..., None]:
-    """The options that hz, bw and delay share."""
+    """Add the common options of hz, bw and delay."""
     for option in (
         click.option("-w", "--window", type=click.IntRange(2, _LARGEST_WINDOW), default=1000, metavar="N",
                      help="Messages to count in (1000)."),

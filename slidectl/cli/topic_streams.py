@@ -1,6 +1,6 @@
-"""What the commands share that work with topics: which topic a name means, its types, and its messages as they come.
+"""Functions for all commands on topics: the topic that a name means, its types, and the stream of its messages.
 
-The daemon says all of it (`/slidectl/resolve`, rosapi): no message definition is read here.
+All information is from the daemon (`/slidectl/resolve`, rosapi): no message definition is read here.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _LOOK_EVERY_S = 0.2
 
 
 class Target(NamedTuple):
-    """A topic with its type, the field path behind it, what rosapi says of the type, and the nodes in the role."""
+    """A topic with its type, the field path behind its name, rosapi's typedefs, and the nodes in the requested role."""
 
     topic: str
     type: str
@@ -46,20 +46,20 @@ def look_up(ctx: Context, text: str, role: str | None, *, with_field: bool = Tru
     """The topic that `text` means among those with `role` (None: any), and the field behind its name.
 
     Raises:
-        UnknownName: no such topic. Unused: it exists, but has nobody in that role. AmbiguousName: several do.
+        UnknownName: no such topic. Unused: it exists, but no node has that role. AmbiguousName: several topics match.
     """
     found = ctx.resolve("topic", text, role=role or "", with_field=with_field)
     return Target(found["name"], found["type"], found["field"], found["typedefs"], found["nodes"])
 
 
 def users_of(ctx: Context, topics: Iterable[str], role: str) -> dict[str, list[str]]:
-    """Topic -> the nodes in that role, asked in one go."""
+    """Topic -> the nodes in that role. The requests are sent all together."""
     calls = {topic: ctx.client.call_async(f"/rosapi/{role}", {"topic": topic}) for topic in topics}
     return {topic: list(ctx.client.answer(call)[role]) for topic, call in calls.items()}
 
 
 def details(ctx: Context, type_name: str) -> Typedefs:
-    """The typedefs of a message type. Raises Refused (with the daemon's words) for an unknown one."""
+    """The typedefs of a message type. Raises Refused (with the daemon's text) for an unknown one."""
     return list(ctx.call("/rosapi/message_details", {"type": type_name})["typedefs"])
 
 
@@ -67,7 +67,7 @@ def details(ctx: Context, type_name: str) -> Typedefs:
 
 
 class Event(NamedTuple):
-    """One message. `time_ns` is the simulated time when it came (0 when the clock is not followed)."""
+    """One message. `time_ns` is its simulated arrival time (0 when the stream does not follow the clock)."""
 
     topic: str
     message: dict[str, Any]
@@ -75,7 +75,7 @@ class Event(NamedTuple):
 
 
 class Stream:
-    """The messages of some topics as they come. A context manager; at its end dropped messages are counted on stderr.
+    """The messages of some topics. A context manager, which prints the number of dropped messages on stderr at its end.
 
     `with_clock` follows /clock too; `sim_seconds` of simulated time end the stream.
     """
@@ -101,8 +101,8 @@ class Stream:
         topics = self._topics
         if self._with_clock:
             self.time_ns = nanoseconds(self._client.call("/rosapi/get_time")["time"])
-            topics = [CLOCK, *(topic for topic in topics if topic != CLOCK)]  # the time first, then what came at it
-        if self.sim_seconds is not None:  # before the topics: who sees a subscriber can rely on it
+            topics = [CLOCK, *(topic for topic in topics if topic != CLOCK)]  # the clock before messages at its time
+        if self.sim_seconds is not None:  # before the topics: it has begun when a publisher sees the subscriber
             self._sleep = self._client.call_async("/slidectl/sleep", {"duration": self.sim_seconds})
         for topic in topics:
             self._subscriptions.append(self._client.subscribe(topic))
@@ -122,7 +122,7 @@ class Stream:
         """The next message, or None: at the deadline (of `monotonic`), or at the end, when `ended` is true.
 
         Raises:
-            NoDaemon: the daemon went away. Refused: the wait for the simulated time failed. ClosedPipe.
+            NoDaemon: the daemon ended. Refused: the wait for the simulated time failed. ClosedPipe.
         """
         while not self._take_in() and not self.ended:
             now = self.monotonic()
@@ -132,7 +132,7 @@ class Stream:
             elif now >= deadline:
                 return None
             else:
-                if now >= self._look_at:  # who reads our output may have gone, though there is nothing to write
+                if now >= self._look_at:  # notice a closed output although there is nothing to write
                     self._look_at = now + _LOOK_EVERY_S
                     check_reader()
                 self._ask_status(now)
@@ -140,16 +140,16 @@ class Stream:
         return self._queue.popleft() if self._queue else None
 
     def monotonic(self) -> float:
-        """The clock of deadlines."""
+        """The time in s on the clock of deadlines."""
         return self._client.monotonic()
 
     @property
     def is_drained(self) -> bool:
-        """True when all that has been taken in was read; latched messages are taken in on entry."""
+        """True when all messages that arrived were read; latched messages arrive on entry."""
         return not self._take_in()
 
     def _take_in(self) -> bool:
-        """Queue what has arrived. True when there is something to read."""
+        """Queue the messages that have arrived. True when there is a message to read."""
         for subscription in self._subscriptions:
             while len(subscription):
                 message = subscription.get()
@@ -162,7 +162,7 @@ class Stream:
         return bool(self._queue)
 
     def _ask_status(self, now: float) -> None:
-        """When nothing has come for a while: say so, once, if the world stands still."""
+        """After some time without a message, ask for the status; print once when the world is paused."""
         if self._status is not None and self._client.is_answered(self._status):
             status, self._status = self._client.answer(self._status), None
             if status["paused"]:
@@ -174,12 +174,12 @@ class Stream:
 
 
 def paused(status: dict[str, Any]) -> str:
-    """That the world of an answer of /slidectl/status stands still, and why, where nobody wanted it."""
+    """The text that the simulation is paused, with the reason when an error paused it. Takes /slidectl/status."""
     return "the simulation is paused" + (f" ({status['trouble']})" if status["trouble"] else "")
 
 
 def way_on(status: dict[str, Any]) -> str:
-    """What to type that lets the same world go on."""
+    """The commands that resume the paused world."""
     if status["trouble"]:
         return "slidectl sim reset, then slidectl sim resume"
     return "slidectl sim resume, or slidectl sim step"
@@ -197,7 +197,7 @@ Users = Mapping[str, Sequence[str]]
 
 
 def usage_of_topics(types: Mapping[str, str], publishers: Users | None, subscribers: Users | None) -> str:
-    """What `rostopic list -v` prints, topics in the order of `types`; None leaves a section out."""
+    """The text of `rostopic list -v`, topics in the order of `types`; None leaves a section out."""
     parts = []
     for title, users, role in (("Published", publishers, PUBLISHERS), ("Subscribed", subscribers, SUBSCRIBERS)):
         if users is not None:
@@ -208,7 +208,7 @@ def usage_of_topics(types: Mapping[str, str], publishers: Users | None, subscrib
 
 
 def usage_of_topic(kind: str, publishers: Sequence[str], subscribers: Sequence[str], uri: str) -> str:
-    """What `rostopic info` prints; `uri` is where the nodes answer."""
+    """The text of `rostopic info`; `uri` is the URI of the nodes."""
     users = {"Publishers": publishers, "Subscribers": subscribers}
     blocks = [block(title, [f"{node} ({uri})" for node in nodes]) for title, nodes in users.items()]
     return f"Type: {kind}\n\n" + "\n".join(blocks) + "\n\n"

@@ -1,7 +1,6 @@
 """`slidectl trajectory`: goals of joint trajectory controllers, from files or from the command line.
 
-The checks here are those of a file's form. Whether a trajectory fits the controller is up to the controller, and its
-text is shown.
+The form of a file is checked here. The controller checks whether a trajectory fits it, and its text is printed.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ if TYPE_CHECKING:
 Message = dict[str, Any]
 
 _FARTHEST = 1e6
-"""rad or m. Polynomials to much larger positions overflow."""
+"""The largest position, rad or m. Polynomials to much larger positions overflow."""
 _TIMES = ("time", "time_from_start")
 _QUANTITIES = {"position": "positions", "velocity": "velocities", "acceleration": "accelerations"}
 _DURATIONS = (("secs", "nsecs"), ("sec", "nanosec"))
@@ -142,7 +141,7 @@ def state(ctx: Context, controller: str) -> None:
     from slidectl.client.trajectory_goals import desired_positions
 
     with _action(ctx, controller) as action:
-        # A controller that does not run says so; it would publish no state.
+        # Raises an error for a controller that does not run, which would publish no state.
         desired_positions(ctx.client, names.parent(action.name))
         with ctx.client.subscribe(f"{names.parent(action.name)}/state") as states:
             now = states.get()

@@ -1,4 +1,4 @@
-"""`slidectl version`: what is installed. It asks no daemon."""
+"""`slidectl version`: print the installed versions, without a daemon."""
 
 from __future__ import annotations
 

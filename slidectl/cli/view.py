@@ -1,4 +1,4 @@
-"""`slidectl view`, and `slidectl gui`: the world in a browser."""
+"""`slidectl view` and `slidectl gui`: show the world in a browser."""
 
 from __future__ import annotations
 
@@ -50,10 +50,10 @@ def view(ctx: Context, port: int, host: str, token: str | None, read_only: bool,
     free = free_port(host, port)
     if token is None and not is_loopback(host):
         raise UsageError(f"--host {host} lets other machines in: --token WORD is needed")
-    instance = ctx.client.paths.name  # there is a daemon to begin with
+    instance = ctx.client.paths.name  # raises NoDaemon when none runs
     guard = AccessGuard(host, token or "")
     server = GuardedServer(host, free, guard)
-    taken = server.get_port()  # another process may have been quicker, and viser takes the next
+    taken = server.get_port()  # viser takes the next port when another process has taken this one
     if taken != port and port:
         ctx.warn(f"port {port} is taken: {taken} is used")
 

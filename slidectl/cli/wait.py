@@ -28,7 +28,7 @@ def _condition(
     if len(given) != 1:
         raise UsageError("give exactly one of --near, --above, --below and --equals")
     ((condition, value),) = given
-    with suppress(ValueError, TypeError):  # of --equals: a number, true and false are what they say, all else is text
+    with suppress(ValueError, TypeError):  # of --equals: numbers, true and false are JSON values, all else is text
         read = json.loads(value)
         value = read if isinstance(read, bool | int | float | str) else value
     if tol is not None and condition != "near":
@@ -98,7 +98,7 @@ def wait(
             _show_progress(ctx, request, found.schema, call, deadline, status["time"])
         answer = ctx.client.answer(call, timeout=max(0.0, deadline - ctx.client.monotonic()))
     except TimedOut as error:
-        # A scenario may end it before.
+        # A scenario may end the wait before the deadline.
         ending = f" within {limit:g} s of wall time" if ctx.client.monotonic() >= deadline else ""
         raise TimedOut(f"{_where(request)} was not {_expected(request)}{ending}", error.hint) from None
     _tell(ctx, request, answer)
@@ -107,13 +107,13 @@ def wait(
 def _show_progress(
     ctx: Context, request: dict[str, Any], schema: Schema, call: str, deadline: float, since: float
 ) -> None:
-    """One line on the terminal while the daemon watches: the last value, the closest, the simulated time left.
+    """Show a status line while the daemon watches: the last value, the closest, the simulated time left.
 
-    Until the call is answered, or the deadline (on the client's clock). `since` is its simulated begin. The line is
-    gone then: what became of it is said elsewhere.
+    Returns, and erases the line, when the call is answered or at the deadline (on the client's clock). `since` is the
+    simulated time at which the wait began.
     """
     from rich.console import Console
-    from rich.text import Text  # brackets of a field's path are no styles
+    from rich.text import Text  # rich must not read brackets in a field's path as styles
 
     from slidectl.field_path import select
 
@@ -142,7 +142,7 @@ def _show_progress(
             else:
                 client.forget(clock)
             while len(topic):
-                with suppress(SlidectlError, LookupError):  # an element that is not there yet
+                with suppress(SlidectlError, LookupError):  # an element that does not exist yet
                     last = selection.take(topic.get())
                     if isinstance(last, int | float) and isinstance(target, int | float):
                         past = last - target

@@ -1,4 +1,4 @@
-"""What every ROS tool has in common: its verbs, its options, its names, and how it fails.
+"""Common parts of the ROS tools: verbs, options, names and failures.
 
 Options are read by optparse, as the tools themselves do.
 """
@@ -23,17 +23,17 @@ from slidectl.errors import EXIT_REFUSED, EXIT_USAGE, BadFile, Refused, Slidectl
 HOST = "localhost"
 """The machine of every node and service."""
 NO_SUCH_VERB = 64
-"""EX_USAGE of sysexits.h, which most of the tools give."""
+"""EX_USAGE of sysexits.h, as in most of the tools."""
 
 _YAML_NUMBER = re.compile(r"-(0[xX][0-9a-fA-F_]+|[0-9][0-9_]*(:[0-5]?[0-9])+(\.[0-9]*)?)\Z")
-# No word of a command line holds a NUL.
+# A word of a command line cannot contain NUL.
 _MARK = "\0"
 _REMAPPING = re.compile(r"[A-Za-z0-9_~/]+:=")
 _NODE_ARGUMENT = re.compile(r"__(name|ns|log|ip|hostname|master):=")
 
 
 class Failure(SlidectlError):
-    """An end with an exit code. The text is complete: nothing is put before it."""
+    """A failure with an exit code. Its text is complete: no prefix is printed before it."""
 
     def __init__(self, text: str, exit_code: int = EXIT_REFUSED) -> None:
         super().__init__(text)
@@ -42,7 +42,7 @@ class Failure(SlidectlError):
 
 @contextmanager
 def refusals() -> Iterator[None]:
-    """What a file, a value or a controller is refused with ends a tool with 1, also where slidectl ends with 2."""
+    """Turn refusals of files, values and controllers into Failure: exit code 1, also where slidectl exits with 2."""
     try:
         yield
     except (BadFile, UsageError, Refused) as error:
@@ -74,11 +74,11 @@ class Parser(OptionParser):
     def parse(
         self, argv: Sequence[str], least: int = 0, most: float = float("inf"), missing: str = "", extra: str = ""
     ) -> Values:
-        """The options as attributes (None when absent), and the other words as `words`. `-h` prints the help and ends.
+        """The options as attributes (None when absent), and the other words as `words`. `-h` prints the help and exits.
 
-        Raises Failure (2) for wrong usage; `missing` complains of fewer words than `least`, `extra` of more than `most`
+        Raises Failure (2) for wrong usage: `missing` for fewer words than `least`, `extra` for more than `most`.
         """
-        # optparse takes each word that begins with a dash for an option. The mark hides negative numbers from it.
+        # optparse reads each word with a leading dash as an option. The mark hides negative numbers from it.
         hidden = [_MARK + word if is_number(word) and not self.has_option(word) else word for word in argv]
         given, words = self.parse_args(hidden)
         for dest, value in vars(given).items():
@@ -92,14 +92,14 @@ class Parser(OptionParser):
         return given
 
     def integer(self, text: str | None, default: int, complaint: str) -> int:
-        """The whole number that an option was given. A usage error with `complaint` when it is none."""
+        """The integer value of an option. Raises a usage error with `complaint` when it is not an integer."""
         try:
             return default if text is None else int(text)
         except ValueError:
             self.error(complaint)
 
     def number(self, text: str | None, default: float, complaint: str) -> float:
-        """The number that an option was given. A usage error with `complaint` when it is none."""
+        """The number value of an option. Raises a usage error with `complaint` when it is not a number."""
         try:
             return default if text is None else float(text)
         except ValueError:
@@ -118,7 +118,7 @@ class Parser(OptionParser):
 
 
 def is_number(word: str) -> bool:
-    """True for `-5` and `-.5`, and for `-0x10` and `-1:30`, which YAML knows."""
+    """True for `-5` and `-.5`, and for the YAML numbers `-0x10` and `-1:30`."""
     return word[:1] == "-" and (looks_like_number(word) or bool(_YAML_NUMBER.match(word)))
 
 
@@ -126,10 +126,10 @@ def is_number(word: str) -> bool:
 
 
 class Tool(NamedTuple):
-    """A tool with verbs. Without one, or with one that there is not, it prints the list of them on stdout.
+    """A tool with verbs. Without a verb, or with an unknown one, it prints the list of verbs on stdout.
 
     `verbs` has a function and a help for each; one without help is not listed. `without` and `unknown` are the exit
-    codes for no verb and for one that there is not; `help_options` ask for the list.
+    codes for no verb and for an unknown one; `help_options` print the list.
     """
 
     name: str
@@ -140,7 +140,7 @@ class Tool(NamedTuple):
     help_options: Sequence[str] = ()
 
     def __call__(self, ctx: Context, argv: Sequence[str]) -> None:
-        """Run the verb with the words behind it. Raises what it raises, and click's Exit."""
+        """Run the verb with the words behind it. Raises its exceptions, and click's Exit."""
         if argv and argv[0] in self.verbs:
             function, _ = self.verbs[argv[0]]
             return function(ctx, list(argv[1:]))
@@ -155,9 +155,9 @@ class Tool(NamedTuple):
 
 
 def resolve(ctx: Context, name: str, tool: str) -> str:
-    """The absolute name: below ROS_NAMESPACE (or `--ns`), and there below the tool's own name for `~private`.
+    """The absolute name: below ROS_NAMESPACE (or `--ns`), for `~private` below the tool's name in it.
 
-    Exact, as in ROS: the unique end of a name is not enough.
+    The name is exact, as in ROS: the unique end of a name is not resolved.
     """
     namespace = os.environ.get("ROS_NAMESPACE") or ctx.namespace
     if name.startswith("~"):
@@ -174,13 +174,13 @@ def below(ctx: Context, known: Iterable[str], namespace: str | None, tool: str) 
 def without_remappings(words: Sequence[str], payload_from: int | None = None) -> list[str]:
     """The words without `from:=to`, `_parameter:=value` and `__name:=name`.
 
-    From the positional number `payload_from` on only `__name:=` and its like go: `a:=b` may be a text to publish.
+    From the positional number `payload_from` on, only words such as `__name:=` are removed: `a:=b` may be a value.
     """
     return _parted(words, payload_from)[0]
 
 
 def resolve_remapped(ctx: Context, name: str, tool: str, words: Sequence[str], payload_from: int | None = None) -> str:
-    """`resolve`, and then as the last `from:=to` renames it: for a tool that publishes, as a node does."""
+    """`resolve`, and then the last `from:=to` for the name. For a tool that publishes, as a node does."""
     full = resolve(ctx, name, tool)
     pairs = [word.split(":=", 1) for word in _parted(words, payload_from)[1] if not word.startswith("_")]
     renamed = {resolve(ctx, source, tool): resolve(ctx, target, tool) for source, target in pairs if target}
@@ -188,7 +188,7 @@ def resolve_remapped(ctx: Context, name: str, tool: str, words: Sequence[str], p
 
 
 def _parted(words: Sequence[str], payload_from: int | None) -> tuple[list[str], list[str]]:
-    """The words for the tool, and those that rename."""
+    """The words for the tool, and the remapping words."""
     kept: list[str] = []
     taken: list[str] = []
     positionals = 0

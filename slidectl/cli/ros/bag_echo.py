@@ -1,6 +1,6 @@
 """Recordings for `rostopic echo -b`, `rostopic list -b` and `rosmsg show -b`.
 
-Types are those that the recording itself carries.
+The types are from the recording itself.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from slidectl.recording.recording_files import NotARecording, Recording, opened
 
 @contextmanager
 def open_bag(path: str) -> Iterator[Recording]:
-    """The recording at `path`. Raises Failure (1) when there is none, or it is damaged."""
+    """Open the recording at `path`. Raises Failure (1) when it is missing or damaged."""
     if not Path(path).exists():
         raise Failure(f"ERROR: bag file [{path}] does not exist")
     try:
@@ -36,12 +36,12 @@ def open_bag(path: str) -> Iterator[Recording]:
 
 
 def schemas_of(recording: Recording) -> dict[str, Schema]:
-    """The types of all topics, in the order in which the recording met them."""
+    """Topic -> schema, in the order of the first appearance in the recording."""
     return {channel.topic: recording.codec(channel).schema for channel in recording.channels}
 
 
 def list_topics(path: str, namespace: str | None) -> None:
-    """The topics, or how many messages those below a namespace have, and from when to when."""
+    """Print the topics; with a namespace, the number of messages in it, and the times of the first and the last."""
     with open_bag(path) as recording:
         topics = list(schemas_of(recording))
         if namespace is None:
@@ -55,7 +55,7 @@ def list_topics(path: str, namespace: str | None) -> None:
 
 
 def echo(ctx: Context, path: str, target: str | None, look: Look, condition: str | None, count: int | None) -> None:
-    """Print the messages of a topic, of a field, or with no target of all topics, in the order of their recording."""
+    """Print the messages of a topic or a field, or without a target of all topics, in recorded order."""
     printed = 0
     with open_bag(path) as recording:
         schemas = schemas_of(recording)
@@ -72,7 +72,7 @@ def echo(ctx: Context, path: str, target: str | None, look: Look, condition: str
 
 
 def _chosen(schemas: dict[str, Schema], target: str, path: str) -> dict[str, str]:
-    """Topic -> field."""
+    """Topic -> field, for `target`."""
     for topic, field in names.cut_from_field(target):
         if topic in schemas:
             return {topic: field}
@@ -80,7 +80,7 @@ def _chosen(schemas: dict[str, Schema], target: str, path: str) -> dict[str, str
 
 
 def definition(path: str, type_name: str, raw: bool) -> str:
-    """What a type in the bag is made of, as `rosmsg show` prints it. Raises Failure when it holds no such type."""
+    """The definition of a type in the bag, as `rosmsg show` prints it. Raises Failure when the bag has no such type."""
     with open_bag(path) as recording:
         codecs = [recording.codec(channel) for channel in recording.channels]
         for codec in codecs:

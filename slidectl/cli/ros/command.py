@@ -1,6 +1,6 @@
 """`slidectl ros NAME ...` and `slidectl ros-commands`: the ROS tools by name, and shell functions of their names.
 
-A tool is run with the words behind its name untouched. Nothing of a tool is known here but its name and its errors.
+A tool gets the words behind its name unchanged. This module knows only the names of the tools and their errors.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from slidectl.cli.commands import command
 from slidectl.cli.context import Context
 from slidectl.errors import NoDaemon, SlidectlError, UsageError, closest
 
-# name -> module in this package, where the tool is called as it is here. Its `PREFIX` begins errors.
+# Tool -> module in this package, which has a function of the tool's name. Its `PREFIX` begins error texts.
 TOOLS = {
     "roslaunch": "roslaunch",
     "rostopic": "rostopic",
@@ -40,7 +40,7 @@ def _complete(click_context: click.Context, _param: click.Parameter, incomplete:
 
 
 @command(
-    # Whatever stands behind the first word belongs to the tool, options too.
+    # All words behind the first one belong to the tool, also options.
     context_settings={"allow_interspersed_args": False},
     examples=[
         "slidectl ros rostopic pub -1 /slider/joint1_position_controller/command std_msgs/Float64 'data: 1.0'",
@@ -69,9 +69,9 @@ def ros(ctx: Context, words: tuple[str, ...]) -> None:
 
 
 def run(ctx: Context, name: str, argv: Sequence[str]) -> None:
-    """Run one tool; how it failed goes to stderr in its own words. Raises click's Exit with the code then."""
+    """Run one tool. An error is printed on stderr in the tool's words, and raises click's Exit with its code."""
     if isinstance(sys.stdin, TextIOWrapper):
-        sys.stdin.reconfigure(errors="surrogateescape")  # what is no text is for the reader of YAML to refuse
+        sys.stdin.reconfigure(errors="surrogateescape")  # the YAML reader refuses bytes that are not UTF-8
     module: Any = import_module(f"slidectl.cli.ros.{TOOLS[name]}")
     try:
         getattr(module, name)(ctx, list(argv))
@@ -119,7 +119,7 @@ def ros_commands(ctx: Context, shell: str | None) -> None:
 
 
 def _users_shell() -> str:
-    """The shell that has started this program, else that of $SHELL. Raises UsageError: it has no such functions."""
+    """The shell that started this program, else that of $SHELL. Raises UsageError for a shell without functions."""
     with suppress(OSError, UnicodeDecodeError), open(f"/proc/{os.getppid()}/comm", encoding="utf-8") as file:
         caller = file.read().strip()
         if caller in SHELLS or caller in _LIKE_BASH:
@@ -131,7 +131,7 @@ def _users_shell() -> str:
 
 
 def program(ctx: Context) -> list[str]:
-    """The command line before `ros`: this program, from wherever it was started, with the options of this call."""
+    """The command line before `ros`: the absolute path of this program, with the options of this call."""
     started = os.path.abspath(sys.argv[0])
     is_script = os.access(started, os.X_OK) and os.path.basename(started) == "slidectl"
     words = [started] if is_script else [sys.executable, "-m", "slidectl"]
@@ -142,9 +142,9 @@ def program(ctx: Context) -> list[str]:
     return words
 
 
-# For bash, zsh and their kin; bash exports functions to the scripts that it starts.
-# A function that runs in the background of a script is a shell of its own, which the script knows by $!. What is sent
-# to it must reach the command. Shells ignore SIGQUIT in such a shell, which tells it from one in a pipe.
+# For bash, zsh and similar shells; bash exports functions to the scripts that it starts.
+# A function in the background of a script runs in a subshell, whose id the script has as $!. Signals to the subshell
+# must reach the command. Such a subshell ignores SIGQUIT, one in a pipe does not.
 _POSIX = """\
 _slidectl_ros() {{
   if ! _slidectl_is_job; then {prefix} ros "$@"; return; fi

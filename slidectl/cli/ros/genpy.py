@@ -1,7 +1,7 @@
-"""Messages and requests from the YAML of a command line, a file or stdin, with the errors that genpy and PyYAML word.
+"""Messages and requests from the YAML of a command line, a file or stdin, with the error texts of genpy and PyYAML.
 
-The values are read by slidectl.values and filled in by msgs.fill. PyYAML is asked again only for its report, and types
-are walked here only to say why values do not fit. Field names are paths as there: `pose.position.x`, `position[]`.
+slidectl.values reads the values, msgs.fill fills them in. After an error, PyYAML reads the text again for its report,
+and this module walks the types to find genpy's error. Field names are genpy's paths: `pose.position.x`, `position[]`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Message = dict[str, Any]
 
 
 class NotYaml(Exception):
-    """Text that is no YAML, or holds what no message can. Its text is the report."""
+    """Text that is not YAML, or has values that no message can hold."""
 
 
 class Misfit(Exception):
@@ -54,7 +54,7 @@ def read_file(file: TextIO) -> list[Any]:
 
 
 def documents(file: TextIO) -> Iterator[Sequence[Any]]:
-    """The values of each document that `---` ends, as they come; the last one needs none. Raises NotYaml, BadFile.
+    """Yield the values of each document as soon as its `---` comes; the last needs none. Raises NotYaml, BadFile.
 
     A document that is a list has one value for each field.
     """
@@ -70,7 +70,7 @@ def documents(file: TextIO) -> Iterator[Sequence[Any]]:
 
 
 def _report(source: str | TextIO, error: SlidectlError) -> NotYaml:
-    """What PyYAML says of the text, or of the file, which it names; `error` where PyYAML would take it."""
+    """PyYAML's error for the text, or for the file, which it names; `error` when PyYAML accepts the text."""
     import yaml
 
     try:
@@ -84,16 +84,16 @@ def _report(source: str | TextIO, error: SlidectlError) -> NotYaml:
 
 
 def filled(ctx: Context, typedefs: Typedefs, values: Sequence[Any]) -> Message:
-    """The message that the values mean; fields that are not named are left out.
+    """The message with these values; fields that are not named are left out.
 
     Raises:
-        Misfit, WrongType: with genpy's words. BadMessage: what genpy would take and a message cannot hold.
+        Misfit, WrongType: with genpy's text. BadMessage: values that genpy accepts and a message cannot hold.
     """
     from slidectl.msgs.fill import fill, mentions_clock
 
     schema = from_typedefs(typedefs)
     values = [_without_nulls(value) for value in values]
-    if None in _leaves(values):  # an empty argument is null there, and null fits nothing
+    if None in _leaves(values):  # genpy reads an empty argument as null, which fits no field
         explain(schema, values)
     now = None
     if mentions_clock(values):
@@ -107,7 +107,7 @@ def filled(ctx: Context, typedefs: Typedefs, values: Sequence[Any]) -> Message:
 
 
 def _without_nulls(value: Any) -> Any:
-    """The value with empty text for each name that has nothing behind it: `{frame_id: }`."""
+    """The value with '' for each name without a value: `{frame_id: }`."""
     if isinstance(value, Mapping):
         return {name: "" if each is None else _without_nulls(each) for name, each in value.items()}
     return [_without_nulls(each) for each in value] if isinstance(value, list | tuple) else value
@@ -125,7 +125,7 @@ def _leaves(value: Any) -> Iterator[Any]:
 
 
 def as_yaml(typedefs: Typedefs, message: Message) -> str:
-    """The message as `-v` shows it: fields that were not given at their defaults."""
+    """The message as `-v` shows it; fields that were not given have their defaults."""
     from slidectl import msgs
     from slidectl.msgs.forms import YamlForm
 
@@ -137,15 +137,15 @@ def as_yaml(typedefs: Typedefs, message: Message) -> str:
 
 
 def explain(schema: Schema, values: Sequence[Any]) -> None:
-    """Raise Misfit or WrongType with what genpy would say; return when it would take the values."""
+    """Raise Misfit or WrongType with genpy's text; return when genpy accepts the values."""
     root: Any = values[0] if len(values) == 1 and isinstance(values[0], Mapping) else list(values)
-    wrong = list(_wrong(schema, schema.root, root, ""))  # to the end: a misfit anywhere goes before a wrong type
+    wrong = list(_wrong(schema, schema.root, root, ""))  # read to the end: any Misfit has priority over a wrong type
     if wrong:
         raise WrongType(wrong[0])
 
 
 def _wrong(schema: Schema, type_name: str, given: Any, prefix: str) -> Iterator[str]:
-    """What is wrong with the types of values. Raises Misfit."""
+    """Yield an error text for each value of a wrong type. Raises Misfit."""
     for field, value in _paired(schema, type_name, given, prefix):
         name = _plain(prefix) + field.name
         if field.array >= 0 and not isinstance(value, list | tuple):
@@ -166,12 +166,12 @@ def _wrong(schema: Schema, type_name: str, given: Any, prefix: str) -> Iterator[
 
 
 def _plain(prefix: str) -> str:
-    """genpy does not mark arrays where names or counts are wrong."""
+    """The prefix without `[]`: genpy omits it in errors about names and counts."""
     return prefix.replace("[]", "")
 
 
 def _paired(schema: Schema, type_name: str, given: Any, prefix: str) -> Iterator[tuple[Field, Any]]:
-    """Each field that a value was given for, with the value."""
+    """Yield each field that has a value, with the value. Raises Misfit."""
     fields = [Field(n, "int32", -1) for n in ("secs", "nsecs")] if type_name in TIMES else schema.fields(type_name)
     names = [field.name for field in fields]
     if isinstance(given, Mapping):
@@ -189,7 +189,7 @@ def _paired(schema: Schema, type_name: str, given: Any, prefix: str) -> Iterator
 
 
 def _trouble(type_name: str, value: Any) -> str | None:
-    """What is wrong with the value of a primitive."""
+    """The error text for a value of a primitive type; None when it fits."""
     whole = isinstance(value, int) and not isinstance(value, bool)
     if type_name in FLOATS:
         return None if whole or isinstance(value, float) else "must be float type"

@@ -1,7 +1,7 @@
 """`roslaunch` and `roscore`.
 
-`roslaunch` hands its options to `slidectl launch`, which does the work. An option that means nothing here is accepted;
-one that asks for ports or threads is said to have no effect. `roscore` is a daemon for as long as the command runs.
+`roslaunch` passes its options to `slidectl launch`, which does the work. Options without a meaning here are accepted;
+for those about ports or threads a warning is printed. `roscore` runs a daemon until the command ends.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _NOTHING_TO_SAY = (
 )
 _CORE = option("--core", "no effect: the daemon is all cores")
 _VERBOSE = option("-v", "say more", dest="verbose")
-# What both tools take; it is said that they have no effect.
+# Options of both tools; a warning says that they have no effect.
 _IDLE = (
     option("-p --port", "no effect: there are no ports", "PORT"),
     option("-w --numworkers", "no effect: there is one thread", "NUM_WORKERS"),
@@ -46,7 +46,7 @@ _IDLE = (
 
 
 def roslaunch(ctx: Context, argv: Sequence[str]) -> None:
-    """Launch, or print what is asked for. Raises what `slidectl launch` raises."""
+    """Launch, or print a listing. Raises the exceptions of `slidectl launch`."""
     from slidectl.cli.launch import launch
 
     own = [param for param in launch.params if isinstance(param, click.Option)]
@@ -85,7 +85,7 @@ def _warn_idle(ctx: Context, given: Values) -> None:
 
 
 def _in_its_words(error: UnknownName | BadFile, names: Sequence[str]) -> SlidectlError:
-    """A launch file that is not there is refused with roslaunch's own line; what else there is stands below it."""
+    """For a missing launch file, an error with roslaunch's line and `error` below it; else `error`."""
     if isinstance(error, UnknownName):
         is_missing = error.kind in ("package", "launch file", "shipped launch file") and error.name in names
     else:
@@ -103,7 +103,7 @@ def _in_its_words(error: UnknownName | BadFile, names: Sequence[str]) -> Slidect
 
 
 def roscore(ctx: Context, argv: Sequence[str]) -> None:
-    """Start the daemon and stay until it ends, or Ctrl-C or SIGTERM ends both with exit code 0."""
+    """Start the daemon and wait until it ends. Ctrl-C and SIGTERM end both with exit code 0."""
     from slidectl.cli.daemon import STOP_LIMIT_S
     from slidectl.daemon import lifecycle
 
@@ -135,7 +135,7 @@ def roscore(ctx: Context, argv: Sequence[str]) -> None:
 
 
 def _start(ctx: Context) -> int:
-    """The process id of a new daemon, with the parameters that a core sets. Raises Failure when one runs already."""
+    """Start a daemon with the parameters of a roscore; its process id. Raises Failure when one runs already."""
     from slidectl import __version__
     from slidectl.cli.daemon import START_LIMIT_S
     from slidectl.cli.param import store
@@ -152,7 +152,7 @@ def _start(ctx: Context) -> int:
             f"{PREFIX}roscore cannot run as another roscore/master is already running. \n"
             f"Please kill other roscore/master processes before relaunching.\nThe ROS_MASTER_URI is {uri}"
         )
-    # Their texts end with a newline in ROS.
+    # In ROS these texts end with a newline.
     parameters: dict[str, Any] = {"/rosdistro": "noetic\n", "/rosversion": f"{__version__}\n"}
     store(ctx, parameters)
     listed = "".join(f" * {name}: {value}" for name, value in parameters.items())

@@ -1,6 +1,6 @@
-"""`rosmsg` and `rossrv`: what message and service types are made of.
+"""`rosmsg` and `rossrv`: show message and service types.
 
-They ask no daemon; only `show -b` reads a bag.
+They use no daemon; only `show -b` reads a bag.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _SINGLE_LINE = option("-s", "all on one line", dest="single_line")
 
 
 class _Types:
-    """The verbs for one kind of type. `suffix` is that of its files."""
+    """The verbs for one kind of type. `suffix` is the suffix of its files."""
 
     def __init__(self, name: str, suffix: str, kind: TypeFamily) -> None:
         self.name = name
@@ -39,7 +39,7 @@ class _Types:
         Tool(self.name, f"{self.name} shows {noun}s.", verbs, without=0, help_options=("-h", "--help"))(ctx, argv)
 
     def show(self, ctx: Context, argv: Sequence[str]) -> None:  # noqa: ARG002
-        """Fields, nested ones indented, or with -r the definition as it was written."""
+        """Print the fields, nested ones indented, or with -r the original definition."""
         parser = Parser(
             self.name,
             f"{self.name} show [options] <{self._kind.noun}>",
@@ -57,12 +57,12 @@ class _Types:
         return None
 
     def list_types(self, ctx: Context, argv: Sequence[str]) -> None:  # noqa: ARG002
-        """All of them."""
+        """Print all types."""
         Parser(self.name, f"{self.name} list").parse(argv)
         output.write("\n".join(sorted(self._kind.names())))
 
     def md5(self, ctx: Context, argv: Sequence[str]) -> None:  # noqa: ARG002
-        """The sum that peers compare."""
+        """Print the md5 sum of a type."""
         parser = Parser(self.name, f"{self.name} md5 <{self._kind.noun}>")
         words = parser.parse(argv, most=1, extra=f"you may only specify one {self._kind.noun}").words
         wanted = self._wanted(parser, words)
@@ -76,7 +76,7 @@ class _Types:
             output.write(("" if "/" in wanted else f"[{each}]: ") + self._kind.md5(each))
 
     def package(self, ctx: Context, argv: Sequence[str]) -> None:  # noqa: ARG002
-        """Those of one package."""
+        """Print the types of one package."""
         parser = Parser(self.name, f"{self.name} package <package>", _SINGLE_LINE)
         given = parser.parse(argv, 1, 1, "package name must be specified", "you may only specify one package")
         (package,) = given.words
@@ -87,13 +87,13 @@ class _Types:
         output.write((" " if given.single_line else "\n").join(mine))
 
     def packages(self, ctx: Context, argv: Sequence[str]) -> None:  # noqa: ARG002
-        """The packages that have any."""
+        """Print the packages that have types of this kind."""
         given = Parser(self.name, f"{self.name} packages", _SINGLE_LINE).parse(argv)
         known = sorted({name.partition("/")[0] for name in self._kind.names()})
         output.write((" " if given.single_line else "\n").join(known))
 
     def _wanted(self, parser: Parser, words: Sequence[str]) -> str:
-        """The type that was given, or the one on stdin. A usage error for what cannot be one."""
+        """The type given in the words, or on stdin. Raises a usage error for text that cannot be a type."""
         noun = self._kind.noun
         wanted = words[0] if words else sys.stdin.readline().strip()
         if not wanted:
@@ -105,7 +105,7 @@ class _Types:
         return wanted
 
     def _found(self, wanted: str) -> list[str]:
-        """The types that are meant: one, or those of every package for a bare name. Raises Failure."""
+        """The types that `wanted` means: one, or those of every package for a bare name. Raises Failure."""
         if "/" not in wanted:
             found = [each for each in self._kind.names() if each.endswith("/" + wanted)]
             if found:
@@ -115,7 +115,7 @@ class _Types:
         if _is_invalid(wanted):
             raise Failure(f"{trouble}: invalid name [{wanted}]\n{_PLEASE}")
         try:
-            self._kind.source(wanted)  # the list of all types would take longer than everything else here
+            self._kind.source(wanted)  # reading the list of all types would take longer than the rest of the command
             return [wanted]
         except UnknownName:
             package, _, word = wanted.partition("/")

@@ -1,6 +1,6 @@
-"""`rosnode`: the nodes that there are here: the simulation's own, and the clients that use topics or offer services.
+"""`rosnode`: the nodes of the simulation itself, and the clients that use topics or provide services.
 
-A node answers when the daemon does and still has it; nobody dead stays in the list, so there is nothing to clean up.
+A node answers when the daemon answers and lists it. An ended node leaves the list, so there is nothing to clean up.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _LOOK_AGAIN_S = 0.05
 
 
 def list_nodes(ctx: Context, argv: Sequence[str]) -> None:
-    """Names, or where they answer."""
+    """Print the names of the nodes, or their URIs."""
     parser = Parser(
         "rosnode",
         "rosnode list",
@@ -45,7 +45,7 @@ def list_nodes(ctx: Context, argv: Sequence[str]) -> None:
 
 
 def machine(ctx: Context, argv: Sequence[str]) -> None:
-    """The one machine that there is."""
+    """Print the only machine, or its nodes."""
     parser = Parser("rosnode", "rosnode machine [machine-name]")
     words = parser.parse(argv, most=1, extra="please enter only one machine name").words
     nodes = ctx.names("node")
@@ -55,13 +55,13 @@ def machine(ctx: Context, argv: Sequence[str]) -> None:
 
 
 def cleanup(ctx: Context, argv: Sequence[str]) -> None:
-    """Nothing to do: a node that has gone is in no list."""
+    """Do nothing but call the daemon: an ended node is in no list."""
     Parser("rosnode", "rosnode cleanup").parse(argv)
     ctx.names("node")
 
 
 def info(ctx: Context, argv: Sequence[str]) -> None:
-    """Topics, services, connections. Raises Failure when one of the nodes is unknown."""
+    """Print topics, services and connections of nodes. Raises Failure when one of the nodes is unknown."""
     parser = Parser(
         "rosnode", "rosnode info [options] node1 [node2...]", option("-q --quiet", "without the connections")
     )
@@ -83,7 +83,7 @@ def info(ctx: Context, argv: Sequence[str]) -> None:
 def _description(ctx: Context, full: str, details: dict[str, Any]) -> str:
     types = ctx.client.topics()
     published = users_of(ctx, details["subscribing"], PUBLISHERS)
-    # There the type of a topic is what its publishers say.
+    # In ROS the publishers give the type of a topic.
     known = {topic: types[topic] if published[topic] else "unknown type" for topic in details["subscribing"]}
     parts = [
         block("Publications", [f"{topic} [{types[topic]}]" for topic in details["publishing"]]),
@@ -107,7 +107,7 @@ def _connections(ctx: Context, full: str, details: dict[str, Any]) -> str:
 
 
 def ping(ctx: Context, argv: Sequence[str]) -> None:
-    """Round trips, one a second until Ctrl-C or -c."""
+    """Measure round trips, one a second, until Ctrl-C or -c."""
     parser = Parser(
         "rosnode",
         "rosnode ping [options] <node>",
@@ -143,7 +143,7 @@ def ping(ctx: Context, argv: Sequence[str]) -> None:
 
 
 def _ping(ctx: Context, full: str, is_first: bool) -> float:
-    """Milliseconds until the daemon has said that the node is there. Raises Failure when it is not any more."""
+    """The milliseconds until the daemon answers for the node. Raises Failure when the node has ended."""
     if is_first:
         output.write(f"pinging {full} with a timeout of 3.0s")
     began = monotonic()
@@ -169,7 +169,7 @@ def kill(ctx: Context, argv: Sequence[str]) -> None:
     if unknown:
         raise Failure("\n".join(["ERROR: Unknown node(s):", *(f" * {node}" for node in unknown)]))
     _check_reach(ctx, chosen)
-    # Clients first; what ends the daemon comes last, since nobody answers then.
+    # Clients first; the nodes that end the daemon last, since no call is answered after that.
     for node in sorted(chosen, key=lambda node: 0 if _CLIENT.match(node) else 1 if _is_state_publisher(node) else 2):
         output.write(f"killing {node}")
         _end(ctx, node)
@@ -181,7 +181,7 @@ def _is_state_publisher(node: str) -> bool:
 
 
 def _asked(known: Sequence[str]) -> str:
-    """The node whose number is typed. Raises Failure when none is."""
+    """Ask for the number of a node. Raises Failure for a wrong answer."""
     lines = [f"{number}. {node}" for number, node in enumerate(known, start=1)]
     sys.stdout.write("\n".join([*lines, "", "Please enter the number of the node you wish to kill.", "> "]))
     sys.stdout.flush()
@@ -192,11 +192,11 @@ def _asked(known: Sequence[str]) -> str:
 
 
 def _check_reach(ctx: Context, nodes: Sequence[str]) -> None:
-    """Raise Failure when a client has no process id, or one that means another process here than to the daemon."""
+    """Raise Failure when a client has no process id, or when the daemon runs in another process namespace."""
     clients = {node: int(match["pid"]) for node in nodes if (match := _CLIENT.match(node))}
     if not clients:
         return
-    # Who cannot see a process is told 0, and a signal to process 0 goes to all of one's own process group.
+    # The pid is 0 when the daemon cannot see the process; a signal to 0 would go to our own process group.
     unseen = [node for node, pid in clients.items() if pid == 0]
     if unseen:
         listed = "\n".join(f" * {node}" for node in unseen)

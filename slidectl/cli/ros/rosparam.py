@@ -1,6 +1,6 @@
-"""`rosparam`: get, set, load, dump, delete and list parameters, with rosparam's own lines.
+"""`rosparam`: get, set, load, dump, delete and list parameters, with rosparam's output.
 
-Without a verb it prints the list of them and exits 0, as rosparam does.
+Without a verb it prints the list of verbs and exits 0, as rosparam does.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def _full(ctx: Context, name: str) -> str:
 
 
 def set_parameter(ctx: Context, argv: Sequence[str]) -> None:
-    """A value in YAML, or with -t and -b what a file holds."""
+    """Set a parameter to a YAML value, or with -t and -b to the content of a file."""
     parser = Parser(
         "rosparam",
         "rosparam set [options] parameter value",
@@ -69,7 +69,7 @@ def _typed(text: str) -> Any:
 
 
 def _content(parser: Parser, file: str, binary: bool) -> str:
-    """The text of a file, or its bytes in base64: parameters are JSON here."""
+    """The text of a file, or its bytes in base64, because parameters are JSON here."""
     if not os.path.isfile(file):
         parser.error(f"file '{file}' does not exist")
     with open(file, "rb") as source:
@@ -82,7 +82,7 @@ def _content(parser: Parser, file: str, binary: bool) -> str:
 
 
 def _store(ctx: Context, content: Any, full: str) -> dict[str, Any]:
-    """Set it; a mapping is merged. The names and values that were set. Raises Failure for what cannot be set."""
+    """Set a value; a mapping is merged. Returns the names and values that were set. Raises Failure when refused."""
     with refusals():
         chosen = param.settings(content, full)
         for name, value in chosen.items():
@@ -92,7 +92,7 @@ def _store(ctx: Context, content: Any, full: str) -> dict[str, Any]:
 
 
 def _check_integers(name: str, value: Any) -> None:
-    """Integers have 32 bits there (XML-RPC), and so in every node that would read them."""
+    """Raise Failure for integers over 32 bits: XML-RPC in ROS, and so every node, cannot hold them."""
     for each in value if isinstance(value, list) else [value]:
         if isinstance(each, list):
             _check_integers(name, each)
@@ -101,7 +101,7 @@ def _check_integers(name: str, value: Any) -> None:
 
 
 def get(ctx: Context, argv: Sequence[str]) -> None:
-    """The value as YAML."""
+    """Print a parameter as YAML."""
     pretty_option = option("-p", "for reading: text without quotes", dest="pretty")
     parser = Parser("rosparam", "rosparam get [options] parameter", pretty_option, _VERBOSE)
     given = parser.parse(argv, 1, 1, _NO_NAME, _TOO_MANY)
@@ -113,20 +113,20 @@ def get(ctx: Context, argv: Sequence[str]) -> None:
 
 
 def _value(ctx: Context, full: str) -> Any:
-    """Raises Failure when it is not set. The root is always there."""
+    """The value of a parameter. Raises Failure when it is not set. The root always exists."""
     if full != "/" and not ctx.call("/rosapi/has_param", {"name": full})["exists"]:
         raise Failure(f"ERROR: Parameter [{full}] is not set")
     return param.get_value(ctx, full)
 
 
 def printed(value: Any) -> str:
-    """YAML with one more line end, as rosparam writes it; no `...` behind a scalar."""
+    """The value as rosparam writes it: YAML with one more line end, no `...` after a scalar."""
     text = param.dumped(value)
     return text.removesuffix("...\n") if text.endswith("\n...\n") else text + "\n"
 
 
 def pretty(value: Any, indent: str = "") -> str:
-    """Text as it is, other values as YAML, mappings a name a line; only texts of several lines stay in order."""
+    """The value for `get -p`: text unquoted, a mapping one name a line, multi-line texts as blocks, others as YAML."""
     if isinstance(value, str):
         return value
     if not isinstance(value, dict):
@@ -144,7 +144,7 @@ def _named(key: str, value: Any, indent: str) -> str:
 
 
 def delete(ctx: Context, argv: Sequence[str]) -> None:
-    """A parameter or a namespace."""
+    """Delete a parameter or a namespace."""
     parser = Parser("rosparam", "rosparam delete [options] parameter", _VERBOSE)
     given = parser.parse(argv, 1, 1, _NO_NAME, _TOO_MANY)
     full = _full(ctx, given.words[0])
@@ -157,7 +157,7 @@ def delete(ctx: Context, argv: Sequence[str]) -> None:
 
 
 def list_parameters(ctx: Context, argv: Sequence[str]) -> None:
-    """Names below a namespace, without the namespace itself."""
+    """Print the names below a namespace, without the namespace itself."""
     words = Parser("rosparam", "rosparam list [namespace]").parse(argv, most=1, extra=_TOO_MANY).words
     inside = _full(ctx, words[0]) if words else "/"
     known = ctx.names("parameter")
@@ -165,7 +165,7 @@ def list_parameters(ctx: Context, argv: Sequence[str]) -> None:
 
 
 def load(ctx: Context, argv: Sequence[str]) -> None:
-    """The parameters of a YAML file or of stdin, below a namespace."""
+    """Set the parameters of a YAML file or of stdin, below a namespace."""
     from slidectl.values import text_of
 
     parser = Parser("rosparam", "rosparam load [options] file [namespace]", _VERBOSE)
@@ -187,7 +187,7 @@ def load(ctx: Context, argv: Sequence[str]) -> None:
 
 
 def _show(tree: Any, inside: str) -> None:
-    """A line for each parameter; a value that is none of several alone."""
+    """Print a line for each parameter; a tree that is a single value is printed alone."""
     from slidectl.client.spawning import leaves
 
     lines = [f"{name}={value}" for name, value in leaves(tree, inside)] if isinstance(tree, dict) else [str(tree)]
@@ -196,7 +196,7 @@ def _show(tree: Any, inside: str) -> None:
 
 
 def dump(ctx: Context, argv: Sequence[str]) -> None:
-    """All parameters, or those below a namespace, into a file or to stdout."""
+    """Write all parameters, or those below a namespace, into a file or to stdout."""
     parser = Parser("rosparam", "rosparam dump [options] file [namespace]", _VERBOSE)
     given = parser.parse(argv, most=2, extra=_TOO_MANY)
     file, namespace = (*given.words, None, None)[:2]

@@ -1,6 +1,6 @@
-"""`rosrun PACKAGE EXECUTABLE`: programs of ROS that have a counterpart here, and those of the user's own packages.
+"""`rosrun PACKAGE EXECUTABLE`: run counterparts of ROS programs, and programs of the user's own packages.
 
-A node is what `slidectl launch` would make of it in a launch file, until it is done or Ctrl-C: a plan with one node.
+A node runs as in `slidectl launch`, as a plan with one node, until it ends or Ctrl-C.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ Usage: static_transform_publisher x y z yaw pitch roll frame_id child_frame_id{p
 or with a quaternion:
 Usage: static_transform_publisher x y z qx qy qz qw frame_id child_frame_id{period}
 """
-# Nodes with a usage of their own.
+# The usage texts of nodes.
 _USAGES = {
     ("controller_manager", "controller_manager"): """Usage: controller_manager <command> [name...]
 
@@ -81,19 +81,19 @@ Puts a robot into the world: its URDF is in a parameter or a file. Metres, radia
     ("tf", "static_transform_publisher"): _STATIC_USAGE.format(period=" period(milliseconds)"),
     ("tf2_ros", "static_transform_publisher"): _STATIC_USAGE.format(period=""),
 }
-# What is neither a node nor a tool.
+# Programs that are neither a node nor a tool.
 _PROGRAMS = (("tf", "tf_echo"), ("tf2_tools", "echo.py"), ("xacro", "xacro"), ("xacro", "xacro.py"))
 
 
 def rosrun(ctx: Context, argv: Sequence[str]) -> None:
-    """Run a program of ours, in this process unless there is a prefix; else one of the user's in its place."""
+    """Run a counterpart, in this process unless there is a prefix; else replace this process by the user's program."""
     parser = Parser(
         "rosrun",
         _USAGE,
         option("--prefix", "run it behind this command", "cmd"),
         option("-d --debug", "show where it is looked for"),
     )
-    parser.disable_interspersed_args()  # what follows PACKAGE is the program's
+    parser.disable_interspersed_args()  # the words behind PACKAGE belong to the program
     given = parser.parse(argv)
     if len(given.words) < 2:
         return parser.print_help()
@@ -124,7 +124,7 @@ def rosrun(ctx: Context, argv: Sequence[str]) -> None:
 
 
 def _code_of_usage(package: str, executable: str, words: Sequence[str]) -> int | None:
-    """The exit code with which a node prints its usage; None when it runs."""
+    """The exit code of a node that only prints its usage; None when the node runs."""
     if (package, executable) not in _USAGES:
         return None
     if executable == "controller_manager":
@@ -140,7 +140,7 @@ def _code_of_usage(package: str, executable: str, words: Sequence[str]) -> int |
 
 
 class _OneNode(Terminal):
-    """What the node says: its steps without the name of the one node that there is."""
+    """The console of a plan with one node: prints its steps without the node's name."""
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
@@ -167,11 +167,11 @@ class _Running:
         return self.context.client, False
 
     def stop(self) -> None:
-        """It is not ours."""
+        """Do nothing: the daemon is not ours."""
 
 
 def _plan(ctx: Context, package: str, kind: str, words: Sequence[str]) -> LaunchPlan:
-    """A plan with the one node, and its private parameters (`_name:=value`). `__name` and `__ns` name it."""
+    """A plan with one node and its private parameters (`_name:=value`). `__name` and `__ns` set the node's name."""
     given = {match["name"]: match["value"] for word in words if (match := _ASSIGNMENT.match(word))}
     namespace = given.pop("__ns", os.environ.get("ROS_NAMESPACE") or ctx.namespace)
     node = Node(package, kind, given.pop("__name", kind.partition(".")[0]), names.join("/", namespace), _PLACE)
@@ -186,10 +186,10 @@ def _plan(ctx: Context, package: str, kind: str, words: Sequence[str]) -> Launch
 
 
 def _run_node(ctx: Context, package: str, kind: str, words: Sequence[str]) -> None:
-    """Carry the node out; returns when it is done.
+    """Run the node; returns when it is done.
 
     Raises:
-        BadFile: its arguments make no sense. StepFailed: it could not be done. NoDaemon.
+        BadFile: its arguments are invalid. StepFailed: it failed. NoDaemon.
     """
     from slidectl.launch.execution import Execution
     from slidectl.launch.supervision import Interrupted, Interrupts
@@ -201,11 +201,11 @@ def _run_node(ctx: Context, package: str, kind: str, words: Sequence[str]) -> No
     except SlidectlError as error:
         raise _plain(error) from None
     for task in made:
-        if task.family == "notice":  # a launch goes on without it; here it was all that was asked for
+        if task.family == "notice":  # a launch goes on without such a node; here it is the only one
             raise Refused(f"{package}/{kind} cannot be run here", task.text.removeprefix("left out: "))
         if isinstance(task, ManagerScript):
             task.goes_on = True  # the script goes on after a failure where a launch ends
-    # A Gazebo brings its world with it; everything else needs one that is there.
+    # A Gazebo node starts a daemon; every other node needs one that runs.
     is_world = package == "gazebo_ros" and kind in ("gazebo", "gzserver", "debug", "perf")
     daemon = LaunchDaemon(ctx, child=True, wait=False) if is_world else _Running(ctx)
     with Interrupts() as interrupts:
@@ -226,7 +226,7 @@ def _run_node(ctx: Context, package: str, kind: str, words: Sequence[str]) -> No
 
 
 def _plain(error: SlidectlError) -> SlidectlError:
-    """Without the place: there is one node, and no file that it stands in."""
+    """The error without its location: the plan has one node and no file."""
     error.message = re.sub(r"^rosrun: (node \S+ \(\S+\): |\S+: )?", "", error.message)
     return error
 
@@ -235,7 +235,7 @@ def _plain(error: SlidectlError) -> SlidectlError:
 
 
 def _xacro(ctx: Context, argv: Sequence[str]) -> None:
-    """Print the expanded model, or write it into the file of `-o`. Raises what loading it raises; BadFile mostly."""
+    """Print the expanded model, or write it into the file of `-o`. Raises as `description.load`, mostly BadFile."""
     from slidectl import description
 
     parser = Parser(
@@ -262,7 +262,7 @@ def _xacro(ctx: Context, argv: Sequence[str]) -> None:
 
 
 def _find(ctx: Context, package: str, executable: str, debug: bool) -> Path:
-    """The user's program. Raises Failure: no such package (2), no such program in it (3)."""
+    """The path of the user's program. Raises Failure: no such package (2), no such program in it (3)."""
     from slidectl.launch import node_kinds
 
     lookup = package_lookup(())
@@ -288,7 +288,7 @@ def _find(ctx: Context, package: str, executable: str, debug: bool) -> Path:
 
 
 def _execute(command: list[str]) -> None:
-    """Become the program. Raises Failure when it cannot be run."""
+    """Replace this process by the program. Raises Failure when it cannot be run."""
     sys.stdout.flush()
     sys.stderr.flush()
     try:

@@ -1,4 +1,4 @@
-"""`rosservice`: list, inspect and call services. A response that says no is printed, and the exit code is 1."""
+"""`rosservice`: list, inspect and call services. A response that refuses is printed, and the exit code is 1."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _LOOK_AGAIN_S = 0.1
 
 
 def list_services(ctx: Context, argv: Sequence[str]) -> None:
-    """Names, with -n the nodes too; nothing at all when there are none."""
+    """Print the names, with -n also the nodes; nothing when there are none."""
     parser = Parser(
         "rosservice", "rosservice list [/namespace]", option("-n --nodes", "with the nodes that provide them")
     )
@@ -35,7 +35,7 @@ def list_services(ctx: Context, argv: Sequence[str]) -> None:
 
 
 def _known(ctx: Context, full: str) -> dict[str, Any] | None:
-    """Name, type, typedefs and node of a service (slidectl/Resolve), None when there is none of that name."""
+    """Name, type, typedefs and node of a service (slidectl/Resolve), None when it does not exist."""
     try:
         return ctx.resolve("service", full)
     except UnknownName:
@@ -50,7 +50,7 @@ def _asked(
     code: int = EXIT_REFUSED,
     missing: str = "service must be specified",
 ) -> dict[str, Any]:
-    """The service that the command line names. Raises Failure with `unknown` and `code` when there is none."""
+    """The service named on the command line. Raises Failure with `unknown` and `code` when it does not exist."""
     parser = Parser("rosservice", f"rosservice {verb} /service")
     extra = f"you may only specify one {'service' if verb == 'info' else 'input service'}"
     full = resolve(ctx, parser.parse(without_remappings(argv), 1, 1, missing, extra).words[0], "rosservice")
@@ -61,35 +61,35 @@ def _asked(
 
 
 def info(ctx: Context, argv: Sequence[str]) -> None:
-    """Node, URI, type and arguments."""
+    """Print node, URI, type and arguments of a service."""
     found = _asked(ctx, argv, "info", "ERROR: unknown service", missing="you must specify a service name")
     arguments = " ".join(argument_names(found["typedefs"]))
     output.write(f"Node: {found['nodes'][0]}\nURI: {ctx.uri}\nType: {found['type']}\nArgs: {arguments}")
 
 
 def node(ctx: Context, argv: Sequence[str]) -> None:
-    """The node that provides a service."""
+    """Print the node that provides a service."""
     output.write(_asked(ctx, argv, "node", "Unknown service: {}")["nodes"][0])
 
 
 def type_of(ctx: Context, argv: Sequence[str]) -> None:
-    """The type of a service."""
+    """Print the type of a service."""
     output.write(_asked(ctx, argv, "type", "Unknown service [{}]")["type"])
 
 
 def uri(ctx: Context, argv: Sequence[str]) -> None:
-    """Where a service answers."""
+    """Print the URI of a service."""
     _asked(ctx, argv, "uri", "Unknown service: {}")
     output.write(ctx.uri)
 
 
 def args(ctx: Context, argv: Sequence[str]) -> None:
-    """The fields of the request in one line."""
+    """Print the fields of the request in one line."""
     output.write(" ".join(argument_names(_asked(ctx, argv, "args", _NOT_AVAILABLE, _FAILED)["typedefs"])))
 
 
 def find(ctx: Context, argv: Sequence[str]) -> None:
-    """The services of a type."""
+    """Print the services of a type."""
     complaints = "please specify a message type", "you may only specify one message type"
     given = Parser("rosservice", "rosservice find msg-type").parse(without_remappings(argv), 1, 1, *complaints)
     output.write("\n".join(ctx.call("/rosapi/services_for_type", {"type": given.words[0]})["services"]))
@@ -130,7 +130,7 @@ def call(ctx: Context, argv: Sequence[str]) -> None:
 
 
 def _awaited(ctx: Context, full: str) -> dict[str, Any]:
-    """The service, as soon as somebody provides it. Raises TimedOut after `--timeout`, else never."""
+    """Wait until a node provides the service. Raises TimedOut after `--timeout`; without it there is no limit."""
     limit = ctx.wait_limit(float("inf"))
     deadline = ctx.client.monotonic() + limit
     while (found := _known(ctx, full)) is None:
@@ -141,7 +141,7 @@ def _awaited(ctx: Context, full: str) -> dict[str, Any]:
 
 
 def _documents() -> Iterator[Sequence[Any]]:
-    """Those on stdin."""
+    """The documents on stdin."""
     try:
         yield from genpy.documents(sys.stdin)
     except genpy.NotYaml as error:
@@ -169,7 +169,7 @@ def _filled(ctx: Context, kind: str, request: Typedefs, values: Sequence[Any]) -
 
 
 def _call_once(ctx: Context, full: str, request: dict[str, Any], response: Typedefs) -> list[str]:
-    """Call and print the response. The lines that say so when it says no. Raises Failure (2) when the call fails."""
+    """Call and print the response. Returns the lines of a refusal. Raises Failure (2) when the call fails."""
     try:
         answer, refusal = call_service(ctx, full, request)
     except Refused as error:

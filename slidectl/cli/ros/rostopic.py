@@ -1,7 +1,7 @@
 """`rostopic`: its verbs. Publishing has a module of its own.
 
-A topic that nobody publishes yet is waited for by those that follow one. Rates are in simulated time, as they are in
-ROS with /use_sim_time.
+The verbs that follow a topic wait for its first publisher or subscriber. Rates are in simulated time, as in ROS with
+/use_sim_time.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _BW_WINDOW = 100
 
 
 def list_topics(ctx: Context, argv: Sequence[str]) -> None:
-    """Names, or with -v types and how many use them."""
+    """Print the names, with -v also types and counts of users."""
     parser = Parser(
         "rostopic",
         "rostopic list [/namespace]",
@@ -70,7 +70,7 @@ def list_topics(ctx: Context, argv: Sequence[str]) -> None:
 
 
 def info(ctx: Context, argv: Sequence[str]) -> None:
-    """Type, publishers, subscribers."""
+    """Print type, publishers and subscribers of a topic."""
     complaints = "you must specify a topic name", "you may only specify one topic name"
     given = Parser("rostopic", "rostopic info /topic").parse(without_remappings(argv), 1, 1, *complaints)
     full = resolve(ctx, given.words[0], "rostopic")
@@ -82,7 +82,7 @@ def info(ctx: Context, argv: Sequence[str]) -> None:
 
 
 def type_of(ctx: Context, argv: Sequence[str]) -> None:
-    """The type of a topic; for a field the topic's type, the path, and the field's type."""
+    """Print the type of a topic; for a field the topic's type, the path, and the field's type."""
     parser = Parser("rostopic type", "rostopic type [-h] topic_or_field", modern=True)
     complaints = "the following arguments are required: topic_or_field", "unrecognized arguments: {}"
     given = parser.parse(without_remappings(argv), 1, 1, *complaints)
@@ -100,7 +100,7 @@ def type_of(ctx: Context, argv: Sequence[str]) -> None:
 
 
 def find(ctx: Context, argv: Sequence[str]) -> None:
-    """The topics of a type."""
+    """Print the topics of a type."""
     complaints = "please specify a message type", "you may only specify one message type"
     given = Parser("rostopic", "rostopic find msg-type").parse(without_remappings(argv), 1, 1, *complaints)
     output.write("\n".join(ctx.call("/rosapi/topics_for_type", {"type": given.words[0]})["topics"]))
@@ -110,7 +110,7 @@ def find(ctx: Context, argv: Sequence[str]) -> None:
 
 
 def awaited(ctx: Context, name: str) -> Target:
-    """The topic that is meant, as soon as somebody publishes or subscribes it; a warning says that there is none yet.
+    """Wait until a node publishes or subscribes to the topic; print a warning when none does yet.
 
     Raises TimedOut after `--timeout`; without it the wait has no limit, as with rostopic.
     """
@@ -185,7 +185,7 @@ def _window(parser: Parser, text: str | None, default: int) -> int:
 
 
 def hz(ctx: Context, argv: Sequence[str]) -> None:
-    """How often messages come."""
+    """Measure how often messages come."""
     from slidectl.cli.topic_measure import measure, rates
 
     parser = Parser(
@@ -204,7 +204,7 @@ def hz(ctx: Context, argv: Sequence[str]) -> None:
 
 
 def bw(ctx: Context, argv: Sequence[str]) -> None:
-    """How many bytes come, on the wall clock."""
+    """Measure the bytes a second, on the wall clock."""
     from slidectl.cli.topic_measure import SizeMeter, measure
     from slidectl.cli.topic_streams import Stream
     from slidectl.msgs.serialization import packer
@@ -220,7 +220,7 @@ def bw(ctx: Context, argv: Sequence[str]) -> None:
 
 
 def delay(ctx: Context, argv: Sequence[str]) -> None:
-    """How late messages come, in simulated time, by the stamps of their headers."""
+    """Measure the simulated time from the header stamps of messages to their arrival."""
     from slidectl.cli.topic_measure import DelayMeter, delays_text, measure
     from slidectl.cli.topic_streams import Stream
 
@@ -238,7 +238,7 @@ def delay(ctx: Context, argv: Sequence[str]) -> None:
 
 
 def _rates_text(records: Sequence[Record]) -> str:
-    """rostopic's lines; for several topics a row for each that has a rate, the headings centred over their columns."""
+    """rostopic's report; for several topics a row for each that has a rate, the headings centred over their columns."""
     from slidectl.cli.topic_measure import NOTHING_NEW, rates_text
 
     if len(records) == 1:
@@ -259,7 +259,7 @@ def _rates_text(records: Sequence[Record]) -> str:
 
 
 def _sizes_text(records: Sequence[Record]) -> str:
-    """All four figures in the unit of the rate."""
+    """rostopic's report of bw, all in the unit of the rate."""
     from slidectl.cli.topic_measure import in_bytes
 
     rate = records[0]["rate"]

@@ -1,6 +1,6 @@
-"""`rostopic pub`: its options, forms and lines, over the publication that `slidectl pub` uses.
+"""`rostopic pub`: its options, forms and output. It publishes with the code of `slidectl pub`.
 
-It never makes a script wait: a single message is done when the subscribers have it, with -1 and without; only -l stays.
+A single message, with -1 or without, is done when the subscribers have it, so scripts do not wait; only -l stays.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from slidectl.values import check_quotes
 
 _ONCE = "-1"
 _PAYLOAD = 2
-"""The number of the first word that is a value."""
+"""The index of the first word that is a value."""
 _DOCUMENTS_HZ = 10.0
 
 
 def _once(_option: Option, name: str, _value: None, parser: OptionParser) -> None:
-    """`-1` is an option before the values. Behind TYPE it may be a value, which only the number of fields can tell."""
+    """`-1` is an option before the values. Behind TYPE it may be a value, depending on the number of fields."""
     assert parser.largs is not None
     assert parser.values is not None
     if name == _ONCE and len(parser.largs) >= _PAYLOAD:
@@ -97,7 +97,7 @@ def _value(word: str) -> Any:
 
 
 def _target(ctx: Context, topic: str, type_name: str) -> tuple[Target, SlidectlError | None]:
-    """The topic, and the error that says so when nobody subscribes to it. Raises Failure for the type."""
+    """The topic, and an error when no node subscribes to it. Raises Failure for a wrong type."""
     if "/" not in type_name:
         raise Failure(f"ERROR: invalid topic type: {type_name}")
     try:
@@ -122,7 +122,7 @@ def _typedefs(ctx: Context, type_name: str) -> list[dict[str, Any]]:
 
 
 class _Run:
-    """One `rostopic pub` with what it was given. `nobody` is the error that says that nobody subscribes."""
+    """One run of `rostopic pub` with its options. `nobody` is the error when no node subscribes, else None."""
 
     def __init__(self, ctx: Context, given: Any, target: Target, nobody: SlidectlError | None) -> None:
         self._ctx = ctx
@@ -132,7 +132,7 @@ class _Run:
         self._latch = given.latch and not given.once
 
     def values(self, values: Sequence[Any], rate: float | None) -> None:
-        """Those of the command line: once, or again and again at a rate."""
+        """Publish the values of the command line: once, or repeatedly at a rate."""
         message = self._message(values)
         if rate is not None:
             return self._publish(self._again(values, message, rate), rate)
@@ -145,7 +145,7 @@ class _Run:
         return None
 
     def documents(self, rate: float | None) -> None:
-        """Those of a file or of stdin: one for each period, the only one of a file again and again."""
+        """Publish the documents of a file or of stdin: one each period; a single document of a file repeatedly."""
         given = self._given
         if rate is None and not given.latch and not given.once:
             rate = _DOCUMENTS_HZ
@@ -162,13 +162,13 @@ class _Run:
         every = chain([first], [] if second is None else [second], [] if is_single else source)
         self._publish(self._announced(every, not stays), rate, stays)
         topic = self._target.topic
-        # Somebody may have come while the documents went out.
+        # A node may have subscribed while the documents were published.
         if self._nobody is not None and not users_of(self._ctx, [topic], SUBSCRIBERS)[topic]:
             raise self._nobody
         return None
 
     def _documents(self) -> Iterator[Sequence[Any]]:
-        """The values of each document. One of a file is one value, also when it is a list."""
+        """The values of each document. A document of a file is one value, even when it is a list."""
         file_name = self._given.file
         try:
             if file_name is None:
@@ -192,7 +192,7 @@ class _Run:
             yield message
 
     def _again(self, values: Sequence[Any], message: genpy.Message, rate: float) -> Iterator[genpy.Message]:
-        """For ever; the times in it stay those of the first one without -s."""
+        """Yield the message without end. Without -s its times stay those of the first one."""
         if self._nobody is not None:
             self._ctx.say(f"nobody subscribes to {self._target.topic} yet; publishing at {rate:g} Hz")
         while True:

@@ -1,4 +1,4 @@
-"""`tf_echo` of tf and `echo.py` of tf2_tools: the pose of one frame in another, again and again."""
+"""`tf_echo` of tf and `echo.py` of tf2_tools: print the pose of one frame in another repeatedly."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ second (1 if it is left out), until Ctrl-C.
 
 
 def tf_echo(ctx: Context, argv: Sequence[str]) -> None:
-    """`tf_echo SOURCE TARGET [HZ]`, until Ctrl-C."""
+    """Run `tf_echo SOURCE TARGET [HZ]` until Ctrl-C."""
     words = without_remappings(argv)
     if len(words) not in (2, 3):
         output.write(_USAGE)
@@ -44,7 +44,7 @@ def tf_echo(ctx: Context, argv: Sequence[str]) -> None:
 
 
 def echo_py(ctx: Context, argv: Sequence[str]) -> None:
-    """tf2_tools' `echo.py`. With a limit it ends with 1 when the last look-up failed."""
+    """Run tf2_tools' `echo.py`. With a limit, the exit code is 1 when the last look-up failed."""
     parser = Parser(
         "echo.py",
         "echo.py [-h] [-r RATE] [-c CACHE_TIME] [-o OFFSET] [-t TIME] [-l LIMIT] [-p PRECISION] "
@@ -87,14 +87,14 @@ def _rate(text: str) -> float:
 
 
 def _look_ups(ctx: Context, source: str, target: str, rate: float) -> Iterator[tuple[str, View | None, str, Frames]]:
-    """The poses of the target in the source, for ever.
+    """Look up the pose of the target in the source repeatedly, without end.
 
     Yields:
         The simulated time in s, the pose or None, the reason when there is none, and all frames.
     """
     source, target = source.removeprefix("/"), target.removeprefix("/")
     with listening(ctx) as listener:
-        # A publisher repeats itself: what is not there after a while is not there.
+        # Publishers repeat their transforms: a frame that has not come after a while does not exist.
         listener.listen(lambda frames: frames.are_connected(source, target))
         due = listener.stream.monotonic()
         while True:
@@ -110,7 +110,7 @@ def _look_ups(ctx: Context, source: str, target: str, rate: float) -> Iterator[t
 
 
 def _why_not(frames: Frames, source: str, target: str) -> str:
-    """The reason in tf's words."""
+    """The reason of a failed look-up, in tf's words."""
     for name, role in ((source, "target_frame"), (target, "source_frame")):
         if name not in frames.names:
             return f'"{name}" passed to lookupTransform argument {role} does not exist. '
