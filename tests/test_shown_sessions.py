@@ -1,7 +1,7 @@
 """Every session that a page shows (a fenced `console` block) is typed into a shell, and prints what the page says.
 
-Numbers may differ; a line `...` stands for any lines. The files that the page tells to save are there. Every fenced
-`python` block runs beside a slider.
+Numbers may differ; a line `...` stands for any lines, and `^C` is typed when the lines before it are there. The files
+that the page tells to save are there. Every fenced `python` block runs beside a slider.
 """
 
 from __future__ import annotations
@@ -82,13 +82,14 @@ class Shell:
             start_new_session=True,
         )
 
-    def type(self, command: str) -> tuple[int, str]:
-        """The exit code, and what was printed until then."""
+    def type(self, command: str, lines: list[str]) -> tuple[int, str]:
+        """The exit code, and what was printed until then. `^C` in what it is to print is typed after what is before."""
         assert self._bash.stdin is not None
         assert self._bash.stdout is not None
         late = threading.Timer(LIMIT_S, self.end)
         late.start()
-        self._bash.stdin.write(f"eval {shlex.quote(command)} </dev/null; printf '\\n%s %s\\n' {END} $?\n")
+        awaited = pattern(lines[: lines.index("^C")]) if "^C" in lines else None
+        self._bash.stdin.write(f"trap : INT; eval {shlex.quote(command)} </dev/null; printf '\\n%s %s\\n' {END} $?\n")
         self._bash.stdin.flush()
         printed = ""
         for line in self._bash.stdout:
@@ -96,6 +97,9 @@ class Shell:
                 late.cancel()
                 return int(line.split()[1]), "".join(line.rstrip() + "\n" for line in printed[:-1].splitlines())
             printed += line
+            if awaited and awaited.match(printed):
+                awaited = None
+                os.killpg(self._bash.pid, signal.SIGINT)
         raise AssertionError(f"$ {command}\ndoes not end:\n{printed}")
 
     def end(self) -> None:
@@ -108,7 +112,7 @@ class Shell:
 def environment() -> Iterator[dict[str, str]]:
     folder = tempfile.mkdtemp(prefix="slidectl-docs-", dir="/tmp")
     variables = {**os.environ, "XDG_RUNTIME_DIR": folder, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
-    for name in ("SLIDECTL_SOCKET", "SLIDECTL_INSTANCE", "SLIDECTL_NAMESPACE"):
+    for name in ("SLIDECTL_SOCKET", "SLIDECTL_INSTANCE", "SLIDECTL_NAMESPACE", "DISPLAY", "WAYLAND_DISPLAY"):
         variables.pop(name, None)
     yield variables
     for instance in (Path(folder) / "slidectl").glob("*/"):
@@ -118,9 +122,9 @@ def environment() -> Iterator[dict[str, str]]:
 
 
 def anywhere(command: str) -> str:
-    """The command with any port that is free where the page has a gateway's own: another test may have that one."""
+    """The command with any port that is free where the page has the usual one: another test may have that one."""
     command = re.sub(r"--(ros1|websocket|foxglove)\b( \d+)?", r"--\1 0", command)
-    return re.sub(r"gateway \w+ (start|run)\b", r"\g<0> --port 0", command)
+    return re.sub(r"gateway \w+ (start|run)\b|slidectl view\b", r"\g<0> --port 0", command)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
@@ -133,9 +137,11 @@ def test_the_sessions_of_a_page_print_what_it_shows(page: Path, environment: dic
     shell = Shell(tmp_path, environment)
     try:
         for command, lines in sessions(page):
-            code, printed = shell.type(anywhere(command))
+            code, printed = shell.type(anywhere(command), lines)
             fails = any(line.lower().startswith("error:") for line in lines)
-            assert bool(code) == fails or "||" in command, f"$ {command}\nexit {code}:\n{printed}"
+            is_ended = code == 130 and "^C" in lines
+            lines = [line for line in lines if line != "^C"]
+            assert bool(code) == fails or is_ended or "||" in command, f"$ {command}\nexit {code}:\n{printed}"
             assert pattern(lines).match(printed), (
                 f"$ {command}\n--- printed (exit {code}):\n{printed}--- shown:\n" + "\n".join(lines)
             )
