@@ -183,3 +183,21 @@ def test_numbers_may_differ_but_words_may_not() -> None:
     assert pattern(["position: [0.5, 1]"]).match("position: [-0.25, 3]\n")
     assert not pattern(["position: [0.5]"]).match("velocity: [0.5]\n")
     assert pattern(["a", "...", "z"]).match("a\nb\nc\nz\n")
+
+
+def test_no_block_of_a_page_stands_there_unrun() -> None:
+    """One that is neither a session, nor a program, nor a file to save, is taken from its page by another test."""
+    others: dict[str, int] = {}
+    for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))):
+        text = page.read_text(encoding="utf-8")
+        kinds = re.findall(r"^```(\w*)\n.*?^```", text, re.MULTILINE | re.DOTALL)
+        saved = sum(f"```python\n{file}" not in text for _, file in files(page))
+        others[page.name] = len(kinds) - kinds.count("console") - kinds.count("python") - saved
+    assert {name: count for name, count in others.items() if count and name != "commands.md"} == {
+        "architecture.md": 1,  # a picture
+        "ci.md": 4,  # test_deployment.py
+        "pytest.md": 1,  # what pytest prints
+        "ros1.md": 2,  # gateways/ros1/test_ros1_tools.py, test_ros1_rosmaster.py
+        "seeing.md": 1,  # gateways/ros1/test_rviz.py
+        "websocket.md": 1,  # gateways/websocket/test_websocket_page.py
+    }
