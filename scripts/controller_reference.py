@@ -21,7 +21,7 @@ What `slidectl controller types` lists, with the parameters below a controller's
 `python scripts/controller_reference.py`. They behave as those of ros_controllers; [deviations](deviations.md) has what
 differs. Every controller reads its `type`, and `update_budget` ([times](extending.md#a-controller-of-your-own)).
 
-A trajectory controller for two joints, and a goal for it:
+A trajectory controller for two joints of the shipped arm; save it as `two_joints.yaml`:
 
 ```yaml
 arm:
@@ -36,32 +36,54 @@ arm:
       joint1: {trajectory: 0.5, goal: 0.02}
 ```
 
-```text
-slidectl echo /arm/arm_controller/follow_joint_trajectory/result -n 1 &
-slidectl pub /arm/arm_controller/follow_joint_trajectory/goal '{goal: {trajectory: {joint_names: [joint1, joint2],
-  points: [{positions: [1.0, -0.5], velocities: [0.0, 0.0], time_from_start: {secs: 2}}]}}}'
+A goal for it, and what comes of it:
+
+```console
+$ slidectl daemon start
+daemon default: started, process 4711
+$ slidectl spawn arm --controllers two_joints.yaml --start arm_controller
+arm: spawned in /arm at 0 0 0, joints: joint1 joint2 joint3 joint4 joint5 joint6
+$ slidectl echo /arm/arm_controller/follow_joint_trajectory/result/result -n 1 &
+$ slidectl pub /arm/arm_controller/follow_joint_trajectory/goal '{goal: {trajectory: {joint_names: [joint1, joint2],
+>   points: [{positions: [1.0, -0.5], velocities: [0.0, 0.0], time_from_start: {secs: 2}}]}}}'
+$ wait
+error_code: 0
+error_string: ''
+---
+$ slidectl delete arm
+arm: deleted
 ```
 
 An action has five topics: `goal` and `cancel` for the client; `status` (five times a second, and at each change),
 `feedback` and `result` for the server. A goal without an id gets one, an empty `cancel` is for all goals, and a new
 goal preempts the one before.
 
-The shipped cart, driven by velocities of its base:
+The shipped cart, driven by velocities of its base. Its odometry tells how fast it is:
 
-```text
-slidectl spawn cart drive:=controller --controllers config/cart_control.yaml --start base_controller
-slidectl pub /cart/base_controller/cmd_vel '{linear: {x: 0.5}, angular: {z: 0.3}}' -r 10
-slidectl echo /cart/base_controller/odom -n 1
+```console
+$ slidectl spawn cart drive:=controller --controllers config/cart_control.yaml --start base_controller
+cart: spawned in /cart at 0 0 0, joints: left_wheel_joint right_wheel_joint
+$ slidectl pub /cart/base_controller/cmd_vel '{linear: {x: 0.5}, angular: {z: 0.3}}' -r 10 &
+$ slidectl wait /cart/base_controller/odom/twist/twist/linear/x --near 0.5 --tol 0.01 --within 5
+/cart/base_controller/odom/twist/twist/linear/x is 0.4921 at 3.48 s
+$ kill %%
+$ slidectl delete cart
+cart: deleted
 ```
 
 The shipped car, whose four wheels are steered, takes velocities as well, or a speed and the angles of its axles:
 
-```text
-slidectl spawn car --controllers config/car_control.yaml --start joint_state_controller base_controller
-slidectl pub /car/base_controller/cmd_vel '{linear: {x: 0.5}, angular: {z: 0.4}}' -r 10 -n 20
-slidectl pub /car/base_controller/cmd_four_wheel_steering \\
-  '{speed: 0.5, front_steering_angle: 0.8, rear_steering_angle: 0.8}' -r 10
-slidectl echo /car/base_controller/odom_steer -n 1
+```console
+$ slidectl spawn car --controllers config/car_control.yaml --start joint_state_controller base_controller
+...
+$ slidectl pub /car/base_controller/cmd_vel '{linear: {x: 0.5}, angular: {z: 0.4}}' -r 10 -n 10
+$ slidectl pub /car/base_controller/cmd_four_wheel_steering \\
+>   '{speed: 0.5, front_steering_angle: 0.8, rear_steering_angle: 0.8}' -r 10 &
+$ slidectl wait /car/base_controller/odom_steer/data/front_steering_angle --near 0.8 --tol 0.05 --within 5
+/car/base_controller/odom_steer/data/front_steering_angle is 0.7612 at 6.1 s
+$ kill %%
+$ slidectl daemon stop
+daemon default: stopped, it was process 4711
 ```
 """
 

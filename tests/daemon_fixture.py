@@ -8,6 +8,8 @@ with running_daemon(rtf=math.inf) as daemon:
 from __future__ import annotations
 
 import os
+import re
+import shlex
 import shutil
 import signal
 import tempfile
@@ -24,6 +26,13 @@ from slidectl.daemon.options import DaemonOptions
 from slidectl.processes import holder
 
 ROOT = Path(__file__).parent.parent
+
+
+def shown(page: str, text: str) -> list[list[str]]:
+    """The words of each line of the block of a page in docs/ that has this text."""
+    blocks = re.findall(r"^```\w+\n(.*?)^```", (ROOT / "docs" / page).read_text("utf-8"), re.MULTILINE | re.DOTALL)
+    [block] = [block for block in blocks if text in block]
+    return [shlex.split(line, comments=True) for line in block.splitlines()]
 
 
 class Runtime:

@@ -18,12 +18,13 @@ from typing import Any
 
 import pytest
 import yaml
-from daemon_fixture import Runtime
+from daemon_fixture import Runtime, shown
 from waiting import eventually
 
 from slidectl.errors import NoDaemon
 
 ROOT = Path(__file__).parent.parent
+BIN = Path(sys.executable).parent
 LIMIT_S = 300
 
 
@@ -91,10 +92,26 @@ def test_the_action_runs_scenarios_and_keeps_what_failed(tmp_path: Path) -> None
         "inputs.results": "kept",
     }
     step = action_steps()["Run the scenarios"]
-    assert run_step(step, values, tmp_path, Path(sys.executable).parent) == 0
+    assert run_step(step, values, tmp_path, BIN) == 0
     cases = ET.parse(tmp_path / "kept" / "results.xml").getroot().findall(".//testcase")
     assert cases
     assert [case for case in cases if case.find("failure") is not None] == []
+
+
+def test_what_the_page_gives_to_ci_servers_runs_scenarios(tmp_path: Path) -> None:
+    page = (ROOT / "docs" / "ci.md").read_text(encoding="utf-8")
+    github, gitlab = map(yaml.safe_load, re.findall(r"^```yaml\n(.*?)^```", page, re.MULTILINE | re.DOTALL))
+    given = github["jobs"]["scenarios"]["steps"][-1]["with"]
+    inputs = yaml.safe_load((ROOT / "action.yml").read_text(encoding="utf-8"))["inputs"]
+    assert given.keys() <= inputs.keys()
+    (tmp_path / given["scenarios"]).mkdir()
+    shutil.copy(ROOT / "examples" / "scenarios" / "slider.yaml", tmp_path / given["scenarios"])
+    values = {f"inputs.{name}": str(given.get(name, entry.get("default"))) for name, entry in inputs.items()}
+    assert run_step(action_steps()["Run the scenarios"], values, tmp_path, BIN) == 0
+    install, test = gitlab["scenarios"]["script"]
+    assert "pip install" in install
+    assert run_step({"run": test}, {}, tmp_path, BIN) == 0
+    assert (tmp_path / gitlab["scenarios"]["artifacts"]["reports"]["junit"]).exists()
 
 
 def test_the_image_installs_slidectl_and_runs_it_as_a_user(bare: Path, sources: Path) -> None:
@@ -110,13 +127,35 @@ def test_the_image_installs_slidectl_and_runs_it_as_a_user(bare: Path, sources: 
     stays_until_it_is_asked_to_end([str(bare / words[0]), *words[1:]], "default")
 
 
-def test_the_unit_starts_a_daemon_that_ends_when_systemd_asks() -> None:
+def test_the_containers_of_the_page_run_what_it_says(tmp_path: Path) -> None:
+    """Without containers: what docker would run in each."""
+    build, test, run, execute = shown("ci.md", "docker build")
+    image = build[build.index("-t") + 1]
+    lines = docker_lines()
+    [entry], [command], [folder] = (lines[word] for word in ("ENTRYPOINT", "CMD", "WORKDIR"))
+    assert f"$PWD:{folder}" in test
+    (tmp_path / test[-1]).mkdir()
+    shutil.copy(ROOT / "examples" / "scenarios" / "slider.yaml", tmp_path / test[-1])
+    inside = [words[words.index(image) + 1 :] or yaml.safe_load(command) for words in (test, run)]
+    testing, running = ([str(BIN / yaml.safe_load(entry)[0]), *words] for words in inside)
+    assert subprocess.run(testing, cwd=tmp_path, timeout=LIMIT_S).returncode == 0
+    assert execute[:3] == ["docker", "exec", run[run.index("--name") + 1]]
+    stays_until_it_is_asked_to_end(running, "default", [str(BIN / execute[3]), *execute[4:]])
+
+
+def test_the_unit_starts_a_daemon_that_ends_when_systemd_asks(tmp_path: Path) -> None:
+    *put, enable = shown("ci.md", "systemctl")
+    for words in put:
+        home = [word.replace("~", str(tmp_path)) for word in words]
+        subprocess.run(home, cwd=ROOT, check=True)
+    instance = enable[-1].partition("@")[2]
     unit = configparser.ConfigParser(interpolation=None, strict=False)
     unit.optionxform = str  # type: ignore[assignment,method-assign]
-    unit.read(ROOT / "packaging" / "slidectl@.service", encoding="utf-8")
-    words = shlex.split(unit["Service"]["ExecStart"].replace("%i", "unit"))
+    [file] = (tmp_path / ".config" / "systemd" / "user").iterdir()
+    unit.read(file, encoding="utf-8")
+    words = shlex.split(unit["Service"]["ExecStart"].replace("%i", instance))
     assert words[0] == "%h/.local/bin/slidectl"
-    stays_until_it_is_asked_to_end([str(Path(sys.executable).parent / "slidectl"), *words[1:]], "unit")
+    stays_until_it_is_asked_to_end([str(BIN / "slidectl"), *words[1:]], instance)
 
 
 def answers(runtime: Runtime) -> bool:
@@ -127,14 +166,16 @@ def answers(runtime: Runtime) -> bool:
     return True
 
 
-def stays_until_it_is_asked_to_end(command: list[str], instance: str) -> None:
-    """A daemon in the foreground, which answers, and ends with 0 at SIGTERM."""
+def stays_until_it_is_asked_to_end(command: list[str], instance: str, beside: list[str] | None = None) -> None:
+    """A daemon in the foreground, which answers, and ends with 0 at SIGTERM. Another command may run beside it."""
     runtime = Runtime(name=instance)
     try:
         process = subprocess.Popen(command, env=runtime.env, stderr=subprocess.PIPE, text=True)
         eventually(lambda: answers(runtime), "it does not answer")
         with runtime.client() as client:
             assert client.call("/slidectl/status")["instance"] == instance
+        if beside:
+            subprocess.run(beside, env=runtime.env, check=True, timeout=LIMIT_S)
         process.send_signal(signal.SIGTERM)
         _, errors = process.communicate(timeout=LIMIT_S)
         assert process.returncode == 0, errors

@@ -12,8 +12,6 @@ import pytest
 
 from slidectl import errors, msgs
 from slidectl.cli.main import COMMANDS
-from slidectl.description import sdf
-from slidectl.description.packages import Packages
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -59,13 +57,6 @@ def test_the_documents_name_every_environment_variable(variable: str) -> None:
 def test_links_between_the_documents_lead_somewhere(page: Path) -> None:
     for target in re.findall(r"\]\((?!https?:)([^)#]+)", page.read_text(encoding="utf-8")):
         assert (page.parent / target).exists(), f"{page.name} links to {target}"
-
-
-def test_the_world_to_try_holds_the_models_that_its_page_names() -> None:
-    [world] = re.findall(r"^```xml\n(.*?)^```", read("docs/worlds.md"), re.MULTILINE | re.DOTALL)
-    scene = sdf.parse(world.encode(), "room.world", Packages(), ROOT)
-    assert [(model.name, model.is_static) for model in scene.models] == [("wall", True), ("crate", False)]
-    assert list(scene.notices) == []
 
 
 def test_the_reference_script_is_a_plain_module() -> None:

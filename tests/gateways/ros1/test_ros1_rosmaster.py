@@ -11,8 +11,8 @@ from typing import Any
 from xmlrpc.client import Fault, ServerProxy
 
 import pytest
-from daemon_fixture import running_daemon
-from ros1_tools import need_ros, roscore
+from daemon_fixture import running_daemon, shown
+from ros1_tools import Program, need_ros, roscore
 from running_gateway import running_gateway
 from waiting import eventually
 
@@ -141,7 +141,10 @@ def test_a_real_roscore_is_joined() -> None:
         words = [sys.executable, "-m", "slidectl", *spawn.split(), "joint1_position_controller"]
         subprocess.run(words, env=runtime.env, check=True, capture_output=True, timeout=60)
         gain = "/slider/joint1_position_controller/pid/p"
-        with running_gateway(runtime, "ros1", master=ros.env["ROS_MASTER_URI"]):
+        [joining] = shown("ros1.md", "--master")
+        assert joining.pop() == "http://other:11311"
+        words = [sys.executable, "-m", *joining, ros.env["ROS_MASTER_URI"], "--port", "0"]
+        with closing(Program(words, runtime.env, ros.folder / "gateway.txt")):
             eventually(lambda: "/slider/joint_states" in ros.ok("rostopic list"), "nothing is registered")
             assert "- joint1" in ros.ok("rostopic echo -n 1 /slider/joint_states")
             eventually(lambda: ros.run(f"rosparam get {gain}").stdout == "100.0\n", "the parameters are not mirrored")

@@ -7,12 +7,13 @@ was recorded of the daemon. Hosts, ports, process ids, times and measured rates 
 from __future__ import annotations
 
 import re
+import shlex
 import signal
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
-from daemon_fixture import ROOT, running_daemon
+from daemon_fixture import ROOT, running_daemon, shown
 from ros1_tools import Done, Ros, both, gateway, graph, need_ros, normal, roscore, stand_in
 from waiting import eventually
 
@@ -58,6 +59,19 @@ def printed(side: Ros, line: str, stdin: str = "") -> Done:
     """What the line prints, in normal form."""
     done = side.run(line, stdin)
     return Done(normal(done.stdout), normal(done.stderr), done.returncode)
+
+
+def test_the_commands_of_the_page_work() -> None:
+    need_ros()
+    export, *lines = shown("ros1.md", "rosbag record")
+    assert export[0] == "export"
+    with running_daemon() as daemon, daemon.client() as client:
+        client.spawn("slider", controllers=str(ROOT / "config/slider_control.yaml"), start=CONTROLLERS)
+        with gateway(daemon) as ros:
+            for words in lines:
+                ros.ok(shlex.join(words))
+            assert list(ros.folder.glob("*.bag"))
+        assert client.call("/slidectl/status")["paused"]
 
 
 # Lines that run to their end

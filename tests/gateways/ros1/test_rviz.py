@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import pytest
-from daemon_fixture import ROOT, Runtime, running_daemon
+from daemon_fixture import ROOT, Runtime, running_daemon, shown
 from PIL import ImageGrab
 from running_gateway import running_gateway
 from waiting import eventually
@@ -124,16 +124,16 @@ needs_rviz = pytest.mark.skipif(
 def test_rviz_draws_the_robot_where_a_command_has_moved_it(
     words: tuple[str, ...], topic: str, there: float, tmp_path: Path
 ) -> None:
-    with running_daemon() as runtime, running_gateway(runtime, "ros1"), screen(tmp_path) as shown:
+    with running_daemon() as runtime, running_gateway(runtime, "ros1"), screen(tmp_path) as display:
         if "rrbot" in topic:
             done(runtime, "spawn", "rrbot", "--controllers", "config/rrbot_control.yaml")
             done(runtime, "controller", "spawn", "joint_state_controller", *JOINTS)
         command = [sys.executable, "-m", "slidectl", "launch", *words]
         output = tmp_path / "launch.log"
         with output.open("wb") as log:
-            launch = subprocess.Popen(command, env={**runtime.env, **shown}, cwd=ROOT, stdout=log, stderr=log)
+            launch = subprocess.Popen(command, env={**runtime.env, **display}, cwd=ROOT, stdout=log, stderr=log)
         try:
-            steady = Steady(shown["DISPLAY"])
+            steady = Steady(display["DISPLAY"])
 
             def has_drawn() -> bool:
                 assert launch.poll() is None, output.read_text("utf-8")
@@ -176,11 +176,16 @@ def test_a_launch_gives_rviz_the_gateway_as_its_master_and_leaves_it_out_where_t
         assert "/rviz: left out: there are no windows here" in left_out.stdout
         assert "slidectl gateway ros1 start" in left_out.stdout
         with running_gateway(runtime, "ros1") as master:
-            shown = run(runtime, *words, **ours).stdout
-            assert f"master {master} shows " in shown
-            assert "rrbot_description/rviz/rrbot.rviz" in shown
-            assert "left out" not in shown
-            assert f"master {master} shows" in run(runtime, "ros", "rosrun", "rviz", "rviz", **ours).stdout
+            *_, launch_slider, launch_rrbot, empty = [line[1:] for line in shown("seeing.md", "rosrun rviz")]
+            printed = run(runtime, *launch_slider, "--detach", **ours).stdout
+            assert f"master {master} shows " in printed
+            assert "my_slider/rviz/slider.rviz" in printed
+            for line in (launch_rrbot, words):
+                printed = run(runtime, *line, **ours).stdout
+                assert f"master {master} shows " in printed
+                assert "rrbot_description/rviz/rrbot.rviz" in printed
+                assert "left out" not in printed
+            assert f"master {master} shows" in run(runtime, *empty, **ours).stdout
             missing = tmp_path / "missing.launch"
             missing.write_text('<launch><node name="v" pkg="rviz" type="rviz" args="-d $(find no_such)/x"/></launch>')
             assert "left out: there are no windows" in run(runtime, "launch", str(missing), **ours).stdout

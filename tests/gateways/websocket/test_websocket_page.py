@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import shutil
-import threading
+import subprocess
+import sys
 from collections.abc import Iterator
-from functools import partial
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import node_scripts
 import pytest
-from daemon_fixture import ROOT, Runtime, running_daemon
+from daemon_fixture import ROOT, Runtime, running_daemon, shown
 from playwright.sync_api import sync_playwright
 from rosbridge_client import RosbridgeClient  # its module finds those beside tests/gateways
 from running_gateway import running_gateway
@@ -23,23 +22,22 @@ LIMIT_S = 300.0
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
 
 
-class Quiet(SimpleHTTPRequestHandler):
-    def log_message(self, *_: object) -> None:
-        pass
-
-
 @pytest.fixture
 def site(tmp_path: Path) -> Iterator[str]:
-    """The page with roslib beside it, as a user serves it; gives its port."""
+    """The page with roslib beside it, by the commands of docs/websocket.md; gives its port. npm packs what is here."""
     shutil.copy(ROOT / "examples" / "roslib_page.html", tmp_path)
-    shutil.copy(node_scripts.modules() / "roslib-1" / "build" / "roslib.min.js", tmp_path)
-    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=tmp_path))
-    thread = threading.Thread(target=server.serve_forever)
-    thread.start()
-    yield str(server.server_port)
-    server.shutdown()
-    server.server_close()
-    thread.join()
+    get, (*serve, port) = shown("websocket.md", "npm pack")
+    unpack = get[get.index("&&") + 1 :]
+    assert [*get[:2], port] == ["npm", "pack", "8000"]
+    pack = ["npm", "pack", "--ignore-scripts", str(node_scripts.modules() / "roslib-1")]
+    for words in (pack, unpack):
+        subprocess.run(words, cwd=tmp_path, check=True, capture_output=True)
+    assert (tmp_path / f"{get[2].replace('@', '-')}.tgz").exists()
+    words = [sys.executable, "-u", *serve[1:], "0", "--bind", "127.0.0.1"]
+    with subprocess.Popen(words, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as server:
+        assert server.stdout is not None
+        yield server.stdout.readline().split()[5]
+        server.terminate()
 
 
 @pytest.fixture
