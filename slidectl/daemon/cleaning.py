@@ -25,7 +25,7 @@ class Leftover(NamedTuple):
     path: Path
     what: str
     size: int
-    """Bytes."""
+    """Size in bytes."""
     pid: int | None = None
 
 

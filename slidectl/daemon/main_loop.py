@@ -201,10 +201,10 @@ class Daemon:
             gc.freeze()
             self._most_kept_objects = 2 * gc.get_freeze_count()
 
-    # --- ends ---------------------------------------------------------------------------------------------------
+    # --- end of the daemon --------------------------------------------------------------------------------------
 
     def _watch_signals(self) -> None:
-        """Receive signals as bytes in a pipe, so that they are handled between two cycles. Until now they were blocked."""
+        """Receive signals as bytes in a pipe, to handle them between two cycles. Until now they were blocked."""
         self._signals, write_end = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
         signal.set_wakeup_fd(write_end, warn_on_full_buffer=False)
         for number in (signal.SIGTERM, signal.SIGINT, *([signal.SIGHUP] if self._start.foreground else [])):

@@ -68,7 +68,7 @@ class Publications:
         self.held: dict[Channel, None] = {}
         """Channels with a message that came sooner than their throttle allows."""
         self._due_s = math.inf
-        """A time at or before the first of these is due, on the clock of throttles."""
+        """The time at which the first of these is due, or earlier, on the clock of throttles."""
         self.kept = 0
         """Bytes of all channels."""
         self.last = 0

@@ -1,6 +1,6 @@
 """The timing of cycles: at a real-time factor, as fast as possible, or as many as were requested.
 
-Called between two polls of the sockets. It runs a slice of at most a few ms and returns how long there is nothing to do.
+Called between two polls of the sockets. It runs a slice of a few ms at most and returns the time until the next.
 Wall time is in seconds; the simulation itself never sees it.
 """
 

@@ -113,7 +113,7 @@ class Server:
         return due_s if most_s is None else min(most_s, due_s)
 
     def close(self, why: str) -> None:
-        """End all connections and close. Clients that keep reading get all waiting lines, so recordings are complete."""
+        """End all connections and close. Clients that keep reading get all waiting lines: recordings are complete."""
         for connection in list(self.connections):
             connection.warn(why)
         end_s = time.monotonic() + _LONGEST_END_S

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 UNKNOWN = 1e12
 """Variance of the quantities that a planar base does not measure."""
 REACHED = 0.01
-"""m/s. With a velocity error below this, a wheel gets its velocity at once, whatever the acceleration limit."""
+"""m/s. With a velocity error below this, a wheel gets its velocity at once, without the acceleration limit."""
 
 
 class RunningDrive:
@@ -227,7 +227,7 @@ class WheelMotors(RunningDrive):
 
 
 class PlanarDrive(RunningDrive):
-    """planar_move: the root link gets the commanded velocity at the beginning of each step; all else is 0."""
+    """planar_move: the root link gets the commanded velocity at the beginning of each step; others are 0."""
 
     def __init__(self, simulation: Simulation, robot: SpawnedRobot, drive: PlanarMove) -> None:
         self._timeout_s = drive.timeout_s

@@ -84,7 +84,7 @@ class Timer:
         self.period_ns = period_ns
         self.active = True
         self.number = 0
-        """Of timers that are due at the same time the lower number fires first; 0: the timer was never set."""
+        """Orders timers that are due at the same time: the lower number fires first. 0: the timer was never set."""
 
     def cancel(self) -> None:
         """Cancel the timer: it does not fire again. No effect when it has fired."""

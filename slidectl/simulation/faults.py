@@ -41,14 +41,14 @@ class Asked(NamedTuple):
     name: str
     kind: str
     target: str
-    """In full: /ROBOT/JOINT, /ROBOT/LINK, the controller in its namespace, or the topic."""
+    """The full name: /ROBOT/JOINT, /ROBOT/LINK, the controller in its namespace, or the topic."""
     robot: str
     """The robot's name; empty for a topic."""
     part: str
     """The joint, link or controller, by its name within the robot."""
     start_ns: int
     end_ns: int
-    """NEVER: until it is removed."""
+    """NEVER: it lasts until it is removed."""
     seed: int
     options: dict[str, Any]
 
@@ -284,7 +284,7 @@ class PushFault(RobotFault):
             return
         self.count += 1
         world, asked = self._world, self.asked
-        if not any(wrench.source == asked.name for wrench in world.loads.wrenches):  # a reset takes it away
+        if not any(wrench.source == asked.name for wrench in world.loads.wrenches):  # a reset removes it
             duration_ns = -1 if asked.end_ns == NEVER else asked.end_ns - asked.start_ns - 1
             acting = asked.options["force"], asked.options["torque"], asked.start_ns, duration_ns
             world.add_wrench(self.robot.name, self.part, *acting, asked.name)
@@ -506,7 +506,7 @@ class FaultyTopic:
 _DUE = itemgetter(0)
 
 
-# -- all of them -------------------------------------------------------------------------------------------------------
+# -- all faults --------------------------------------------------------------------------------------------------------
 
 _SIGNALS: dict[str, type[SignalFault]] = {
     **dict.fromkeys(_CHANGES, SignalFault),
@@ -633,7 +633,7 @@ class Faults:
         return [fault.message(self._graph.clock.time_ns) for fault in self._faults.values()]
 
     def restart(self) -> None:
-        """Reset the faults before a reset of the world. Faults that have not begun yet stay."""
+        """Reset the faults before a reset of the world. They act again at their times, if these are still to come."""
         for fault in self._faults.values():
             fault.end()
             if self._graph.clock.time_ns < fault.asked.start_ns or not self._graph.clock.time_ns:

@@ -26,7 +26,7 @@ _MOST_BYTES = 1 << 25
 
 
 class History:
-    """The last rows of a world: time in ns, then all of qpos, qvel, actuator forces and external efforts by dof."""
+    """The last rows of a world: time in ns, then all of qpos, qvel, qfrc_applied and external efforts by dof."""
 
     def __init__(self, world: World) -> None:
         self._world = world

@@ -75,10 +75,9 @@ KEPT: dict[type, tuple[str, ...]] = {
     SensorTopic: ("_topic",),
     StuckJoint: ("_position", "_lasting", "_dynamics"),
 }
-"""Of objects of these classes and their subclasses only these attributes are saved. The rest follows from their
-creation."""
+"""For these classes and their subclasses only these attributes are saved. The rest follows from their creation."""
 _MAY_BE_NONE = ("_before", "_position", "_timer", "change", "kept", "limit", "pid")
-"""The attributes of these that may be None."""
+"""Attributes in KEPT that may be None."""
 STRUCTURE = (
     Graph,
     GraphNode,
@@ -155,7 +154,7 @@ class CannotSave(Refused):
         return CannotSave(self._what, f"{owner}.{self._path}" if self._path else owner)
 
 
-# -- taking the state out ----------------------------------------------------------------------------------------------
+# -- saving ------------------------------------------------------------------------------------------------------------
 
 
 class Saving:
@@ -201,7 +200,7 @@ class Saving:
         return ref
 
 
-# -- putting it back ---------------------------------------------------------------------------------------------------
+# -- restoring ---------------------------------------------------------------------------------------------------------
 
 
 class Restoring:
@@ -257,7 +256,7 @@ class Restoring:
         return {key: self.value(value, live.get(key)) for key, value in zip(keys, saved.values(), strict=True)}
 
     def in_order(self, saved: Sequence[Any], live: Sequence[Any]) -> list[Any]:
-        """The restored elements of a sequence, in order. Elements that were matched already are skipped."""
+        """The restored elements of a sequence, in order. Live objects that were matched before are skipped."""
         rest = iter([one for one in live if id(one) not in self._used])
         return [
             self._found[one.number]

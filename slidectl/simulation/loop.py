@@ -238,7 +238,7 @@ class Loop:
         data, views = self._memory
         if self.world.data is not data:
             self.history.begin()
-        if self.world.data is not data or self.world.views is not views:  # arrays lie elsewhere
+        if self.world.data is not data or self.world.views is not views:  # the arrays have moved
             self._memory = self.world.data, self.world.views
             self.runner.follow_world()
 

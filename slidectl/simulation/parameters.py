@@ -370,7 +370,7 @@ def _checked(value: Any, where: str, depth: int) -> Any:
             shown = str(value)
         except OverflowError:
             shown = "an integer beyond 1e308"
-        # JSON has no other numbers, and no control law has a use for them.
+        # JSON has finite numbers only, and no control law needs others.
         raise UsageError(f"parameter {where}: {shown} is no finite number, and parameters hold no others")
     kind = "null" if value is None else type(value).__name__
     raise UsageError(

@@ -88,10 +88,10 @@ class Simulation:
         self._renderer: RenderProcess | None = None
         self.snapshots = Snapshots(self)
         self.kept: dict[str, object] = {}
-        """Objects that a snapshot saves besides world, clock, parameters and robots, by name. Any module may add one.
-        `kept_state` defines which of an object's attributes are saved."""
+        """Objects that a snapshot saves in addition to world, clock, parameters and robots, by name. Any module may
+        add one. `kept_state` defines which of an object's attributes are saved."""
         self.chosen: set[str] = set()
-        """Those of `speed`, `timestep` and `gravity` that the user has set. A world file does not change them."""
+        """The settings (`speed`, `timestep`, `gravity`) that the user has set. A world file does not change them."""
         self.world.clock = self.graph.clock.now_ns
         self.run.on_halt = self.robots.settle_switches
         self.graph.parameters.set("/use_sim_time", True)

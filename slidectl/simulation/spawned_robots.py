@@ -86,7 +86,7 @@ class SpawnedRobot:
         self.on_emergency_stop: list[Callable[[], None]] = []
         """Called when an emergency stop begins."""
         self.kept: dict[str, object] = {}
-        """Objects that a snapshot saves besides hardware, manager and cycle, by name."""
+        """Objects that a snapshot saves in addition to hardware, manager and cycle, by name."""
         self.made_parameters: list[str] = []
         """Parameters that its spawn has set; its deletion removes them."""
         self.warnings: list[str] = []

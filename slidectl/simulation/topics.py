@@ -119,7 +119,7 @@ class _DemandPublisher(NodePublisher):
 
 
 class PeriodicTopic:
-    """Publishes the result of `build`, every `period_ns` of simulated time, until `close`. Free without a subscriber.
+    """Publishes the result of `build`, every `period_ns` of simulated time, until `close`; only with subscribers.
 
     When the message comes later, `build` returns None and the message is passed to `publish`.
 

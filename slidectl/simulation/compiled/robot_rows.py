@@ -82,8 +82,8 @@ class RobotRows:
         return self._is_possible and not special and not self.is_outdated()
 
     def is_outdated(self) -> bool:
-        """True when other controllers run than those with rows, laws have got code, or the robot's indices in MuJoCo's
-        arrays have changed."""
+        """True when other controllers run than those with rows, a law has got its code, or the robot's indices in
+        MuJoCo's arrays have changed."""
         have_laws_changed = self._law_changes != self._laws.changes
         are_others = self.parts.manager.running is not self.running or not self._may_compile()
         return have_laws_changed or are_others or self.has_moved()

@@ -51,7 +51,7 @@ class CompiledRunner(Runner):
         self._laws = LawCode(code.laws, partial(loop.graph.log, "warn", WORLD_NODE))
         self._robots: Sequence[SpawnedRobot] = ()
         self._rows: list[RobotRows] = []
-        """In the order of the robots."""
+        """The rows of all robots, in their order."""
         self._rows_of: dict[SpawnedRobot, RobotRows] = {}
         self._is_new = True
         """True after robots were added or the world was rebuilt, until all have their rows."""
@@ -180,7 +180,7 @@ class CompiledRunner(Runner):
         loop, world, clock, progress = self._loop, self._world, self._graph.clock, self._progress
         before = clock.cycles
         progress.time_ns, progress.step_ns, progress.cycles = clock.time_ns, loop.step_ns, before
-        # At real time this is called for every cycle, with cold caches: only changed state is read again.
+        # At real time this is called for every cycle, with cold caches: state is read again only after a change.
         if self._laws.compiling:
             self.look_for_laws()
         if self._is_new or self._given_back or self._topic_changes != self._graph.topics.changes:
@@ -197,7 +197,7 @@ class CompiledRunner(Runner):
             loop.in_cycle = False
             clock.time_ns = progress.time_ns
             clock.cycles = progress.cycles
-            if progress.robot != NEW_CYCLE:  # an error ended a cycle half-way
+            if progress.robot != NEW_CYCLE:  # an error ended the cycle early
                 clock.cycles += 1
                 self.give_back_all()
                 progress.robot, progress.controller = NEW_CYCLE, 0
