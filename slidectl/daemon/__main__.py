@@ -50,7 +50,7 @@ def main(text: str) -> int:
 
 
 def _tell(start: Start, state: str, **details: Any) -> None:
-    """Write one line to the process that waits for our start, if any. Can be called only once."""
+    """Write one line, only once, to the process that waits for our start, if any."""
     if start.ready_fd is not None:
         with suppress(OSError):
             os.write(start.ready_fd, (json.dumps({"state": state, **details}) + "\n").encode())

@@ -61,7 +61,7 @@ class Journal:
         """Create the file that the options name. Raises Refused: it exists, or it cannot be written."""
         self.path = path = options.journal
         self.trouble = ""
-        """The reason why writing has ended; empty while it goes on."""
+        """The reason why writing has ended, else empty."""
         self._clients: dict[Session, int] = {}
         """The numbers of connected clients that have sent something."""
         self._clients_so_far = 0
@@ -129,7 +129,7 @@ class Journal:
         """True when the line can change the world."""
         operation, topic = message["op"], str(message.get("topic"))
         if operation in ("subscribe", "unsubscribe"):
-            # A subscription of pictures can: a camera skips pictures while it renders one for a client.
+            # Pictures: a camera skips some while it renders one for a client.
             topics = self._simulation.graph.topics if self._simulation is not None else None
             return PICTURE in (message.get("type"), topics and topics.exists(topic) and topics.type_of(topic))
         return operation != "set_level" and not (
@@ -238,7 +238,7 @@ class Contents:
     options: DaemonOptions
     written_by: dict[str, str]
     entries: list[dict[str, Any]]
-    """The entries. In an entry of a client, `line` is the received bytes."""
+    """In a client's entry, `line` is the received bytes."""
     is_cut: bool
     """True when the last entry is not whole."""
 

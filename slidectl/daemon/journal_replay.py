@@ -124,7 +124,7 @@ class Replay:
             raise Refused(f"the journal ends at {now_ns / SECOND:g} s, before {self._until_ns / SECOND:g} s")
 
     def _run(self, check: bool) -> bool:
-        """Run the entries. Returns True when the requested time came before the end of the journal."""
+        """Run the entries. Returns True when the requested time came before the end."""
         entries = self.contents.entries
         while True:
             self._at = self.taken
@@ -201,7 +201,7 @@ class Replay:
         self._look_ahead()
 
     def _look_ahead(self) -> None:
-        """Set the time limit: users' code must end where it was ended in the run, and only there, on any machine."""
+        """Set the limit: users' code must end where it was ended in the run, and only there, on any machine."""
         while self._peek("module"):
             self.taken += 1
         is_limited = self._peek("limit")
@@ -245,7 +245,7 @@ class Replay:
         return pending
 
     def _take_picture(self, error: str) -> None:
-        """Resolve a picture. It is rendered only for users' code, since there are no clients."""
+        """Resolve a picture, which is rendered only for users' code: there are no clients."""
         if not self._pictures:
             self._fail("no camera waits for a picture now")
         pending, request = self._pictures.popleft()
@@ -305,11 +305,11 @@ class _Nobody:
         """Discard the line."""
 
     def look_again(self) -> None:
-        """Nothing to do: the journal records when the client disconnected."""
+        """Do nothing: the journal has the time of the disconnect."""
 
 
 def other_versions(contents: Contents) -> list[str]:
-    """Versions on which the bits may depend and that differ from the recorded ones, as texts."""
+    """Versions that differ from the recorded ones, as texts: the bits may depend on them."""
     here = journal.written_by()
     return [
         f"{name} {value or 'none'} then, {here.get(name, 'none')} now"

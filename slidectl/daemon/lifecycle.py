@@ -103,7 +103,7 @@ class Beginning:
             assert process is not None
             assert ready is not None
             if not select.select([ready], [], [], max(0.0, deadline - time.monotonic()))[0]:
-                # The process is left running: it may still get ready.
+                # The process keeps starting.
                 hint = command(self._paths, "daemon logs")
                 raise TimedOut(f"the daemon (process {process.pid}) does not get ready", hint)
             with ready:

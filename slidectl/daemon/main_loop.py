@@ -181,7 +181,7 @@ class Daemon:
             self._log.write("warn", f"somebody deleted {' and '.join(gone)}; made again")
 
     def _collect_garbage(self) -> None:
-        """Collect young garbage. Lasting objects are not scanned: with 100 robots this would block the world for 20 ms.
+        """Collect garbage. Lasting objects are not scanned: with 100 robots this would block the world for 20 ms.
 
         All objects are scanned when a robot was deleted, or when there are twice as many as at the last full scan.
         """

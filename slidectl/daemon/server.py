@@ -396,7 +396,7 @@ def _session_of(pid: int) -> int:
 
 
 def _most_connections() -> int:
-    """The most connections that the limit of file descriptors allows."""
+    """The most connections, by the limit of file descriptors."""
     limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
     if limit == resource.RLIM_INFINITY:
         return MOST_CONNECTIONS

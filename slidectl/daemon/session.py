@@ -288,7 +288,7 @@ class Session:
             pending.cancel()
 
     def _by_name(self, service: str, values: Any) -> Any:
-        """The arguments as a mapping; they may come as a list, in the order of the fields."""
+        """The arguments by name; they may be a list, in the order of the fields."""
         if not isinstance(values, list):
             return values
         fields = msgs.fields(msgs.request_type(self._graph.services.type_of(service)))

@@ -58,7 +58,7 @@ class ClockTopic:
         self._period_ns = period_ns_of(number) if number > 0 else 0
 
     def tick(self, time_ns: int, step_ns: int) -> None:
-        """Publish at the beginning of a cycle if due. Times are multiples of the period, independent of subscribers."""
+        """Publish if due, as a cycle begins. Times are multiples of the period, independent of subscribers."""
         period = self._period_ns
         if not period or time_ns // period != (time_ns - step_ns) // period:
             self.publisher.publish({"clock": to_stamp(time_ns)})
@@ -210,7 +210,7 @@ class RepeatedCall:
         self.resume()
 
     def resume(self) -> None:
-        """Add this call to the running ones; it is called at the times for which its timer is set."""
+        """Add this call, whose timer is set, to the running ones."""
         if self not in self._running:
             self._running.append(self)
 

@@ -1,4 +1,4 @@
-"""The control cycle: one robot's part of it, and the runners that run the cycles of a loop.
+"""The control cycle: one robot's part of it, and the runners of a loop's cycles.
 
 A robot's part is read, update, limits and write, in the order of gazebo_ros_control. The interpreter runs the cycles
 in this file, machine code in `compiled/`, with the same results to the bit. This is the hot path of the whole program;
@@ -43,7 +43,7 @@ def control_is_due(cycle: ControlCycle, time_ns: int) -> bool:
 
 @law
 def begin_to_write(cycle: ControlCycle, time_ns: int) -> float:
-    """Begin the write of this cycle. Returns the time since the last write, in s."""
+    """Begin the write. Returns the time since the last one, s."""
     elapsed = time_ns - cycle.last_write_ns
     cycle.last_write_ns = time_ns
     if elapsed != cycle.write_period_ns:

@@ -118,7 +118,7 @@ class RobotFault(Fault):
         """Called after the controllers have run."""
 
     def before_step(self, acts: bool) -> None:
-        """Called before the physics step: the commands are written, or an update is still running."""
+        """Called before the physics step, with commands written, or during a long update."""
 
 
 class SignalFault(RobotFault):
@@ -250,7 +250,7 @@ class ChangeFault(RobotFault):
         self.change = change
 
     def excludes(self, other: ChangeFault) -> bool:
-        """True when both change the same part of the model at overlapping times."""
+        """True when both change the same at overlapping times."""
         last_start_ns = max(self.asked.start_ns, other.asked.start_ns)
         if self.robot is not other.robot or last_start_ns >= min(self.asked.end_ns, other.asked.end_ns):
             return False
@@ -312,7 +312,7 @@ class ControllerFault(RobotFault):
         return super().is_over(time_ns) and time_ns >= self.busy_until_ns
 
     def begin_update(self, time_ns: int) -> None:
-        """Begin the controller's update, which takes long while a `controller-slow` fault acts."""
+        """Begin the controller's update; a `controller-slow` fault makes it long."""
         is_running = any(entry.name == self.part for entry in self.robot.parts.manager.running)
         if self.asked.kind == "controller-slow" and is_running and self.holds(time_ns):
             self.count += 1
@@ -340,7 +340,7 @@ class FaultyCycle:
         self._faults: list[RobotFault] = []
         """The faults that are not over."""
         self._true: list[tuple[Any, float, float, float]] = []
-        """Handles of the joints, with the true position, velocity and effort of the last read."""
+        """Handles of the joints, with the true values of the last read."""
         self._updated_ns = self._written_ns = 0
         """Times of the last update and the last write before an update that takes long."""
 

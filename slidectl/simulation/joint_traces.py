@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from slidectl.simulation.simulation import Simulation
 
 _MOST_SAMPLES = 100_000
-"""The most samples in a trace. A longer trace has every second cycle, or every third, and so on."""
+"""The most samples of a trace. A longer one has every second cycle, or every third."""
 _SAMPLE = struct.Struct("<4d")
 
 

@@ -135,7 +135,7 @@ _RESERVED = SavedObject("", None)
 
 
 class NotSaved:
-    """The class of NOT_SAVED, which replaces values that are not saved."""
+    """The class of NOT_SAVED, the saved form of other values."""
 
 
 NOT_SAVED = NotSaved()
@@ -167,7 +167,7 @@ class Saving:
         """Keeps the objects alive: otherwise a new object could get the id() of a dead one."""
 
     def value(self, value: Any, of_user: bool = False) -> Any:
-        """The saved form of a value. `of_user`: it belongs to an object of a user's class. Raises CannotSave."""
+        """The saved form. `of_user`: the value belongs to an object of a user's class. Raises CannotSave."""
         kind = type(value)
         return value if kind in _SCALARS else rule_of(kind).save(self, value, of_user)
 
@@ -234,7 +234,7 @@ class Restoring:
                     callback(last)
 
     def value(self, saved: Any, live: Any) -> Any:
-        """Restore a saved value into the present one. Raises Refused: the two do not match."""
+        """Restore a saved value into the present one. Raises Refused: no match."""
         kind = type(saved)
         if kind is Ref:
             return self._object(saved.number, live)
@@ -309,7 +309,7 @@ class Restoring:
 
 
 def _method(owner: Any, name: str) -> Any:
-    """The method of an owner. Raises Refused unless it is a user's object: only these keep methods in attributes."""
+    """The method. Raises Refused unless the owner is a user's object: only these keep methods in attributes."""
     if not is_of_a_user(type(owner)) or name.startswith("_"):
         raise Refused(f"the snapshot has the method {name} of {type(owner).__name__} where there is another")
     return getattr(owner, name)

@@ -50,7 +50,7 @@ class LockStepService:
         self._graph = graph
         self._loop = loop
         self._let_go: dict[str, str] = {}
-        """The reasons of removals, by node, until the node has been told."""
+        """The reasons of removals, by node, until it was told."""
         self.members: dict[str, LockStepMember] = {}
         self.on_let_go: Callable[[str], None] = lambda _: None
         """Called with the node of a removed member. This is the only event in this class that wall time decides."""

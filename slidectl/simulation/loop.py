@@ -86,13 +86,13 @@ class RunState:
         self.requests: deque[StepRequest] = deque()
         """Open step requests, in the order of arrival."""
         self.holders: set[str] = set()
-        """Nodes that hold the world: while there are any, it advances only by their requests."""
+        """Nodes that hold the world: it advances only by their requests."""
         self.news_wanted = False
         """True while a message (`note_message`) may end a step request."""
         self.on_news: Callable[[], None] = lambda: None
         """Called when a step request is to end with the running cycle."""
         self.lockstep: LockStepService | None = None
-        """The lock step with its members; the world waits for them while there are any."""
+        """The lock-step, while it has members: the world waits for them."""
 
     @property
     def pending_steps(self) -> int:
@@ -156,7 +156,7 @@ class RunState:
         return request.pending
 
     def note_message(self, node: str = "") -> None:
-        """Note a message for `node`, or (without a node) an answer to any request; its step requests end early."""
+        """End the step requests of `node` early, for a message; without a node all, for an answer."""
         for request in self.requests:
             if request.reader and node in ("", request.reader):
                 request.has_news = True
@@ -166,7 +166,7 @@ class RunState:
         return next((request for request in self.requests if bool(request.reader) is of_holder), None)
 
     def until_answer(self, cycles: int) -> int:
-        """`cycles`, reduced to the end of the first request, so that the request is answered in its own cycle."""
+        """`cycles`, reduced to the end of the first request, which is answered in its own cycle."""
         running = self._first(of_holder=False), self._first(of_holder=True)
         return min([cycles, *(request.remaining for request in running if request is not None)])
 

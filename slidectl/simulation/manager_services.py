@@ -47,7 +47,7 @@ class ManagerServices:
         self._queue: deque[tuple[Act, Message, Pending, Reasons | None]] = deque()
         self._switch: Pending | None = None
         self._after_update: dict[Callable[[], None], Timer] = {}
-        """Callbacks that wait for the first update of a controller, with their timers."""
+        """Callbacks for the first update of a controller, with timers."""
         acts: dict[str, tuple[str, Act]] = {
             "list_controllers": ("ListControllers", lambda *_: {"controller": manager.list()}),
             "list_controller_types": (

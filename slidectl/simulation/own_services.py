@@ -331,10 +331,10 @@ class OwnServices:
             **{name: list(column) for name, column in zip(("position", "velocity", "effort"), columns, strict=True)},
         }
 
-    # Emergency stop, and commands of joints without a running controller
+    # Emergency stop, and commands without a running controller
 
     def _stop(self, request: Message) -> Answer:
-        """Set or release the emergency stop of DefaultRobotHWSim. The topic named in a robot's plugin does the same.
+        """Set or release the emergency stop of DefaultRobotHWSim, as the topic in a robot's plugin does.
 
         It acts on all robots in one cycle, or on none when a name is unknown.
         """
@@ -426,7 +426,7 @@ class OwnServices:
 
 
 def _absolute(file: str) -> str:
-    """The path. Raises UsageError for a relative one: the daemon has another working directory than its clients."""
+    """The path. Raises UsageError for a relative one: clients have other working directories."""
     if not file.startswith("/"):
         raise UsageError(f"the file {file!r} is not an absolute path")
     return file

@@ -98,7 +98,7 @@ def _having(types: dict[str, str], wanted: str) -> list[str]:
 
 
 def _type_services() -> dict[str, Offer]:
-    """The services for types. An unknown type fails the call; the error names similar types."""
+    """The services for types. An unknown type fails the call, with similar names."""
 
     def details(type_name: str) -> Message:
         return {"typedefs": typedefs(type_name)}
@@ -116,7 +116,7 @@ def typedefs(type_name: str) -> list[Message]:
 
 
 def _typedefs(type_name: str, seen: set[str]) -> Iterator[Message]:
-    """Yield the type definitions; time and duration are types of their own in rosapi."""
+    """The type definitions; times are types of their own in rosapi."""
     if type_name in seen:
         return
     seen.add(type_name)

@@ -206,7 +206,7 @@ class CameraTopics:
         return header_of(self._simulation.time_ns, self._camera.frame)
 
     def _take(self) -> None:
-        """Start to render a picture of the present state; it is published when it is done."""
+        """Start to render the present state; the picture is published when it is done."""
         if self._rendering is not None or self._is_broken:
             return
         simulation, camera, robot = self._simulation, self._camera, self._robot.name

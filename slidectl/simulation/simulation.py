@@ -249,7 +249,7 @@ class Simulation:
         self.snapshots.load(name)
 
     def _render_here(self, camera: Camera, pose: Pose, seed: int) -> Pending:
-        """Render in this call: block until the picture is there."""
+        """Render, and block until the picture is there."""
         renderer = self._renderer = self._renderer or RenderProcess()
 
         def render() -> str:

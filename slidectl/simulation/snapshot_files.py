@@ -54,7 +54,7 @@ def write(snapshot: Snapshot, path: str) -> None:
 
 
 def _written(path: str, content: bytes) -> str:
-    """Write the content. Returns an empty text, or the reason why it cannot be written."""
+    """Write the content. Returns the reason of a failure, else an empty text."""
     if os.path.exists(path) and not os.path.isfile(path):  # opening a pipe would block the daemon
         return "it is no regular file"
     try:

@@ -54,7 +54,7 @@ def read(resource: Message, name: str, named: Callable[[str], str]) -> list[Reso
     Args:
         resource: its `uri` has precedence over its `resource_string`.
         name: the requested name; empty for the name in the resource.
-        named: returns the name to use for a given one.
+        named: returns the name to use.
 
     Raises SpawnFailure.
     """

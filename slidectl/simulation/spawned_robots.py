@@ -411,7 +411,7 @@ class Robots:
             )
 
     def _check_namespace(self, parsed: ParsedRobot) -> None:
-        """Raise Refused when the namespace is in use. Models use nothing in it, so they do not occupy it."""
+        """Raise Refused when the namespace is in use. Models do not occupy theirs."""
         controlled = [robot for robot in self if robot.is_controlled and parsed.is_controlled]
         owner = next((robot for robot in controlled if robot.namespace == parsed.namespace), None)
         if owner is not None:

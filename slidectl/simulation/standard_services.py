@@ -394,7 +394,7 @@ def _spawn_result(done: Pending) -> Message:
 
 
 def _nothing_more(done: Pending) -> Message:
-    """An empty response. Raises the error of the call."""
+    """An empty response. Raises the call's error."""
     done.result()
     return {}
 
@@ -427,7 +427,7 @@ def _values(message: Message) -> str:
 
 
 def _kept(robot: SpawnedRobot) -> dict[str, Any]:
-    """The robot's data for these services; a snapshot saves it too."""
+    """The robot's data for these services; snapshots save it."""
     kept = robot.kept.setdefault(_INFO, {})
     assert isinstance(kept, dict)
     return kept

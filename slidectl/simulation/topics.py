@@ -211,7 +211,7 @@ class Topic:
         return _nodes([*self.publishers, *self.subscriptions])
 
     def update(self) -> None:
-        """Update the callbacks after a publisher or a subscriber was added or removed."""
+        """Update the callbacks for the present users."""
         # A callback that several subscriptions share is called once for all of them.
         self.receivers = tuple(dict.fromkeys(subscription.callback for subscription in self.subscriptions))
         self.callbacks = (self.interceptor,) if self.receivers and self.interceptor is not None else self.receivers

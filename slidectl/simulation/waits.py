@@ -34,7 +34,7 @@ def advertise(graph: Graph) -> None:
 
 
 def _duration(name: str, value: float) -> float:
-    """The value, at least 0, which means none. Raises Refused for a value that no clock can measure."""
+    """The value, 0 (none) or more. Raises Refused for one that no clock can measure."""
     if not -_LONGEST_S < value < _LONGEST_S:
         raise Refused(f"{name} is a number of seconds, not {value:g}")
     return max(value, 0.0)

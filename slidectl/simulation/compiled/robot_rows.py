@@ -307,7 +307,7 @@ class CompiledController:
 
 
 def _compiled(entry: LoadedController, laws: LawCode) -> CompiledController | None:
-    """The controller when it can run compiled; None otherwise, such as while a PID of it publishes each step.
+    """The controller, if it can run compiled: for example not while a PID of it publishes each step.
 
     A subclass or an instance may override `update`, `publish` or a column, for example as a property. Then the compiled
     form of its parent is not valid for it.

@@ -102,7 +102,7 @@ class CompiledRunner(Runner):
         return frozenset() if rows is None or rows.is_outdated() else rows.compiled_controllers()
 
     def give_back_all(self) -> None:
-        """Bring the objects of all robots up to date, as if the interpreter had run their cycles."""
+        """Bring the objects of all robots up to date."""
         for rows in self._rows:
             self._unload(rows)
 
@@ -209,7 +209,7 @@ class CompiledRunner(Runner):
         return done
 
     def _run_until_enough(self, end: int, enough: Callable[[], bool]) -> None:
-        """Run few cycles, then twice as many between calls of `enough`, since a call costs as much as a cycle."""
+        """Run few cycles, then twice as many between calls of `enough`: a call costs as much as a cycle."""
         progress, timers = self._progress, self._graph.timers
         some = _FIRST_LOOK
         while True:
