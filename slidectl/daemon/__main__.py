@@ -1,7 +1,7 @@
 """`python -m slidectl.daemon START`: the process that `daemon start` starts and `daemon run` becomes.
 
-START is options.Start as JSON. Heavy imports happen after the lock and the socket are taken: two starts at once are
-told apart early, and clients that connect meanwhile wait instead of being refused.
+START is options.Start as JSON. Heavy imports come after the lock and the socket are taken: of two starts at once, one
+fails early, and clients that connect meanwhile wait instead of being refused.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ if TYPE_CHECKING:
     from slidectl.daemon.main_loop import Daemon
 
 _LEAST_DESCRIPTORS = 24
-"""File descriptors: those of a daemon with a few clients that reads a robot and starts a compiler."""
+"""File descriptors that a daemon needs for a few clients, to read a robot and to start a compiler."""
 _LONGEST_NUMBER = 640
-"""Digits of an integer, the least that Python can be told: reading them takes time that grows with their square."""
+"""The most digits of an integer, the lowest limit that Python accepts: parsing takes time quadratic in their number."""
 
 
 def main(text: str) -> int:
     """Run a daemon until it is stopped. Returns the exit code."""
-    # A signal waits until the loop takes it: in C code that is being imported some would be lost.
+    # Block signals until the loop handles them: during imports of C code some would be lost.
     signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGTERM, signal.SIGINT))
     start = Start.read(text)
     with ExitStack() as stack:
@@ -50,7 +50,7 @@ def main(text: str) -> int:
 
 
 def _tell(start: Start, state: str, **details: Any) -> None:
-    """Tell the process that waits for us, if any. Only once."""
+    """Write one line, only once, to the process that waits for our start, if any."""
     if start.ready_fd is not None:
         with suppress(OSError):
             os.write(start.ready_fd, (json.dumps({"state": state, **details}) + "\n").encode())
@@ -58,7 +58,7 @@ def _tell(start: Start, state: str, **details: Any) -> None:
 
 
 def _begin(start: Start, stack: ExitStack) -> Daemon | None:
-    """The daemon, ready to run; None when there is nothing to run. What it takes is given back by `stack`."""
+    """The daemon, ready to run; None when there is nothing to run. `stack` releases its resources."""
     began_s = time.monotonic()
     limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
     if 0 <= limit < _LEAST_DESCRIPTORS:  # imports would fail
@@ -82,8 +82,8 @@ def _begin(start: Start, stack: ExitStack) -> Daemon | None:
         return None
     log = LogFile(start.paths.log, start.foreground)
     listener = place.listen()
-    gc.disable()  # what is imported stays; looking through it for garbage would only take time
-    # MuJoCo's package looks for a way to draw when it is imported. Nothing is drawn here, and the search takes 30 ms.
+    gc.disable()  # imported objects stay; scanning them for garbage only takes time
+    # MuJoCo's package searches for an OpenGL backend on import. This process renders nothing; the search takes 30 ms.
     os.environ["MUJOCO_GL"] = "disable"
     from slidectl.daemon.main_loop import Daemon
 
@@ -94,6 +94,6 @@ def _begin(start: Start, stack: ExitStack) -> Daemon | None:
 
 if __name__ == "__main__":
     code = main(sys.argv[1])
-    # All is flushed and released; taking the interpreter and its libraries apart would only cost time.
+    # All is flushed and released; finalizing the interpreter and its libraries would only cost time.
     sys.stderr.flush()
     os._exit(code)

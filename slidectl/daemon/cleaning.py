@@ -1,7 +1,7 @@
 """All that slidectl leaves on a machine, and its removal: compiled code, the shell's history, instances' folders.
 
-A folder counts as ours by its name and its owner; a symbolic link is never followed. What a living daemon or gateway
-uses stays.
+A folder is ours by its name and its owner; symbolic links are never followed. Files in use by a running daemon or
+gateway stay.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from slidectl.simulation.compiled import object_file
 
 
 class Leftover(NamedTuple):
-    """One thing that is there. `pid` is the living daemon or gateway that uses it, None when nobody does."""
+    """One file or folder that exists. `pid` is the running daemon or gateway that uses it, None without one."""
 
     path: Path
     what: str
     size: int
-    """Bytes."""
+    """Size in bytes."""
     pid: int | None = None
 
 
 def leftovers(history: Path, chosen: paths.InstancePaths) -> list[Leftover]:
-    """Everything that is there. `history` is the shell's file; `chosen` the instance of the command line.
+    """All files and folders. `history` is the shell's file; `chosen` the instance of the command line.
 
     Raises:
-        Refused: nobody can say whether a daemon lives there.
+        Refused: it cannot be determined whether a daemon runs there.
     """
     found = _folder(object_file.folder(), "compiled code") + _folder(history.parent, "history of the shell")
     for folder in dict.fromkeys((Path(paths.runtime_folder()), Path(paths.temporary_runtime_folder()))):
@@ -52,12 +52,12 @@ def leftovers(history: Path, chosen: paths.InstancePaths) -> list[Leftover]:
 
 
 def remove(leftover: Leftover) -> None:
-    """Raises OSError: it cannot be removed."""
+    """Remove it. Raises OSError: it cannot be removed."""
     if not _is_ours(leftover.path):
         leftover.path.unlink()
         return
     shutil.rmtree(leftover.path)
-    with suppress(OSError):  # the last instance takes the folder of all with it
+    with suppress(OSError):  # with the last instance, remove the common folder too
         if leftover.path.parent.name.startswith("slidectl"):
             leftover.path.parent.rmdir()
 
@@ -67,12 +67,12 @@ def _folder(path: Path, what: str, locks: Iterable[Path] = ()) -> list[Leftover]
 
 
 def _user_of(locks: Iterable[Path]) -> int | None:
-    """Process id of a daemon or a gateway that holds one of the locks."""
+    """The process id of a daemon or a gateway that holds one of the locks."""
     return next((pid for lock in locks if (pid := holder(lock)) is not None), None)
 
 
 def _is_ours(path: Path, *kinds: int) -> bool:
-    """True for a folder of the user's, or for what is of one of the kinds (S_IFREG ...)."""
+    """True for a folder of this user, or for a file of one of the kinds (S_IFREG ...) of this user."""
     with suppress(OSError):
         info = os.lstat(path)
         return stat.S_IFMT(info.st_mode) in (kinds or (stat.S_IFDIR,)) and info.st_uid == os.geteuid()

@@ -1,6 +1,6 @@
 """The event loop: sockets, one deadline, and work that is done a piece at a time. Redis's `ae` is the model.
 
-Waits in microseconds, which asyncio and epoll's own wait (whole milliseconds) cannot. Knows nothing of what it serves.
+It waits in microseconds, which asyncio and epoll's own wait (whole milliseconds) cannot. It knows nothing of its users.
 """
 
 from __future__ import annotations
@@ -14,19 +14,19 @@ WRITE = select.EPOLLOUT
 HANG_UP = select.EPOLLHUP | select.EPOLLERR
 PEER_CLOSED = select.EPOLLRDHUP
 ONCE = select.EPOLLET | PEER_CLOSED
-"""Tell of each arrival once instead of as long as something is there. Only so are events told in order of arrival."""
+"""Report each arrival once, not as long as data is there. Only in this mode do events come in order of arrival."""
 
 _LONGEST_WAIT_S = 1e6
-"""`select` takes no wait of any length; who asks for a longer one is called sooner."""
+"""The longest wait: `select` has a limit. A longer wait returns early."""
 _EPOLL_S = 0.001
-"""In what epoll's own wait counts, rounded up."""
+"""The unit of epoll's own wait, which is rounded up."""
 
 Handler = Callable[[int], None]
-"""Takes the events that are ready: a mix of READ, WRITE, PEER_CLOSED and HANG_UP."""
+"""Handles the ready events: a mix of READ, WRITE, PEER_CLOSED and HANG_UP."""
 
 
 class EventLoop:
-    """Handlers by file descriptor. An epoll descriptor can itself be waited for, and `select` waits in microseconds."""
+    """Handlers by file descriptor. `select` on the epoll descriptor itself waits in microseconds."""
 
     def __init__(self) -> None:
         self._epoll = select.epoll()
@@ -35,35 +35,35 @@ class EventLoop:
         self._soon: deque[Callable[[], None]] = deque()
 
     def watch(self, fd: int, events: int, handler: Handler) -> None:
-        """Call `handler` whenever one of the events is ready; HANG_UP always counts."""
+        """Call `handler` whenever one of the events is ready; HANG_UP is always included."""
         self._handlers[fd] = handler
         self._epoll.register(fd, events)
 
     def change(self, fd: int, events: int) -> None:
-        """Wait for other events."""
+        """Change the watched events of a descriptor."""
         self._epoll.modify(fd, events)
 
     def forget(self, fd: int) -> None:
-        """Before the descriptor is closed."""
+        """Stop watching a descriptor; call this before it is closed."""
         if self._handlers.pop(fd, None) is not None:
             self._epoll.unregister(fd)
 
     def soon(self, action: Callable[[], None]) -> None:
-        """Do this in a turn of its own: each `poll` does one."""
+        """Call `action` later: each `poll` calls one such action."""
         self._soon.append(action)
 
     def is_ready(self) -> bool:
-        """True when `poll` would serve somebody at once. Costs a microsecond."""
+        """True when `poll` would have something to do at once. Costs a microsecond."""
         return bool(self._soon or select.select(self._waiting, (), (), 0.0)[0])
 
     def poll(self, timeout_s: float | None) -> None:
-        """Serve what is ready, waiting at most `timeout_s` for it, or a millisecond less; None: until something is."""
+        """Handle what is ready, after a wait of at most `timeout_s`, or a millisecond less; None: no limit."""
         if self._soon:
             self._soon.popleft()()
             timeout_s = 0.0
         wait_s = _LONGEST_WAIT_S if timeout_s is None else min(timeout_s, _LONGEST_WAIT_S)
         epoll_s = 0.0
-        if wait_s > 2.0 * _EPOLL_S:  # one system call; who asks again waits for the rest exactly, which takes two
+        if wait_s > 2.0 * _EPOLL_S:  # one system call; the next `poll` waits for the exact rest, with two
             epoll_s = wait_s - _EPOLL_S
         elif wait_s and not select.select(self._waiting, (), (), wait_s)[0]:
             return
@@ -73,7 +73,7 @@ class EventLoop:
                 handler(events)
 
     def close(self) -> None:
-        """Let go of the descriptor; nothing is watched any more."""
+        """Close the epoll descriptor; nothing is watched any more."""
         self._handlers.clear()
         self._soon.clear()
         self._epoll.close()

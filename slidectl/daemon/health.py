@@ -1,6 +1,6 @@
-"""Whether this machine and this account can run slidectl, and what to do where they cannot.
+"""Checks whether this machine and this account can run slidectl, with remedies.
 
-Each check is a function that yields what it found. One that fails is a finding too: the others go on.
+Each check is a function that yields its findings. A failed check is a finding too: the others go on.
 """
 
 from __future__ import annotations
@@ -43,12 +43,12 @@ _FEW_FILES, _MANY_FILES = 256, 4096
 _WAKE_UPS = 200
 _WAIT_S = 0.001
 _LATE_S = 0.001
-"""A wait of a millisecond that ends so late is a lost cycle at 1 kHz."""
+"""A one-millisecond wait that ends this late costs a cycle at 1 kHz."""
 _PR_SET_TIMERSLACK = 29
 
 
 class Finding(NamedTuple):
-    """One line of the report. `remedy` says what to do, empty where there is nothing to do."""
+    """One line of the report. `remedy` says what to do; empty when nothing is to be done."""
 
     check: str
     state: str
@@ -57,7 +57,7 @@ class Finding(NamedTuple):
 
 
 def findings(find: Callable[[], InstancePaths]) -> Iterator[Finding]:
-    """What all checks find, in their order, of the machine and of the instance that `find` gives. Raises nothing."""
+    """The findings of all checks, in order, for the machine and the instance that `find` returns. Raises nothing."""
     for name, check in _OF_MACHINE.items():
         yield from _finding(name, check)
     try:
@@ -75,7 +75,7 @@ def _finding(name: str, check: Callable[[], _Found]) -> Iterator[Finding]:
             yield Finding(name, *one)
     except SlidectlError as error:
         yield Finding(name, BROKEN, error.message, error.hint or "")
-    except Exception as error:  # a machine may be broken in any way, and the report must come out
+    except Exception as error:  # a machine may be broken in any way, and the report must be complete
         yield Finding(name, BROKEN, f"{type(error).__name__}: {error}")
 
 
@@ -130,7 +130,7 @@ def _compiled() -> _Found:
 
 def _sockets(instance: InstancePaths) -> _Found:
     was_there = instance.folder.exists()
-    paths.make_private(instance.folder)  # says what is wrong
+    paths.make_private(instance.folder)  # raises with the reason
     if not was_there:
         with suppress(OSError):
             instance.folder.rmdir()
@@ -138,7 +138,7 @@ def _sockets(instance: InstancePaths) -> _Found:
 
 
 def _daemons(instance: InstancePaths) -> _Found:
-    """The one that is meant, and the others of this user."""
+    """Check the daemon of the instance, and other daemons of this user."""
     pid = lifecycle.running(instance)
     if pid is None:
         yield OK, f"{instance.name}: does not run"
@@ -158,7 +158,7 @@ def _daemons(instance: InstancePaths) -> _Found:
 
 
 def _daemon(instance: InstancePaths, pid: int, silent: str) -> _Found:
-    """One that runs. `silent` is the state of one that does not answer."""
+    """Check a running daemon. `silent` is the state to report when it does not answer."""
     theirs: list[str] = []
     try:
         with Client(socket=instance.socket_text, timeout=5.0) as client:
@@ -208,7 +208,7 @@ def _descriptors() -> _Found:
 
 
 def _punctuality() -> _Found:
-    """How late a wait of a millisecond ends, with the timer slack that the daemon asks for."""
+    """Measure how late a wait of one millisecond ends, with the timer slack that the daemon requests."""
     libc = ctypes.CDLL(None)
     slack = Path("/proc/self/timerslack_ns")
     before = int(slack.read_text()) if slack.exists() else 0

@@ -1,7 +1,7 @@
 """A world with clients in one process: a simulation, its publications, and a session for each client, without sockets.
 
-While a client waits for something, cycles run as fast as they can; while nobody waits, the world stands still. So the
-same calls give the same bits. What takes wall time in a daemon takes simulated time here: see InProcessWorld.monotonic.
+While a client waits, cycles run as fast as possible; without a waiting client the world stands still. So the same calls
+give the same bits. Wall times of a daemon are simulated times here: see InProcessWorld.monotonic.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ from slidectl.simulation.simulation import Simulation
 
 _CHUNK = 64 * 1024
 _LONGEST_SLICE = 10_000
-"""Cycles between two looks at what is not the world: signals, and clients that are not waited for."""
+"""Cycles between two checks for other work: signals, and clients that do not wait."""
 _LONGEST_STILL_S = 600.0
-"""How long somebody may wait for a world that stands still, on its own clock; then it is told that nothing comes."""
+"""How long a client may wait for a world that stands still, on the world's own clock, before it gets TimedOut."""
 _KEPT_LINES = 200
 _NAME = "in-process"
 
 
 class InProcessWorld:
-    """A simulation that its clients drive by waiting.
+    """A simulation that runs while its clients wait.
 
     Args:
-        simulation: one that nobody drives yet; a new one by default.
+        simulation: one without a driver; a new one by default.
 
-    `paused`, `speed` and steps mean what they mean in a daemon. `end_ns` is the simulated time at which whoever waits
-    is told TimedOut; `log` has the last lines of the log. A `journal` notes what the clients do; who made it closes it.
+    `paused`, `speed` and steps mean the same as in a daemon. `end_ns` is the simulated time at which a waiting client
+    gets TimedOut; `log` has the last lines of the log. A `journal` records what the clients do; its creator closes it.
     """
 
     def __init__(self, simulation: Simulation | None = None, journal: Journal | None = None) -> None:
@@ -56,10 +56,10 @@ class InProcessWorld:
         self.connections: list[InProcessConnection] = []
         self.end_ns: int | None = None
         self.end_hint = ""
-        """What TimedOut then says one could do."""
+        """The hint of that TimedOut."""
         self.log: deque[str] = deque(maxlen=_KEPT_LINES)
         self.stopping = ""
-        """Why the world ends; empty as long as it goes on."""
+        """The reason why the world ends; empty as long as it runs."""
         self._wall_s = 0.0
         self._still_s = 0.0
         self._serial = 0
@@ -69,7 +69,7 @@ class InProcessWorld:
         graph.services.advertise("/slidectl/shutdown", "slidectl/Shutdown", OWN_NODE, self._shut_down)
 
     def connect(self) -> InProcessConnection:
-        """A connection of its own. Raises NoDaemon: the world has ended."""
+        """Create a connection. Raises NoDaemon: the world has ended."""
         if self.stopping:
             raise NoDaemon(f"the daemon was {self.stopping}")
         self._serial += 1
@@ -78,13 +78,13 @@ class InProcessWorld:
         return connection
 
     def client(self, timeout: float = 10.0) -> Client:
-        """A client with a connection of its own."""
+        """Create a client with a connection of its own."""
         return Client(link=InProcessLink(self), timeout=timeout)
 
     def monotonic(self) -> float:
-        """The clock of whoever waits, in s: simulated time divided by the speed (1 for as fast as possible).
+        """The clock of waiting clients, in s: simulated time divided by the speed (1 for as fast as possible).
 
-        Where the world stands still, it goes to the end of each wait at once.
+        While the world stands still, it jumps to the end of each wait.
         """
         return self._wall_s
 
@@ -123,7 +123,7 @@ class InProcessWorld:
         self._wall_s += self._step(simulation.run.allowed(cycles)) * period_s
 
     def _stand_still(self, deadline: float) -> None:
-        """No cycle can come, so nothing does until the deadline, or until who holds the world is let go."""
+        """Jump to the deadline, since no cycle can come, or until a lock-step member times out."""
         run = self.simulation.run
         lockstep = run.lockstep if run.requests or not run.paused else None
         awaited = [] if lockstep is None else lockstep.awaited()
@@ -140,7 +140,7 @@ class InProcessWorld:
         self._wall_s += left_s
 
     def _step(self, cycles: int) -> int:
-        """How many were done. A fault of ours holds the world and is told."""
+        """Run cycles. Returns the number run. An internal error holds the world and is logged."""
         before = self.simulation.cycles
         try:
             return self.simulation.step(cycles)
@@ -150,30 +150,30 @@ class InProcessWorld:
             return max(0, self.simulation.cycles - before)
 
     def note_message(self, connection: InProcessConnection) -> None:
-        """It has something to read: if somebody reads it, the slice ends with the cycle that runs, in both engines."""
+        """Note that a connection has something to read: if a client reads it, the slice ends with the running cycle."""
         if not self._news and (connection.on_lines is not None or connection in self._waiting):
             self._news = True
             self.simulation.loop.end_burst()
 
     def _look_after_others(self) -> bool:
-        """Those who take what comes have their turn. True when somebody had something."""
+        """Call back other clients that have something to read. Returns True when there was one."""
         self.publications.fresh.clear()
         listening = [one for one in self.connections if one.on_lines and one not in self._waiting]
         ready = [one for one in listening if one.has_lines or one.due_s <= self._wall_s]
         for connection in ready:
-            if connection.on_lines is not None:  # one before it may have ended it
+            if connection.on_lines is not None:  # an earlier callback may have removed it
                 connection.due_s = math.inf
                 connection.on_lines()
         return bool(ready)
 
     def end(self) -> None:
-        """Tell all clients that the world is `stopping`, and let them go."""
+        """Tell all clients why the world is `stopping`, and close their connections."""
         for connection in list(self.connections):
             connection.session.warn(f"the daemon was {self.stopping}")
             connection.close()
 
     def _shut_down(self, _: Message) -> Message:
-        self.stopping = "asked to stop"  # who asked gets the answer first
+        self.stopping = "asked to stop"  # the caller gets the answer first
         return {"success": True, "message": "the world ends"}
 
     def _keep_line(self, severity: str, node: str, text: str, time_ns: int) -> None:
@@ -184,12 +184,12 @@ class InProcessWorld:
         self.log.append(f"fatal {what}\n{traceback.format_exc()}")
 
     def _status(self) -> dict[str, Any]:
-        """The daemon's part of /slidectl/status, as far as there is one."""
+        """The daemon's part of /slidectl/status, as far as it applies."""
         return {"pid": os.getpid(), "instance": _NAME, "connections": len(self.connections), "uptime": self._wall_s}
 
 
 class _NotedPublications(Publications):
-    """Says when a channel has something new for its readers."""
+    """Notes new messages for the readers of a channel."""
 
     def __init__(self, world: InProcessWorld) -> None:
         super().__init__(world.simulation.run, world.monotonic)
@@ -203,26 +203,26 @@ class _NotedPublications(Publications):
                 self._world.note_message(reader)
 
     def hold(self, channel: Channel) -> None:
-        if channel not in self.held:  # the slice that runs may be longer than the throttle
+        if channel not in self.held:  # the running slice may be longer than the throttle
             self._world.simulation.loop.end_burst()
         super().hold(channel)
 
 
 class InProcessConnection:
-    """The daemon's end of a connection: a session, and what it has to say."""
+    """The daemon's end of a connection: a session and its outgoing lines."""
 
     unread = 0
-    is_overfull = False  # what waits for the client is memory of its own process
+    is_overfull = False  # unread lines are memory of the client's own process
 
     def __init__(self, world: InProcessWorld, node: str) -> None:
         self._world = world
         self._incoming = LineBuffer()
         self.on_lines: Callable[[], object] | None = None
-        """Called between two cycles when something has come while another one waits. None: it lies until it is read."""
+        """Called between two cycles when lines have come while another client waits. None: they stay until read."""
         self.is_prompt = True
-        """Whether messages of topics end a slice of cycles for it, as answers do."""
+        """True when messages of topics end a slice of cycles for it, as answers do."""
         self.due_s = math.inf
-        """When it is called on the world's clock although nothing has come."""
+        """The time on the world's clock at which `on_lines` is called although nothing has come."""
         graph = world.simulation.graph
         self.node = node
         self.session = Session(self, graph, world.publications, world.unexpected, node, os.getsid(0), world.journal)
@@ -230,12 +230,12 @@ class InProcessConnection:
         self.open = True
 
     def send(self, line: bytes) -> None:
-        """A line that must arrive."""
+        """Send a line that must arrive."""
         self.outbox.put(line)
         self._world.note_message(self)
 
     def look_again(self) -> None:
-        """A client in the same process ends at once."""
+        """Nothing to do: a client in the same process ends at once."""
 
     @property
     def has_lines(self) -> bool:
@@ -243,14 +243,14 @@ class InProcessConnection:
         return bool(self._incoming.lines or self.outbox)
 
     def next_line(self) -> bytes | None:
-        """The next of the lines for the client."""
+        """The next line for the client; None without one."""
         lines = self._incoming.lines
         if not lines and self.outbox:
             self._incoming.feed(self.outbox.take(_CHUNK))
         return lines.popleft() if lines else None
 
     def close(self) -> None:
-        """The client has gone, or the world has; what it has not read can be read still."""
+        """Close the connection; lines that the client has not read can still be read."""
         if self.open:
             self.open = False
             self._world.connections.remove(self)
@@ -260,7 +260,7 @@ class InProcessConnection:
 
 
 class InProcessLink:
-    """The client's end of a connection, as client.link.SocketLink has it."""
+    """The client's end of a connection, with the interface of client.link.SocketLink."""
 
     def __init__(self, world: InProcessWorld) -> None:
         """Raises NoDaemon: the world has ended."""
@@ -271,24 +271,24 @@ class InProcessLink:
         self._world = world
 
     def another(self, deadline: float) -> InProcessLink:  # noqa: ARG002
-        """A further connection to the same world. Raises NoDaemon."""
+        """Open another connection to the same world. Raises NoDaemon."""
         return InProcessLink(self._world)
 
     def monotonic(self) -> float:
-        """The clock on which deadlines are."""
+        """The clock of deadlines, s."""
         return self._world.monotonic()
 
     def fileno(self) -> int:
-        """Raises Refused: there is none."""
+        """Raises Refused: there is no descriptor."""
         raise Refused("a client of a world in the same process has no socket", "wait for it with `wait_until`")
 
     def call_back(self, action: Callable[[], object] | None) -> bool:
-        """Call it between two cycles whenever something has come while another one waits."""
+        """Set the function to call between two cycles when lines have come while another client waits."""
         self.connection.on_lines = action
         return True
 
     def send(self, line: bytes, deadline: float) -> None:  # noqa: ARG002
-        """Carry out a line, now. Raises NoDaemon."""
+        """Handle a line, in this call. Raises NoDaemon."""
         if self._world.stopping:
             self._world.end()
         if not self.connection.open:
@@ -313,5 +313,5 @@ class InProcessLink:
         return NoDaemon(f"the daemon went away{why}")
 
     def close(self) -> None:
-        """End the connection; what it advertised and subscribed ends with it."""
+        """Close the connection; what it advertised and subscribed ends with it."""
         self.connection.close()

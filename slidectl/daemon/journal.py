@@ -1,7 +1,7 @@
-"""The journal: all that came to a world from outside, each with the cycle after which it took effect, in one file.
+"""The journal: all external input of a world, each entry with the cycle after which it took effect, in one file.
 
-Written here, and read whole; journal_replay.py makes the same world of it again. Each entry is a line of JSON that ends
-with a checksum and is given to the kernel at once: whatever ends the daemon leaves it there. docs/journal.md has them.
+This module writes and reads it; journal_replay.py runs the same world from it again. Each entry is a line of JSON that
+ends with a checksum. It is written to the kernel at once, so it survives any end of the daemon. See docs/journal.md.
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ FORMAT = 1
 _LIBRARIES = ("mujoco", "numpy", "numba")
 PICTURE = "sensor_msgs/Image"
 _OF_THE_PROCESS = ("child", "journal", "replay", "until")
-"""Options of a daemon that do not say how its world is."""
+"""Options of a daemon that do not describe its world."""
 _READS = re.compile(
     r"/rosapi/(?!set_param$|delete_param$).*|/gazebo/get_[^/]*|.*/controller_manager/list_[^/]*"
     r"|/slidectl/(status|resolve|list_robots|scene|update_times|shutdown|get_[^/]*)"
 )
-"""Services that look and change nothing, and answer at once."""
+"""Services that only read, and answer at once."""
 _LINE = re.compile(rb'\{"cycle":(\d+),"client":(\d+),"line":(.*)\Z', re.DOTALL)
 _CHECKSUM = re.compile(rb'(.*),"crc":"([0-9a-f]{8})"\}\Z', re.DOTALL)
 
@@ -54,16 +54,16 @@ _CHECKSUM = re.compile(rb'(.*),"crc":"([0-9a-f]{8})"\}\Z', re.DOTALL)
 class Journal:
     """Writes the journal of one simulation, from before its first cycle on.
 
-    Made before the simulation, whose imports are a part of it; then `watch` it, and give it to each session.
+    Create it before the simulation, whose imports are a part of it; then call `watch`, and give it to each session.
     """
 
     def __init__(self, options: DaemonOptions) -> None:
-        """At the place that the options name. Raises Refused: there is such a file, or it cannot be written."""
+        """Create the file that the options name. Raises Refused: it exists, or it cannot be written."""
         self.path = path = options.journal
         self.trouble = ""
-        """Why nothing is written any more."""
+        """The reason why writing has ended, else empty."""
         self._clients: dict[Session, int] = {}
-        """The numbers of those that are connected and have sent something."""
+        """The numbers of connected clients that have sent something."""
         self._clients_so_far = 0
         self._size = 0
         self._simulation: Simulation | None = None
@@ -83,7 +83,7 @@ class Journal:
         user_modules.listeners.append(self._note_module)
 
     def watch(self, simulation: Simulation) -> None:
-        """This is the simulation. What reads its meshes is set already."""
+        """Set the simulation. Its `read_meshes` must be set already."""
         self._simulation = simulation
         self._log = lambda text: simulation.graph.log("error", OWN_NODE, text)
         read_meshes = simulation.read_meshes
@@ -99,7 +99,7 @@ class Journal:
         self._states = simulation.graph.timers.every(SECOND, self._note_state)
 
     def close(self, why: str) -> None:
-        """The world ends here."""
+        """Write the end of the world, and close the file."""
         if self._simulation is not None:
             self._states.cancel()
             self._note_state(b',"end":%b' % json.dumps(why).encode())
@@ -109,10 +109,10 @@ class Journal:
         file_reads.read = file_reads.from_disk
         user_modules.listeners.remove(self._note_module)
 
-    # --- what comes from outside --------------------------------------------------------------------------------
+    # --- external input -----------------------------------------------------------------------------------------
 
     def take(self, session: Session, line: bytes, message: Message) -> None:
-        """A line of a client, before it is carried out."""
+        """Record a line of a client, before it is handled."""
         if not self._matters(message):
             return
         number = self._clients.get(session)
@@ -120,7 +120,7 @@ class Journal:
             self._clients_so_far += 1
             number = self._clients[session] = self._clients_so_far
             self._note("client", number, node=session.node)
-        # As it came; but only UTF-8 can stand in the file.
+        # Record the line as it came; but the file must be UTF-8.
         is_plain = line[:1] == b"{" and line[1:2] != b"\0"
         text = line.strip() if is_plain else json.dumps(message).encode()
         self._write(b'{"cycle":%d,"client":%d,"line":%b' % (self._cycle, number, text))
@@ -129,7 +129,7 @@ class Journal:
         """True when the line can change the world."""
         operation, topic = message["op"], str(message.get("topic"))
         if operation in ("subscribe", "unsubscribe"):
-            # A camera takes no picture while it is busy with one for a client.
+            # Pictures: a camera skips some while it renders one for a client.
             topics = self._simulation.graph.topics if self._simulation is not None else None
             return PICTURE in (message.get("type"), topics and topics.exists(topic) and topics.type_of(topic))
         return operation != "set_level" and not (
@@ -137,13 +137,13 @@ class Journal:
         )
 
     def gone(self, session: Session) -> None:
-        """A client has gone."""
+        """Record that a client has disconnected."""
         number = self._clients.pop(session, None)
         if number is not None:
             self._note("gone", number)
 
     def took_too_long(self) -> None:
-        """Users' code was ended by the limit of wall time."""
+        """Record that users' code was ended by the limit of wall time."""
         self._note("limit", "")
 
     def _read(self, what: str, look: Callable[[], Any]) -> Any:
@@ -155,7 +155,7 @@ class Journal:
         self._note("module", module)
 
     def _take_meshes(self, done: Pending) -> Hulls:
-        """They are taken into the world now."""
+        """Record meshes at the time when the world gets them."""
         read: Hulls = done.result()
         self._note("meshes", [_mesh_entry(source, hull) for source, hull in read.items()])
         return read
@@ -170,24 +170,24 @@ class Journal:
         self._write(_text({"cycle": self._cycle, kind: value, **more}))
 
     def _take_picture(self, done: Pending) -> None:
-        """The oldest one that was asked for is there."""
+        """Record that the oldest requested picture is done."""
         self._note("picture", str(done.error or ""))
 
     def _note_state(self, more: bytes = b"") -> None:
-        """The state of the world's joints and what acts on them, to the bit."""
+        """Record the state of the world's joints and the efforts on them, to the bit."""
         assert self._simulation is not None
         numbers = binascii.b2a_base64(self._simulation.world.numbers(), newline=False)
         self._write(b'{"cycle":%d%b,"state":"%b"' % (self._cycle, more, numbers))
 
     def _write(self, entry: bytes) -> None:
-        """One entry, whole or not at all. `entry` is without its closing brace. After a failure nothing follows."""
+        """Write one entry, whole or not at all. `entry` lacks its closing brace. After a failure nothing is written."""
         if self.trouble:
             return
         line = b'%b,"crc":"%08x"}\n' % (entry, zlib.crc32(entry))
         try:
             written = os.write(self._file, line)
             if written < len(line):
-                os.write(self._file, line[written:])  # says why
+                os.write(self._file, line[written:])  # raises with the reason
             self._size += len(line)
         except OSError as error:
             self.trouble = error.strerror or str(error)
@@ -219,7 +219,7 @@ def _mesh_entry(source: MeshSource, hull: Hull | BadMesh) -> dict[str, Any]:
 
 
 def mesh_of(entry: dict[str, Any]) -> tuple[MeshSource, Hull | BadMesh]:
-    """What `_mesh_entry` has written."""
+    """The mesh of an entry written by `_mesh_entry`."""
     x, y, z = entry["scale"]
     source = MeshSource(entry["path"], (x, y, z))
     if "bad" in entry:
@@ -232,19 +232,19 @@ def mesh_of(entry: dict[str, Any]) -> tuple[MeshSource, Hull | BadMesh]:
 
 @dataclass(frozen=True)
 class Contents:
-    """A journal as it was written, up to its last whole entry."""
+    """The contents of a journal, up to its last whole entry."""
 
     path: str
     options: DaemonOptions
     written_by: dict[str, str]
     entries: list[dict[str, Any]]
-    """A `line` is the bytes that came."""
+    """In a client's entry, `line` is the received bytes."""
     is_cut: bool
-    """The last entry is not whole."""
+    """True when the last entry is not whole."""
 
 
 def read(path: str) -> Contents:
-    """Raises BadFile: it cannot be read, is no journal, is of another format, or is damaged before its end."""
+    """Read a journal. Raises BadFile: unreadable, not a journal, of another format, or damaged before its end."""
     try:
         content = Path(path).read_bytes()
     except OSError as error:
@@ -278,7 +278,7 @@ def read(path: str) -> Contents:
 
 
 def _entry(line: bytes) -> dict[str, Any] | None:
-    """None for one that is not whole."""
+    """The entry of a line; None when it is not whole."""
     match = _CHECKSUM.match(line)
     if match is None or zlib.crc32(match[1]) != int(match[2], 16):
         return None

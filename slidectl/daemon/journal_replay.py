@@ -1,7 +1,7 @@
-"""The replay of a journal: the same world again, without clients and as fast as the cycles go, with the same bits.
+"""The replay of a journal: the same world again, without clients and as fast as possible, with the same bits.
 
-Sessions get the lines that came, each after the cycle in which it came; answers go nowhere. What was read of files is
-taken from the journal, and so is when it came.
+Sessions get the recorded lines, each after the cycle in which it came; their answers are discarded. Results of file
+reads, and their times, come from the journal.
 """
 
 from __future__ import annotations
@@ -34,41 +34,41 @@ from slidectl.simulation.simulation import Simulation
 
 _UNREPEATABLE = "code of users that looks at the wall time, random numbers or other files is not repeatable"
 _BY_ITSELF = frozenset(("limit", "module"))
-"""Entries that are not carried out, but taken when the world comes to them."""
+"""Entries that are not handled as input, but consumed when the world reaches them."""
 
 
 class ReplayDiffers(Refused):
-    """The replay is not the run that the journal is of."""
+    """The replay does not match the recorded run."""
 
 
 class Replay:
-    """One replay. `differs` says where the state first was another one than that in the journal, empty if nowhere.
+    """One replay. `differs` describes the first difference from a state in the journal; empty without one.
 
-    Files are read from the journal from its making on until `run` ends.
+    From its creation until the end of `run`, file reads are answered from the journal.
     """
 
     def __init__(self, contents: Contents, until: float | None = None) -> None:
-        """It ends at the simulated time `until`, s; what came in the cycle of that time belongs to it."""
+        """The replay ends at the simulated time `until`, s; entries of the cycle of that time are included."""
         self.contents = contents
         self.differs = ""
         self.states = 0
-        """How many states were compared."""
+        """The number of compared states."""
         self.after_entry: Callable[[], None] = lambda: None
-        """Called when an entry of the journal was carried out."""
+        """Called after each handled entry of the journal."""
         self._until_ns = NEVER if until is None else from_seconds(until)
         self._at = 0
-        """Index of the entry that is carried out."""
+        """Index of the entry that is being handled."""
         self.taken = 0
-        """How many entries of the journal were taken: the index of the next."""
+        """The number of consumed entries of the journal: the index of the next."""
         self._limit = TimeLimit()
         self._limit.on_end = self._take_limit
         self._sessions: dict[int, Session] = {}
         self._meshes: list[tuple[set[MeshSource], Pending]] = []
-        """Who waits for them."""
+        """Open requests for meshes."""
         self._renderer = RenderProcess()
         self._pictures: deque[tuple[Pending, PictureRequest]] = deque()
         self._state = -1, b""
-        """The last whole second's cycle, and the numbers of the world then."""
+        """The cycle of the last whole second, and the numbers of the world at that time."""
         self._unexpected: Callable[[str], None] = lambda _: None
         file_reads.read = self._read
         user_classes.limit = self._limit
@@ -77,7 +77,7 @@ class Replay:
         self.simulation = self._beginning()
 
     def _beginning(self) -> Simulation:
-        """The world as it was at first."""
+        """The world in its initial state."""
         options = self.contents.options
         try:
             simulation = Simulation(options.timestep, options.gravity, options.ground, options.engine, options.imports)
@@ -101,14 +101,14 @@ class Replay:
     def run(
         self, unexpected: Callable[[str], None], publications: Publications | None = None, check: bool = False
     ) -> None:
-        """To the end of the journal, or to the time that was asked for. The clients have gone then.
+        """Run to the end of the journal, or to the requested time. Then all clients are disconnected.
 
         `unexpected` logs the exception that is being handled; `publications` are those of a world that goes on. With
-        `check` it ends at the first state that is another one.
+        `check` it ends at the first state that differs.
 
         Raises:
-            ReplayDiffers: an entry makes no sense in this world; or with `check`.
-            Refused: the journal ends before the time that was asked for.
+            ReplayDiffers: an entry does not fit this world; with `check` also a state that differs.
+            Refused: the journal ends before the requested time.
         """
         self._publications, self._unexpected = publications or Publications(), unexpected
         states = self.simulation.graph.timers.every(SECOND, self._keep_state)
@@ -124,7 +124,7 @@ class Replay:
             raise Refused(f"the journal ends at {now_ns / SECOND:g} s, before {self._until_ns / SECOND:g} s")
 
     def _run(self, check: bool) -> bool:
-        """Returns whether the time that was asked for came before the end."""
+        """Run the entries. Returns True when the requested time came before the end."""
         entries = self.contents.entries
         while True:
             self._at = self.taken
@@ -143,7 +143,7 @@ class Replay:
                 raise ReplayDiffers(self.differs, _UNREPEATABLE)
 
     def _step_to(self, cycle: int) -> bool:
-        """Run the cycles up to that one. False: the time that was asked for is there before."""
+        """Run the cycles up to that one. Returns False when the requested time comes first."""
         simulation, run = self.simulation, self.simulation.run
         while (left := cycle - simulation.cycles) > 0:
             allowed = min(left, (self._until_ns - simulation.time_ns) // simulation.timestep_ns)
@@ -162,7 +162,7 @@ class Replay:
         return True
 
     def _carry_out(self, entry: dict[str, Any]) -> None:
-        """One entry, in its cycle. What it lets the world read follows it, and is taken meanwhile."""
+        """Handle one entry, in its cycle. Its reads are the next entries, and are consumed meanwhile."""
         if "line" in entry:
             self._session(entry["client"]).take(entry["line"])
         elif "client" in entry:
@@ -201,7 +201,7 @@ class Replay:
         self._look_ahead()
 
     def _look_ahead(self) -> None:
-        """Users' code is ended where it was, and only there: this machine may be slower."""
+        """Set the limit: users' code must end where it was ended in the run, and only there, on any machine."""
         while self._peek("module"):
             self.taken += 1
         is_limited = self._peek("limit")
@@ -215,10 +215,10 @@ class Replay:
         cycle = self.contents.entries[self._at]["cycle"] if self.contents.entries else 0
         raise ReplayDiffers(f"{self.contents.path}:{self._at + 2}: in cycle {cycle}: {why}", _UNREPEATABLE)
 
-    # --- what came from outside ---------------------------------------------------------------------------------
+    # --- external input -----------------------------------------------------------------------------------------
 
     def _read(self, what: str, look: Callable[[], Any]) -> Any:
-        if self.taken == len(self.contents.entries):  # the journal was cut off before it was read
+        if self.taken == len(self.contents.entries):  # the journal was cut off before this read
             return look()
         entry = self.contents.entries[self.taken]
         if entry.get("read") != what:
@@ -245,7 +245,7 @@ class Replay:
         return pending
 
     def _take_picture(self, error: str) -> None:
-        """Rendered only for code of users: clients are not there."""
+        """Resolve a picture, which is rendered only for users' code: there are no clients."""
         if not self._pictures:
             self._fail("no camera waits for a picture now")
         pending, request = self._pictures.popleft()
@@ -284,7 +284,7 @@ class Replay:
             return
         names = self.simulation.world.number_names()
         pairs = list(zip(names, memoryview(here).cast("d"), memoryview(there).cast("d"), strict=True))
-        # By their bits: -0.0 is another one than 0.0, and what is not a number is the same as itself.
+        # Compare the bits: -0.0 differs from 0.0, and NaN is equal to the same NaN.
         others = [pair for at, pair in enumerate(pairs) if here[8 * at : 8 * at + 8] != there[8 * at : 8 * at + 8]]
         name, now, then = others[0]
         more = f", and {len(others) - 1} numbers more" if others[1:] else ""
@@ -292,7 +292,7 @@ class Replay:
 
 
 class _Nobody:
-    """The reader of a client that is not there."""
+    """The reader of a client that is not connected."""
 
     unread = 0
     is_overfull = False
@@ -302,14 +302,14 @@ class _Nobody:
         self.outbox = Outbox(lambda *_: b"", publications)
 
     def send(self, line: bytes) -> None:
-        """Nobody takes it."""
+        """Discard the line."""
 
     def look_again(self) -> None:
-        """When it went stands in the journal."""
+        """Do nothing: the journal has the time of the disconnect."""
 
 
 def other_versions(contents: Contents) -> list[str]:
-    """On what the bits may depend, and is not here what it was there."""
+    """Versions that differ from the recorded ones, as texts: the bits may depend on them."""
     here = journal.written_by()
     return [
         f"{name} {value or 'none'} then, {here.get(name, 'none')} now"

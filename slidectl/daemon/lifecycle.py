@@ -1,6 +1,6 @@
-"""Start, find and stop the daemon's process. What the command line uses; standard library only.
+"""Start, find and stop the daemon's process, for the command line; standard library only.
 
-The lock says whether a daemon lives, its socket whether it answers; nothing else is believed.
+The lock tells whether a daemon runs, its socket whether it answers; nothing else is used.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _END_TIMEOUT_S = 5.0
 
 
 def running(paths: InstancePaths) -> int | None:
-    """Process id of the daemon that lives at `paths`, or None. It may still be starting."""
+    """The process id of the daemon that runs at `paths`, or None. It may still be starting."""
     return processes.holder(paths.lock)
 
 
@@ -39,11 +39,11 @@ def start(paths: InstancePaths, options: DaemonOptions | None = None, timeout: f
     """Start a daemon and wait until it answers.
 
     Returns:
-        Its process id, and whether it ran already (then the options had no effect).
+        Its process id, and whether it was already running (then the options had no effect).
 
     Raises:
         Refused: it ended, with the reason or the last lines of its log; or the folder is not private. TimedOut.
-        KeyboardInterrupt: and then a process that was started here has been ended again.
+        KeyboardInterrupt: a process that was started here has been ended again.
     """
     beginning = Beginning(paths, options)
     try:
@@ -54,7 +54,7 @@ def start(paths: InstancePaths, options: DaemonOptions | None = None, timeout: f
 
 
 def options_of(pid: int) -> DaemonOptions | None:
-    """What the daemon of this process was started with, by its command line; None where that cannot be read."""
+    """The start options of a daemon's process, from its command line; None when that cannot be read."""
     try:
         words = os.fsdecode(Path(f"/proc/{pid}/cmdline").read_bytes()).split("\0")[:-1]
         return Start.read(words[words.index(_MODULE) + 1]).options
@@ -63,7 +63,7 @@ def options_of(pid: int) -> DaemonOptions | None:
 
 
 class Beginning:
-    """A daemon on its way: its process is started at once, so that the starter can do other things until `wait`.
+    """The start of a daemon: its process is started at once, so that the caller can do other things before `wait`.
 
     Raises:
         Refused: the folder is not private.
@@ -75,7 +75,7 @@ class Beginning:
         self._options = options or DaemonOptions()
         self._process: subprocess.Popen[bytes] | None = None
         self._ready: IO[bytes] | None = None
-        """Where the process tells how its start went."""
+        """The pipe on which the process reports the result of its start."""
         self._log_before = 0
         if running(paths) is None:
             self._spawn()
@@ -91,19 +91,19 @@ class Beginning:
             self._process = processes.start(words, log, stdin=subprocess.DEVNULL, pass_fds=[write_end])
 
     def wait(self, timeout: float = 30.0) -> tuple[int, bool]:
-        """Wait until it answers. Returns and raises as `start` does."""
+        """Wait until the daemon answers. Returns and raises as `start` does."""
         deadline = time.monotonic() + timeout
         while True:
             if self._process is None:
                 pid = _wait_for_the_other(self._paths, deadline)
                 if pid is not None:
                     return pid, True
-                self._spawn()  # none runs, or it ended while it was starting
+                self._spawn()  # none runs, or it ended during its start
             process, ready = self._process, self._ready
             assert process is not None
             assert ready is not None
             if not select.select([ready], [], [], max(0.0, deadline - time.monotonic()))[0]:
-                # It goes on starting.
+                # The process keeps starting.
                 hint = command(self._paths, "daemon logs")
                 raise TimedOut(f"the daemon (process {process.pid}) does not get ready", hint)
             with ready:
@@ -122,7 +122,7 @@ class Beginning:
                 raise error
 
     def abandon(self) -> None:
-        """End the process, if one was started whose answer has not come yet."""
+        """End the process, if one was started here that has not reported yet."""
         if self._process is not None:
             self._process.terminate()
             try:
@@ -137,18 +137,18 @@ def stop(paths: InstancePaths, timeout: float = 10.0) -> int | None:
     """Stop the daemon and wait until its process has ended: by its service, then with SIGTERM.
 
     Returns:
-        The process id that it had, or None when none ran.
+        Its process id, or None when none ran.
 
     Raises:
-        TimedOut: it is still there.
+        TimedOut: it is still running.
     """
     pid = running(paths)
     if pid is None:
         return None
     deadline = time.monotonic() + timeout
     process: int | None = None
-    with suppress(OSError):  # in another pid namespace, or just ended: the lock must do
-        process = os.pidfd_open(pid)  # a descriptor, since its id may be another's once it has ended
+    with suppress(OSError):  # in another pid namespace, or just ended: only the lock can be checked then
+        process = os.pidfd_open(pid)  # a descriptor, since the id may be reused after the end
     try:
         if not _ask_to_stop(paths, min(2.0, timeout / 2)) and process is not None and running(paths) == pid:
             with suppress(ProcessLookupError):
@@ -159,19 +159,19 @@ def stop(paths: InstancePaths, timeout: float = 10.0) -> int | None:
     finally:
         if process is not None:
             os.close(process)
-    with suppress(ChildProcessError):  # a long-lived starter is its parent still
+    with suppress(ChildProcessError):  # the caller may be its parent
         os.waitpid(pid, os.WNOHANG)
     return pid
 
 
 def fork(source: Client, name: str, paths: InstancePaths, timeout: float) -> tuple[int, float]:
-    """Start a daemon that goes on from a snapshot of that of `source`, with its options and speed, paused where it is.
+    """Start a daemon from a snapshot of the one of `source`, with its options and speed, and paused if that is.
 
     Returns:
         Its process id, and its simulated time in s.
 
     Raises:
-        Refused: there is no such snapshot, or a daemon runs there. And what `start` raises.
+        Refused: there is no such snapshot, or a daemon runs there. Also raises as `start`.
     """
     from tempfile import TemporaryDirectory
 
@@ -198,7 +198,7 @@ def fork(source: Client, name: str, paths: InstancePaths, timeout: float) -> tup
 
 
 def _has_ended(process: int | None, pid: int, paths: InstancePaths) -> bool:
-    """Wait a little, and say whether it has ended."""
+    """Wait briefly. Returns True when the process has ended."""
     if process is not None:
         return bool(select.select([process], [], [], 0.1)[0])
     time.sleep(_PAUSE_S)
@@ -224,7 +224,7 @@ def _ask_to_stop(paths: InstancePaths, timeout: float) -> bool:
 
 
 def _wait_for_the_other(paths: InstancePaths, deadline: float) -> int | None:
-    """The id of the process that holds the lock when it answers; None when there is none, or it has ended."""
+    """The id of the process that holds the lock, when it answers; None when there is none, or it has ended."""
     while (pid := running(paths)) is not None:
         left = deadline - time.monotonic()
         if left <= 0:

@@ -1,6 +1,6 @@
-"""The daemon: a simulation, a pacer, a server and one loop that turns between them.
+"""The daemon: a simulation, a pacer, a server, and one loop that runs them in turn.
 
-No control and no physics here, and no operations of the wire: only who has its turn when.
+It contains no control, no physics and no operations of the wire protocol: only the order of work.
 """
 
 from __future__ import annotations
@@ -40,17 +40,17 @@ from slidectl.simulation.spawned_robots import SpawnedRobot
 
 _TIDY_EVERY_S = 1.0
 _LOOK_EVERY_S = 5.0
-"""Between two looks whether the files by which this daemon is found are still there."""
+"""Time between two checks that the files by which clients find this daemon still exist."""
 _FIRST_COMMANDS_S = 1.0
-"""Compiled code takes 50 ms to load: not while those who have started the daemon send their first commands."""
+"""Compiled code takes 50 ms to load: not in this time, in which the first commands come."""
 _YOUNG_OBJECTS = 2000
 _PROPERTIES = {"rtf": "speed", "timestep": "timestep", "gravity": "gravity"}
-"""The options that say how the world is, by their names in the status."""
+"""The options that describe the world, with their names in the status."""
 _PR_SET_TIMERSLACK = 29
 
 
 class Daemon:
-    """Built when the lock is held and the socket is bound; `run` returns when it is stopped."""
+    """Created when the lock is held and the socket is bound; `run` returns when it is stopped."""
 
     def __init__(self, start: Start, place: Place, listener: socket.socket, log: LogFile, began_s: float) -> None:
         self._start = start
@@ -94,18 +94,18 @@ class Daemon:
     def _new_simulation(self) -> Simulation:
         options = self._start.options
         limit = user_classes.limit = TimeLimit()
-        if options.journal:  # the files that are imported are its first entries
+        if options.journal:  # its first entries are the imported files
             self._journal = Journal(options)
             limit.on_end = self._journal.took_too_long
         try:
             return Simulation(options.timestep, options.gravity, options.ground, options.engine, options.imports)
         except SlidectlError:
-            if self._journal is not None:  # the next start may have the name
+            if self._journal is not None:  # let the next start use the name
                 os.unlink(options.journal)
             raise
 
     def _replay(self, replay: Replay) -> None:
-        """Begin with the world to which a journal leads."""
+        """Begin with the final world of a replayed journal."""
         self.simulation.engine.may_load = True
         replay.run(self._unexpected, self._server.publications)
         self.simulation.pause()
@@ -117,8 +117,8 @@ class Daemon:
                 self._log.write("warn", f"{path}: {trouble}")
 
     def run(self) -> None:
-        """Turn until stopped: the cycles that are due and what they published, then the sockets and what they asked."""
-        with suppress(OSError, AttributeError):  # the kernel would round our waits up by 50 µs, for the sake of power
+        """Loop until stopped: run due cycles, send what they published, then serve the sockets and send answers."""
+        with suppress(OSError, AttributeError):  # otherwise the kernel delays our waits by 50 µs to save power
             ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
         self._log.write("info", f"slidectl {slidectl.__version__} answers on {shown(self._start.paths.socket_text)}")
         turn, server = self._pacer.turn, self._server
@@ -140,14 +140,14 @@ class Daemon:
         self._end()
 
     def _hold(self) -> float:
-        """A fault of ours in a cycle holds the world and is told, instead of ending it."""
+        """Hold the world and log, after an internal error in a cycle, instead of ending the daemon."""
         self._unexpected(FAILED)
         self.simulation.run.hold(f"{FAILED}, see the log", FAILED)
         self.simulation.graph.log("fatal", OWN_NODE, f"{FAILED}; the simulation is paused, see the log")
         return 0.0
 
     def _tidy(self) -> None:
-        """Now and then: collect garbage (the process runs without the collector, which would choose any moment)."""
+        """Do regular work, such as collecting garbage: the automatic collector is off, as it could run at any time."""
         now = time.monotonic()
         self._next_tidy_s = now + _TIDY_EVERY_S
         self.simulation.engine.may_load = now - self._began_s > _FIRST_COMMANDS_S
@@ -157,18 +157,18 @@ class Daemon:
             self._next_look_s = now + _LOOK_EVERY_S
             self._look_after_place()
         given_up = self._pacer.given_up_s
-        if given_up > max(self._given_up_s + 1.0, 2.0 * self._given_up_s):  # ever rarer, or it would fill the log
+        if given_up > max(self._given_up_s + 1.0, 2.0 * self._given_up_s):  # less and less often, to keep the log short
             self._given_up_s = given_up
             self._log.write("warn", f"slower than asked: {given_up:.0f} s of wall time given up so far")
 
     def _look_after_place(self) -> None:
-        """What cleaners of temporary folders have deleted is made again; where another daemon is now, this one ends."""
+        """Create deleted files again (cleaners of temporary folders delete them); end if another daemon replaced us."""
         try:
             gone, listener = self._place.repair()
         except TakenOver as error:
             self._stopping = f"stopped: {error.message}"
             return
-        except (SlidectlError, OSError) as error:  # it may be deleted while it is made again
+        except (SlidectlError, OSError) as error:  # it may be deleted while it is created again
             if str(error) != self._place_trouble:
                 self._log.write("error", f"nobody can find this daemon any more: {error}")
             self._place_trouble = str(error)
@@ -181,9 +181,9 @@ class Daemon:
             self._log.write("warn", f"somebody deleted {' and '.join(gone)}; made again")
 
     def _collect_garbage(self) -> None:
-        """What stays is not looked through: with a hundred robots that would hold up the world for 20 ms.
+        """Collect garbage. Lasting objects are not scanned: with 100 robots this would block the world for 20 ms.
 
-        All is looked through when a robot has gone, or when twice as much stays as the last time.
+        All objects are scanned when a robot was deleted, or when there are twice as many as at the last full scan.
         """
         robots = frozenset(self.simulation.robots)
         deleted, added = self._kept_robots - robots, robots - self._kept_robots
@@ -201,10 +201,10 @@ class Daemon:
             gc.freeze()
             self._most_kept_objects = 2 * gc.get_freeze_count()
 
-    # --- ends ---------------------------------------------------------------------------------------------------
+    # --- end of the daemon --------------------------------------------------------------------------------------
 
     def _watch_signals(self) -> None:
-        """Signals arrive as bytes in a pipe, so that they too are served between two cycles. Until now they waited."""
+        """Receive signals as bytes in a pipe, to handle them between two cycles. Until now they were blocked."""
         self._signals, write_end = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
         signal.set_wakeup_fd(write_end, warn_on_full_buffer=False)
         for number in (signal.SIGTERM, signal.SIGINT, *([signal.SIGHUP] if self._start.foreground else [])):
@@ -214,7 +214,7 @@ class Daemon:
 
     def _take_signal(self, _: int) -> None:
         for number in os.read(self._signals, 64):
-            if number != signal.SIGALRM:  # that of TimeLimit, which was taken when it came
+            if number != signal.SIGALRM:  # that of TimeLimit, which has its own handler
                 self._stopping = f"stopped by {signal.Signals(number).name}"
 
     def _shut_down(self, _: Message) -> Message:
@@ -230,7 +230,7 @@ class Daemon:
         self._server.close(f"the daemon was {self._stopping}")
         self._loop.close()
 
-    # --- what is told -------------------------------------------------------------------------------------------
+    # --- log and status -----------------------------------------------------------------------------------------
 
     def _keep_line(self, severity: str, node: str, text: str, time_ns: int) -> None:
         self._log.write(severity, f"[{time_ns * 1e-9:.3f}] {node}: {text}")

@@ -1,7 +1,7 @@
-"""Reads mesh files in processes of their own, so that no file holds up the world, takes its memory or ends it.
+"""Reads mesh files in processes of their own, so that no file can block the world, use its memory or end it.
 
-Each robot's meshes are one job: a fork of the daemon, which has all that it needs in memory already, within limits of
-time and memory that the kernel keeps. It says what it has read on a pipe. Nothing here knows robots or clients.
+Each robot's meshes are one job: a fork of the daemon, which already has all that it needs in memory, with limits of
+time and memory that the kernel enforces. It writes its results to a pipe. This module knows neither robots nor clients.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ from slidectl.processes import end_with
 from slidectl.simulation.pending import Pending
 
 MOST_CPU_S = 30
-"""Of computing, for all meshes of a robot."""
+"""CPU time for all meshes of a robot, s."""
 MOST_S = 60
-"""Of waiting too: for a file on a network that does not answer."""
+"""Wall time, with waits, s: a file on a network may not answer."""
 MOST_MEMORY = 2 * 2**30
-"""Bytes, besides what the daemon has."""
+"""Bytes, in addition to the daemon's own."""
 AT_ONCE = 2
-"""Processes. Further jobs wait for their turn."""
+"""The number of processes at once. Further jobs wait."""
 
 _NICER = 10
 _PIECE = 1 << 16
 _LARGEST_DESCRIPTOR = 2**31 - 1
 _RESULT = struct.Struct("<?II")
-"""One result: whether it is a hull, the length of its name (or of the reason why there is none), that of its file."""
+"""One result: True for a hull, the length of its name (or of the reason why there is none), the length of its file."""
 _WHY = {
     signal.SIGXCPU: f"reading it took more than {MOST_CPU_S} s",
     signal.SIGALRM: f"it could not be read within {MOST_S} s",
@@ -47,29 +47,29 @@ _WHY = {
 
 
 class MeshReader:
-    """Jobs in processes, served by `loop`. `unexpected` logs the exception that is being handled."""
+    """Runs jobs in processes, served by `loop`. `unexpected` logs the exception that is being handled."""
 
     def __init__(self, loop: EventLoop, unexpected: Callable[[str], None]) -> None:
         self._loop = loop
         self._unexpected = unexpected
         self._waiting: deque[_Job] = deque()
         self._running: dict[int, _Job] = {}
-        """By the descriptor of the pipe."""
+        """Running jobs by the descriptor of the pipe."""
 
     def read(self, sources: Sequence[MeshSource]) -> Pending:
-        """Resolved with the hulls (physics.hulls.Hulls). Who cancels it ends the process."""
+        """Read meshes. Resolved with the hulls (physics.hulls.Hulls). Cancelling it ends the process."""
         job = _Job(sources)
-        job.pending.on_cancel = job.end  # its pipe ends too then, and it is reaped
+        job.pending.on_cancel = job.end  # this ends the pipe too, after which the process is reaped
         self._waiting.append(job)
         self._begin()
         return job.pending
 
     def close(self) -> None:
-        """End all processes; nobody is answered any more."""
+        """End all processes; no request is answered any more."""
         self._waiting.clear()
         for descriptor, job in list(self._running.items()):
             job.end()
-            # One that the kernel holds (a dead network drive) is not waited for; it ends with us.
+            # A process blocked in the kernel (a dead network drive) is not waited for; it ends with the daemon.
             has_ended = bool(select.select([descriptor], (), (), 1.0)[0])
             self._reap(descriptor, 0 if has_ended else os.WNOHANG)
 
@@ -87,7 +87,7 @@ class MeshReader:
             self._loop.watch(descriptor, READ, partial(self._take, descriptor))
 
     def _take(self, descriptor: int, _: int) -> None:
-        """More of what a process says, or its end."""
+        """Read more output of a process, or its end."""
         job = self._running[descriptor]
         piece = os.read(descriptor, _PIECE)
         job.said += piece
@@ -100,7 +100,7 @@ class MeshReader:
             self._loop.soon(lambda: self._prepare(job))
 
     def _reap(self, descriptor: int, options: int = 0) -> int:
-        """Its wait status. Memory is given back before descriptors are closed, so there is nothing to wait for."""
+        """Reap a process. Returns its wait status. Its memory is freed before its descriptors close: this is fast."""
         job = self._running.pop(descriptor)
         self._loop.forget(descriptor)
         os.close(descriptor)
@@ -109,7 +109,7 @@ class MeshReader:
         return 0
 
     def _prepare(self, job: _Job) -> None:
-        """MuJoCo prepares one more hull, or the job is done. Each is a turn of its own: cycles run in between."""
+        """Let MuJoCo prepare one more hull, or finish the job. Each hull is one turn: cycles run in between."""
         if job.unprepared and not job.pending.done:
             hulls.prepare(job.unprepared.popleft())
             self._loop.soon(lambda: self._prepare(job))
@@ -133,12 +133,12 @@ class _Job:
         self.unprepared: deque[Hull] = deque()
 
     def begin(self) -> int:
-        """Start the process. Returns where it is heard. Raises OSError."""
+        """Start the process. Returns the descriptor of its output. Raises OSError."""
         parent = os.getpid()
         reading, writing = os.pipe2(os.O_CLOEXEC)
         try:
             with warnings.catch_warnings():
-                # Python warns of threads, which are those of numpy's algebra; they have nothing to do now.
+                # Python warns of threads: those of numpy's linear algebra, which are idle.
                 warnings.simplefilter("ignore", DeprecationWarning)
                 self.pid = os.fork()
         except OSError:
@@ -152,14 +152,14 @@ class _Job:
         return reading
 
     def end(self) -> None:
-        """Nobody wants the results any more."""
+        """Kill the process: its results are not needed any more."""
         if self.pid and not self.ended:
             self.ended = True
             with suppress(ProcessLookupError):
                 os.kill(self.pid, signal.SIGKILL)
 
     def settle(self, status: int) -> None:
-        """Understand what the process has said; of the mesh in the middle of which it ended, why."""
+        """Parse the output of the process; the mesh at which it ended early gets the reason."""
         said = io.BytesIO(self.said)
         for source in self.sources:
             header = said.read(_RESULT.size)
@@ -175,7 +175,7 @@ class _Job:
 
 
 def _why(status: int) -> str:
-    """Why a process ended before it was done."""
+    """The reason why a process ended early."""
     if os.WIFSIGNALED(status):
         number = signal.Signals(os.WTERMSIG(status))
         return f"cannot read the mesh: {_WHY.get(number, f'the process that read it was ended by {number.name}')}"
@@ -183,7 +183,7 @@ def _why(status: int) -> str:
 
 
 def _work(sources: Sequence[MeshSource], writing: int, parent: int) -> None:
-    """The process: reads, says what it has read, and is gone. It never returns into the daemon's code."""
+    """Run the process: read, write the results, exit. It never returns into the daemon's code."""
     code = 1
     try:
         _confine(writing, parent)
@@ -200,13 +200,13 @@ def _work(sources: Sequence[MeshSource], writing: int, parent: int) -> None:
 
 
 def _confine(writing: int, parent: int) -> None:
-    """Be a process that can do nothing but read, for so long and with so much memory, and that ends with the daemon."""
+    """Restrict this process: limits of time and memory, no inherited descriptors, and an end with the daemon."""
     signal.set_wakeup_fd(-1)
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGXCPU, signal.SIGALRM):
         signal.signal(number, signal.SIG_DFL)
     if not end_with(parent, signal.SIGKILL):
         os._exit(1)
-    # Neither the clients' sockets nor the lock may outlive the daemon in here.
+    # A copy of the clients' sockets or the lock must not stay open here after the daemon's end.
     os.closerange(3, writing)
     os.closerange(writing + 1, _LARGEST_DESCRIPTOR)
     os.nice(_NICER)
@@ -219,7 +219,7 @@ def _confine(writing: int, parent: int) -> None:
 
 
 def _limit(what: int, most: int) -> None:
-    """Never more than is allowed already."""
+    """Set a resource limit, at most the present hard limit."""
     _, hard = resource.getrlimit(what)
     most = most if hard == resource.RLIM_INFINITY else min(most, hard)
     resource.setrlimit(what, (most, hard))

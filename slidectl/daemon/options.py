@@ -1,6 +1,6 @@
-"""How a daemon is started: what can be chosen, and what the starter tells the daemon's process on its command line.
+"""The start options of a daemon, and their form on the command line of the daemon's process.
 
-Standard library only; shared by both sides of a start.
+Standard library only; used by both sides of a start.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from slidectl import paths
 from slidectl.errors import Refused, UsageError
 
 ENGINES = ("plain", "compiled", "auto")
-"""Who runs the cycles: the interpreter, machine code (as soon as it is there), or machine code if it can be."""
+"""The interpreter, machine code (when it is ready), or machine code if it is possible."""
 
 
 @dataclass(frozen=True)
 class DaemonOptions:
-    """What a daemon is started with.
+    """The start options of a daemon.
 
-    `rtf` is the real-time factor asked for (`inf`: as fast as possible), `timestep` in s, `gravity` in m/s² (x y z).
-    With `child` it ends when the process that started it ends, however that ends. `engine` is one of ENGINES.
-    `chosen` are the names of the options that somebody gave, which no file of a world changes.
+    `rtf` is the requested real-time factor (`inf`: as fast as possible), `timestep` in s, `gravity` in m/s² (x y z).
+    With `child` it ends when the process that started it ends, for any reason. `engine` is one of ENGINES.
+    `chosen` are the names of the options that the user gave, which a world file does not change.
     """
 
     rtf: float = 1.0
@@ -39,9 +39,9 @@ class DaemonOptions:
     imports: tuple[str, ...] = ()
     """Modules with controllers and hardware of users: dotted names, or absolute paths that end with `.py`."""
     journal: str = ""
-    """The absolute path of the journal that it writes, empty for none."""
+    """The absolute path of the journal to write, empty for none."""
     replay: str = ""
-    """The journal whose replay it begins with, and then is paused. Its world's options are those of the journal."""
+    """The journal to replay at the start; then the daemon is paused. The world's options are those of the journal."""
     until: float | None = None
     """The simulated time at which that replay ends, s; None: the end of the journal."""
 
@@ -57,18 +57,18 @@ class DaemonOptions:
 
     @classmethod
     def read(cls, values: dict[str, Any]) -> DaemonOptions:
-        """Options as JSON has them. Raises TypeError: there is one that is not known."""
+        """Options from JSON. Raises TypeError: one is unknown."""
         options: dict[str, Any] = {
             name: tuple(value) if isinstance(value, list) else value for name, value in values.items()
         }
         return cls(**options)
 
     def of_another(self, **changes: Any) -> DaemonOptions:
-        """Those of another daemon like this one: a journal is that of one run, and so is what it was replayed from."""
+        """The options for another daemon like this one, without the journal and the replay, which belong to one run."""
         return replace(self, **{"journal": "", "replay": "", "until": None, **changes})
 
     def check_journal(self) -> None:
-        """Raises Refused where there is a file already: it may be the journal of a run that is to be looked at."""
+        """Raise Refused when the file exists: it may be the journal of an earlier run."""
         if self.journal and os.path.lexists(self.journal):
             raise Refused(
                 f"there is a file {self.journal} already", "give the journal another name, or remove that file"
@@ -86,20 +86,20 @@ class Start:
     parent: int | None = None
     """The process whose end ends the daemon."""
     ready_fd: int | None = None
-    """Where the starter waits for a line of JSON: `state` is ready, running or failed."""
+    """The descriptor for a line of JSON to the waiting starter: `state` is ready, running or failed."""
 
     @classmethod
     def at(cls, where: paths.InstancePaths, options: DaemonOptions, **more: Any) -> Start:
-        """A start at the place of these paths."""
+        """A start with the socket of these paths."""
         return cls(options, where.socket_text, **more)
 
     @cached_property
     def paths(self) -> paths.InstancePaths:
-        """Asked for before the daemon leaves the folder in which it was started: XDG_RUNTIME_DIR may be relative."""
+        """The paths. First read before the daemon changes its working directory: XDG_RUNTIME_DIR may be relative."""
         return paths.instance(socket=self.socket)
 
     def text(self) -> str:
-        """JSON, from which `read` makes the same again."""
+        """JSON for `read`."""
         return json.dumps(asdict(self))
 
     @classmethod
@@ -109,7 +109,7 @@ class Start:
 
 
 def rtf(text: str) -> float:
-    """`max` or a number. Raises UsageError."""
+    """The real-time factor from `max` or a number. Raises UsageError."""
     try:
         return math.inf if text == "max" else float(text)
     except ValueError:

@@ -1,8 +1,8 @@
-"""What waits for clients: the last lines of each topic, kept once for all who read it, and the answers of each client.
+"""Outgoing lines: the last lines of each topic, stored once for all readers, and the answers of each client.
 
-A reader is a place in the lines of a topic. One that stops costs no work and no memory of its own: the lines that were
-given up since are counted when it reads again. A connection subscribes a topic once, however often it was asked for.
-Those without a throttle share the lines of the topic; one with a throttle has lines of its own. Knows no socket.
+A reader is a position in the lines of a topic. A reader that stops costs no work and no memory of its own: dropped
+lines are counted when it reads again. A connection subscribes to a topic once, for any number of its requests.
+Requests without a throttle share the lines of the topic; one with a throttle has lines of its own. No sockets here.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ from slidectl.simulation.topics import Topics, TopicSubscription
 DEFAULT_QUEUE = 1000
 MOST_QUEUE = 100_000
 MOST_BYTES = 8 * 1024 * 1024
-"""Bound of what one topic keeps whatever the queue lengths, for topics of large messages."""
+"""The most bytes of one topic for any queue lengths, for topics of large messages."""
 MOST_BYTES_IN_ALL = 64 * 1024 * 1024
-"""Bound of the lines of all topics together."""
+"""The most bytes of all topics together."""
 _TIDY_EVERY = 128
 
 Message = dict[str, Any]
 Stamp = Callable[[], Message]
-"""Gives the simulated time, as a message has it."""
+"""Returns the simulated time as a message stamp."""
 Entry = tuple[int, bytes, "Share | None"]
-"""A line that waits, with its number; without a share it is for one client alone."""
+"""A waiting line with its number; without a share it is for one client alone."""
 
 
 class Reader(Protocol):
-    """Whoever gets lines: a connection."""
+    """The receiver of lines: a connection."""
 
     outbox: Outbox
     node: str
@@ -48,34 +48,34 @@ class Reader(Protocol):
 
     @property
     def is_overfull(self) -> bool:
-        """True while more waits for it than may: what is not an answer to it should not be added."""
+        """True while too much waits for it: only answers to it should be added."""
 
     def send(self, line: bytes) -> None:
-        """A line for this reader alone, which must arrive."""
+        """Send a line to this reader alone; it must arrive."""
 
     def look_again(self) -> None:
-        """Its session waits for less than before: look, between two cycles, whether the end is reached."""
+        """Check, between two cycles, whether the connection can end: its session has fewer open requests."""
 
 
 class Publications:
-    """The lines of all topics that clients read. `fresh` are the channels with lines that no reader was woken for."""
+    """The lines of all topics that clients read. `fresh` are the channels with lines not yet given to readers."""
 
     def __init__(self, run: RunState | None = None, monotonic: Callable[[], float] = time.monotonic) -> None:
-        """`run` is told of news for those who wait for them; `monotonic` is the clock of throttles, in s."""
+        """`run` is notified of news for readers; `monotonic` is the clock of throttles, in s."""
         self.run = run or RunState()
         self.monotonic = monotonic
         self.fresh: dict[Channel, None] = {}
         self.held: dict[Channel, None] = {}
-        """Those with a message that came sooner than their throttle allows."""
+        """Channels with a message that came sooner than their throttle allows."""
         self._due_s = math.inf
-        """No later than the first of them is due, on the clock of throttles."""
+        """The time at which the first of these is due, or earlier, on the clock of throttles."""
         self.kept = 0
         """Bytes of all channels."""
         self.last = 0
-        """Number of the last line of the daemon: each client gets what it has waiting in the order of making."""
+        """Number of the daemon's last line: each client gets its waiting lines in the order of creation."""
         self.piece: tuple[Any, bytes, list[int]] = (None, b"", [])
-        """The piece that was last made of lines of topics alone: what it begins with, its bytes, the places after it.
-        Readers who keep up with the same topics come one after the other, and all get the same."""
+        """The last piece that was made of topic lines alone: its key, its bytes, the positions after it.
+        Readers that keep up with the same topics follow each other, and all get the same piece."""
         self._channels: dict[Channel, None] = {}
         self._shared: dict[tuple[str, bool], Channel] = {}
 
@@ -91,7 +91,7 @@ class Publications:
         return channel
 
     def note(self, channel: Channel) -> None:
-        """It has a new line."""
+        """Note a new line of a channel."""
         self.fresh[channel] = None
         if self.run.news_wanted:
             for reader in channel.readers:
@@ -103,12 +103,12 @@ class Publications:
                 largest.give_up((largest.first + largest.end + 1) // 2)
 
     def hold(self, channel: Channel) -> None:
-        """It has a message whose time is still to come, or comes sooner now."""
+        """Note that a channel holds a message for later, or that its time is now sooner."""
         self.held[channel] = None
         self._due_s = min(self._due_s, channel.due_s)
 
     def release(self) -> float:
-        """Take in the held messages whose time has come. Returns the s until the next; infinity when none is held."""
+        """Release the held messages that are due. Returns the s until the next; infinity when none is held."""
         if not self.held:
             return math.inf
         now = self.monotonic()
@@ -122,7 +122,7 @@ class Publications:
         return self._due_s - now
 
     def leave(self, channel: Channel, reader: Reader) -> None:
-        """It reads the channel no more."""
+        """Remove a reader from a channel."""
         channel.readers.pop(reader, None)
         channel.tidy()
         if not channel.readers:
@@ -134,17 +134,17 @@ class Publications:
                 del self._shared[key]
 
     def tidy(self) -> None:
-        """Give up what all have read."""
+        """Drop lines that all readers have read."""
         for channel in self._channels:
             channel.tidy()
 
 
 class Channel:
-    """The lines of one topic that its readers may still want, the newest. `first` and `end` count lines since ever.
+    """The newest lines of one topic that its readers may still get. `first` and `end` count all lines ever.
 
-    With `period_s` two of them are at least so many wall seconds apart: the newest message of that time waits for its
-    end, so that a reader has the last one of a topic that falls silent. `stamp` gives the simulated time that stands
-    in each of them, None for lines without it.
+    With `period_s` two lines are at least that many wall seconds apart: the newest message in that time waits for its
+    end, so that a reader gets the last one of a topic that stops. `stamp` returns the simulated time for
+    each line, None for lines without it.
     """
 
     def __init__(
@@ -155,24 +155,24 @@ class Channel:
         self.period_s = period_s
         self.readers: dict[Reader, Share] = {}
         self.first = 0
-        """Index of the oldest line that is kept."""
+        """Index of the oldest stored line."""
         self.end = 0
         """Index of the next line to come."""
         self.size = 0
-        """Bytes that are kept."""
+        """Stored bytes."""
         self.lines: list[tuple[int, bytes]] = []
-        """Those from `first` to before `end`, each with its number."""
+        """Lines from `first` to before `end`, each with its number."""
         self._publications = publications
         self.due_s = -math.inf
-        """When the next line may come, on the clock of throttles."""
+        """The earliest time of the next line, on the clock of throttles."""
         self._held: tuple[Message, Stamp | None] | None = None
         self._tidy_at = _TIDY_EVERY
 
     def take(self, message: Message) -> None:
-        """A message was published. The one callback of all who share the channel: the graph calls it once for all.
+        """Take a published message. All readers of the channel share this callback: the graph calls it once for all.
 
         Raises:
-            MessageRefused: what came in fitted a line, but not all text is as long when it is sent.
+            MessageRefused: the message came on a line of legal length, but its outgoing line is too long.
         """
         if self.period_s:
             now = self._publications.monotonic()
@@ -187,11 +187,11 @@ class Channel:
         self._publications.note(self)
 
     def release(self) -> None:
-        """The time of the held message has come."""
+        """Add the held message, which is due."""
         if (held := self._held) is not None:
             self._forget_held()
             self.due_s = self._publications.monotonic() + self.period_s
-            with suppress(MessageRefused):  # it is told to whoever publishes such a message when none waits
+            with suppress(MessageRefused):  # a publisher gets this error when its message is not held
                 self.put(_line(self.topic, *held))
                 self._publications.note(self)
 
@@ -200,7 +200,7 @@ class Channel:
         self._publications.held.pop(self, None)
 
     def put(self, line: bytes) -> None:
-        """A new line. Those that nobody can get any more make room."""
+        """Add a line. Lines that no reader can get any more are dropped."""
         self._publications.last += 1
         self._publications.kept += len(line)
         self.lines.append((self._publications.last, line))
@@ -210,7 +210,7 @@ class Channel:
             self.tidy()
 
     def tidy(self) -> None:
-        """Give up what all have read, what is more than any of them may have waiting, and what is too large in all."""
+        """Drop lines that all have read, lines beyond all readers' limits, and the oldest above MOST_BYTES."""
         self.give_up(min((share.wanted for share in self.readers.values()), default=self.end))
         size, until = self.size, self.first
         while size > MOST_BYTES and until < self.end - 1:
@@ -220,7 +220,7 @@ class Channel:
         self._tidy_at = self.end + _TIDY_EVERY
 
     def give_up(self, until: int) -> None:
-        """Forget the lines before this index."""
+        """Drop the lines before this index."""
         count = max(0, until - self.first)
         size = sum(len(line) for _, line in islice(self.lines, count))
         del self.lines[:count]
@@ -230,17 +230,17 @@ class Channel:
 
 
 class Share:
-    """One reader's place in a channel. At most `limit` lines wait for it; what is older is lost to it."""
+    """One reader's position in a channel. At most `limit` lines wait for it; older ones are lost to it."""
 
     def __init__(self, channel: Channel, limit: int) -> None:
         self.channel = channel
         self.limit = limit
         self.next = channel.end
-        """Index of the line that it gets next, if that is still kept."""
+        """Index of the line that it gets next, if that is still stored."""
 
     @property
     def waits(self) -> bool:
-        """True while there is something to be sent: lines, or the news that they are lost."""
+        """True while there is something to send: lines, or a report of lost ones."""
         return self.next < self.channel.end
 
     @property
@@ -249,21 +249,21 @@ class Share:
         return max(self.next, self.channel.end - self.limit)
 
     def skip(self) -> int:
-        """Go on to the oldest line that there is for it. Returns how many were lost."""
+        """Move to the oldest line available to it. Returns the number of lost lines."""
         oldest = max(self.wanted, self.channel.first)
         lost = oldest - self.next
         self.next = oldest
         return lost
 
     def entries(self) -> Iterator[Entry]:
-        """The lines from here on. It may move on meanwhile."""
+        """The lines from its position on. The position may change meanwhile."""
         lines = self.channel.lines
         for index in range(self.next - self.channel.first, len(lines)):
             yield *lines[index], self
 
 
 class Outbox:
-    """What one client gets, in order. `report` makes the line that tells of so many lost lines of a topic."""
+    """The lines for one client, in order. `report` makes the line about a number of lost lines of a topic."""
 
     def __init__(self, report: Callable[[str, int], bytes], publications: Publications) -> None:
         self._report = report
@@ -271,13 +271,13 @@ class Outbox:
         self._own: deque[Entry] = deque()
         self._shares: dict[Share, None] = {}
         self.unbounded = 0
-        """Bytes of lines that are for this client alone (answers, refusals): these are never given up."""
+        """Bytes of lines for this client alone (answers, refusals), which are never dropped."""
 
     def __bool__(self) -> bool:
         return bool(self._own) or any(share.waits for share in self._shares)
 
     def put(self, line: bytes) -> None:
-        """A line that must arrive."""
+        """Add a line that must arrive."""
         self.unbounded += len(line)
         self._publications.last += 1
         self._own.append((self._publications.last, line, None))
@@ -285,15 +285,15 @@ class Outbox:
             self._publications.run.note_message()
 
     def join(self, share: Share) -> None:
-        """The lines of this share are to be sent from now on."""
+        """Send the lines of this share from now on."""
         self._shares[share] = None
 
     def leave(self, share: Share) -> None:
-        """What the share has waiting is not sent, and its losses are not told."""
+        """Drop the share, with its waiting lines and its losses."""
         self._shares.pop(share, None)
 
     def retire(self, share: Share) -> None:
-        """What the share has waiting is sent, and then nothing more."""
+        """Drop the share, but send its waiting lines first."""
         self.leave(share)
         if lost := share.skip():
             self.put(self._report(share.channel.topic, lost))
@@ -301,7 +301,7 @@ class Outbox:
             self.put(line)
 
     def clear(self) -> None:
-        """Nobody will read any of it."""
+        """Drop all lines: the client reads no more."""
         self._own.clear()
         self._shares.clear()
         self.unbounded = 0
@@ -325,7 +325,7 @@ class Outbox:
         return piece
 
     def _take_own(self, most: int) -> bytes:
-        """Answers alone: there is nothing to put in order."""
+        """The next answers, when no topic has lines: there is nothing to merge."""
         taken: list[bytes] = []
         size = 0
         while self._own and size < most:
@@ -354,17 +354,17 @@ class Outbox:
             self._own.popleft()
         for share, lost in losses.items():
             if share.waits:
-                share.next -= lost  # it is told with the first line, in a later piece
+                share.next -= lost  # reported with the first line, in a later piece
             else:
                 taken.append(self._report(share.channel.topic, lost))
         return b"".join(taken)
 
 
 class Feed:
-    """What one connection gets of one topic. Asked for more than once, the most generous of the wishes counts."""
+    """One connection's subscription of one topic. Of several requests the most generous values are used."""
 
     def __init__(self, topic: str, reader: Reader, publications: Publications, now: Stamp) -> None:
-        """`now` is the simulated time, for those who want it with each message."""
+        """`now` returns the simulated time, for requests that want it with each message."""
         self.topic = topic
         self._reader = reader
         self._publications = publications
@@ -374,7 +374,7 @@ class Feed:
         self._subscription: TopicSubscription | None = None
 
     def begin(self, topics: Topics, kind: str | None, node: str) -> None:
-        """Subscribe, as was wanted before. Raises as `Topics.subscribe`."""
+        """Subscribe, after a first `want`. Raises as `Topics.subscribe`."""
         take = self._begin_to_read().take
         try:
             self._subscription = topics.subscribe(self.topic, kind, node, take, self._take_latched)
@@ -383,16 +383,16 @@ class Feed:
             raise
 
     def want(self, wish_id: str | None, throttle_ms: float, queue_length: int, stamped: bool = False) -> None:
-        """Add a wish, or change that of the same id.
+        """Add a request, or change that of the same id.
 
-        Wall ms between two messages at least, messages that may wait, and whether each comes with its simulated time.
+        The values: least wall ms between two messages, most waiting messages, and the simulated time with each message.
         """
         limit = min(queue_length, MOST_QUEUE) if queue_length > 0 else DEFAULT_QUEUE
         self._wishes[wish_id] = (max(0.0, throttle_ms) / 1000, limit, stamped)
         self._update()
 
     def unwant(self, wish_id: str | None) -> bool:
-        """Take a wish back (None: all of them). True when none is left."""
+        """Remove a request (None: all of them). Returns True when none is left."""
         if wish_id is None:
             self._wishes.clear()
         self._wishes.pop(wish_id, None)
@@ -401,12 +401,12 @@ class Feed:
         return not self._wishes
 
     def _wish(self) -> tuple[float, int, Stamp | None]:
-        """Wall seconds between two messages, messages that may wait, and what gives their time."""
+        """Least wall seconds between two messages, most waiting messages, and the source of their time."""
         periods, limits, stamped = zip(*self._wishes.values(), strict=True)
         return min(periods), max(limits), self._now if any(stamped) else None
 
     def _update(self) -> None:
-        """The wishes have changed."""
+        """Apply changed requests."""
         if self._share is None or self._subscription is None:
             return
         period_s, limit, stamp = self._wish()
@@ -431,11 +431,11 @@ class Feed:
         return channel
 
     def _take_latched(self, message: Message) -> None:
-        """What was published before: it is for this reader alone."""
+        """Send a message that was latched before to this reader alone."""
         self._reader.send(_line(self.topic, message, self._wish()[2], latched=True))
 
     def close(self) -> None:
-        """End the subscription; what waits is not sent."""
+        """End the subscription; waiting lines are not sent."""
         if self._subscription is not None:
             self._subscription.close()
         if self._share is not None:
@@ -444,7 +444,7 @@ class Feed:
 
 
 def _line(topic: str, message: Message, stamp: Stamp | None, latched: bool = False) -> bytes:
-    """A publish object. Those with a time say also that they were latched, for whoever publishes them again."""
+    """A publish object. With a time it also says whether it was latched, for clients that publish it again."""
     about = {} if stamp is None else {"time": stamp(), **({"latch": True} if latched else {})}
     line = encode({"op": "publish", "topic": topic, **about, "msg": message})
     if len(line) > LONGEST_LINE:

@@ -1,6 +1,6 @@
-"""When cycles run: at a real-time factor, as fast as possible, or as many as somebody asked for.
+"""The timing of cycles: at a real-time factor, as fast as possible, or as many as were requested.
 
-Called between two looks at the sockets; runs a slice of at most a few ms and says how long there is nothing to do.
+Called between two polls of the sockets. It runs a slice of a few ms at most and returns the time until the next.
 Wall time is in seconds; the simulation itself never sees it.
 """
 
@@ -19,24 +19,24 @@ from slidectl.simulation.loop import Loop
 FREE_SLICE_S = 0.0005
 CATCH_UP_SLICE_S = 0.002
 MOST_BEHIND_S = 0.1
-"""What is later than this is not caught up: the schedule is moved instead, and the speed that is reached says so."""
+"""A larger delay is not caught up: the schedule is moved, and the reported speed shows it."""
 _SHORTEST_WAIT_S = 0.001
 _CHUNK_S = 0.00014
-"""Free-running cycles between two looks at the sockets: a look takes a microsecond."""
+"""Wall time of free-running cycles between two polls of the sockets; a poll takes a microsecond."""
 _LONGEST_CHUNK = 1024
 _RECENT = 8192
-"""Cycles of which the figures are kept."""
+"""The number of cycles in the statistics."""
 _MARK_EVERY_S, _MARKS = 0.1, 20
-"""The speed that is reached is that of about the last two seconds."""
+"""The reported speed is that of about the last two seconds."""
 
 
 class Pacer:
     """Runs a simulation along the wall clock.
 
-    Cycles at a real-time factor run in groups of at least 1 ms of wall time, each group when its time has come:
-    one cycle at the usual 1 kHz. `lateness` is how much later than that a group began, `durations` the wall time of a
-    cycle (the mean of a group), `overruns` the groups that began more than their own length too late. Cycles that run
-    as fast as possible make way as soon as `clients_wait` is true.
+    Cycles at a real-time factor run in groups of at least 1 ms of wall time, each group when it is due:
+    one cycle at the usual 1 kHz. `lateness` is the delay of a group's start, `durations` the wall time of a
+    cycle (the mean of a group), `overruns` the number of groups that began later than their own length. Cycles that run
+    as fast as possible pause as soon as `clients_wait` returns true.
     """
 
     def __init__(
@@ -57,18 +57,18 @@ class Pacer:
         self._chunk = 1
         self._simulated_s = 0.0
         self._marks: deque[tuple[float, float]] = deque(maxlen=_MARKS)
-        """Wall time and simulated time so far, now and then; empty while the world stands still."""
+        """Samples of wall time and simulated time; empty while the world stands still."""
         self._next_mark_s = 0.0
         self._held_since_s = math.inf
-        """Since when the world has waited for clients in lock-step."""
+        """Wall time since which the world has waited for lock-step members."""
         self.lateness: deque[float] = deque(maxlen=_RECENT)
         self.durations: deque[float] = deque(maxlen=_RECENT)
         self.overruns = 0
         self.given_up_s = 0.0
-        """Wall time that was not caught up, in all."""
+        """Wall time that was not caught up, in total."""
 
     def turn(self) -> float | None:
-        """Run what is due. Returns the wall seconds until more is due; None: not before somebody asks."""
+        """Run due cycles. Returns the wall seconds until more are due; None: not before a request."""
         simulation, run = self._simulation, self._simulation.run
         if not run.asked(1):
             self._mode = None
@@ -83,7 +83,7 @@ class Pacer:
         return self._run_freely() if self._is_free else self._run_paced()
 
     def _wait_for_members(self, lockstep: LockStepService) -> float:
-        """Let go of those who let the world wait for too long. Returns wall seconds until the next may be."""
+        """Remove lock-step members that have timed out. Returns the wall seconds until the next may time out."""
         now = self._clock()
         self._held_since_s = min(self._held_since_s, now)
         held_s = now - self._held_since_s
@@ -97,7 +97,7 @@ class Pacer:
         factor, step_ns = mode
         self._step_s = step_ns * 1e-9
         period_s = self._step_s / factor
-        # A million cycles a second and more are what no machine reaches: as fast as possible comes to the same.
+        # No machine reaches a million cycles a second: run as fast as possible instead.
         self._is_free = period_s * _LONGEST_CHUNK < _SHORTEST_WAIT_S
         self._simulation.enough = None
         self._group = 1 if self._is_free else max(1, int(_SHORTEST_WAIT_S / period_s))
@@ -145,7 +145,7 @@ class Pacer:
         end = now + CATCH_UP_SLICE_S
         while self._due_s <= now < end:
             asked = allowed(group)
-            if not asked:  # clients in lock-step are waited for
+            if not asked:  # the world waits for lock-step members
                 return 0.0
             late = now - self._due_s
             self.lateness.append(late)
@@ -165,7 +165,7 @@ class Pacer:
         return max(0.0, self._due_s - now)
 
     def report(self) -> dict[str, float]:
-        """The figures of /slidectl/status, wall seconds."""
+        """The figures of /slidectl/status, in wall seconds."""
         mean, _, p99, worst = _summary(self.durations)
         _, late_p50, late_p99, _ = _summary(self.lateness)
         return {
@@ -187,7 +187,7 @@ class Pacer:
 
 
 def _summary(recent: deque[float]) -> tuple[float, float, float, float]:
-    """Mean, p50, p99 and largest value; zeros when there is none."""
+    """Mean, p50, p99 and largest value; zeros without values."""
     if not recent:
         return 0.0, 0.0, 0.0, 0.0
     values = np.array(recent)

@@ -1,6 +1,6 @@
-"""Pictures that cameras wait for: one is rendered at a time, while the world goes on.
+"""The queue of camera pictures: one is rendered at a time, while the world goes on.
 
-What renders them is a process, see physics/rendering.py. Nothing here knows topics.
+A process renders them, see physics/rendering.py. This module knows no topics.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from slidectl.simulation.pending import Pending
 
 
 class PictureQueue:
-    """Asks a render process for one picture after the other, and hears of them by `loop`."""
+    """Requests one picture after the other from a render process, and receives them through `loop`."""
 
     def __init__(self, loop: EventLoop, world: World) -> None:
         self._loop = loop
@@ -28,14 +28,14 @@ class PictureQueue:
         self._descriptor = -1
 
     def render(self, camera: Camera, pose: Pose, seed: int) -> Pending:
-        """Resolved with the pixels (base64) of what is there now."""
+        """Request a picture of the present state. Resolved with the pixels (base64)."""
         pending = Pending()
         self._waiting.append((pending, self._renderer.look(self._world, camera, pose, seed)))
         self._next()
         return pending
 
     def close(self) -> None:
-        """End the process; nobody gets a picture any more."""
+        """End the process; open requests get no picture."""
         self._waiting.clear()
         self._forget()
         self._renderer.close()

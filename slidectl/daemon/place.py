@@ -1,4 +1,4 @@
-"""The files by which a daemon is found: its folder, its lock, its socket. Taken, looked after, and given back."""
+"""The files by which clients find a daemon: its folder, its lock, its socket. Created, repaired and removed here."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ _BACKLOG = 128
 
 
 class TakenOver(Refused):
-    """Another daemon has this place."""
+    """Another daemon uses this place."""
 
 
 class Place:
-    """The place of one daemon, from `take` to `give_back`."""
+    """The files of one daemon, from `take` to `give_back`."""
 
     def __init__(self, paths: InstancePaths) -> None:
         self._paths = paths
@@ -30,7 +30,7 @@ class Place:
         self._socket_file: os.stat_result | None = None
 
     def take(self) -> bool:
-        """Make the folder and take the lock. False when another daemon has it. Raises SlidectlError."""
+        """Create the folder and take the lock. False when another daemon holds it. Raises SlidectlError."""
         make_private(self._paths.folder)
         fd = lock(self._paths.lock)
         if fd is None:
@@ -40,10 +40,10 @@ class Place:
         return True
 
     def listen(self) -> socket.socket:
-        """A listening socket, open to this user alone. Whoever holds the lock may remove a socket that is there.
+        """A listening socket, open to this user alone. An old socket is removed, as the holder of the lock may do.
 
         Raises:
-            Refused: something else is there, or somebody answers on it although the lock was free.
+            Refused: another file is there, or a process answers on it although the lock was free.
         """
         path = self._paths.socket
         _remove_old(path)
@@ -61,13 +61,13 @@ class Place:
         return listener
 
     def repair(self) -> tuple[list[str], socket.socket | None]:
-        """Make again what has been deleted, as cleaners of temporary folders do: nobody would find the daemon else.
+        """Create deleted files again (cleaners of temporary folders delete them), so that clients find the daemon.
 
         Returns:
-            What was gone, and the socket when there is a new one.
+            The names of deleted files, and the new socket if any.
 
         Raises:
-            TakenOver: another daemon is there. SlidectlError: it cannot be made again.
+            TakenOver: another daemon is there. SlidectlError: a file cannot be created.
         """
         gone: list[str] = []
         if self._lock_fd is None or not is_at(self._paths.lock, os.fstat(self._lock_fd)):
@@ -80,7 +80,7 @@ class Place:
         return gone, self.listen()
 
     def give_back(self) -> None:
-        """Remove what is ours, and nothing that another daemon has put there."""
+        """Remove our files, but none that another daemon has created there."""
         if self._listener is not None:
             self._listener.close()
         with suppress(OSError):
@@ -109,7 +109,7 @@ def _remove_old(path: Path) -> None:
             probe.connect(str(path))
             pid = peer(probe)[0]
         except BlockingIOError:
-            pid = 0  # a full backlog: somebody has it open
+            pid = 0  # a full backlog: a process has it open
         except OSError:
             path.unlink()
             return

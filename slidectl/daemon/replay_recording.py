@@ -1,4 +1,4 @@
-"""A recording of a replay: what was published in the run of a journal, made when it is wanted, not while it ran."""
+"""A recording of a replay: the messages of the run of a journal, recorded afterwards."""
 
 from __future__ import annotations
 
@@ -18,34 +18,34 @@ if TYPE_CHECKING:
 
 _NODE = "/record"
 _LOOK_EVERY_NS = 10_000_000
-"""Simulated time between two looks for new topics, besides those after each entry of the journal."""
+"""Simulated time between two checks for new topics, besides those after each entry of the journal."""
 
 
 class ReplayRecording:
-    """Subscribes all topics of a replay but pictures and what comes in every cycle, after `begin_s`.
+    """Subscribes to all topics of a replay, except pictures and those published in every cycle, after `begin_s`.
 
-    That is simulated time that has passed, whatever the clock says: the journal has a state for each second of it.
+    `begin_s` is elapsed simulated time, also when the clock is set: the journal has a state for each second of it.
 
-    A topic that nobody else uses any more is let go, so that the world has the topics which it had. The file is
-    complete when the context ends, which raises Refused where it could not be written whole.
+    A topic without other users is unsubscribed, so that the world has the same topics as in the run. The file is
+    complete when the context ends; this raises Refused when the file could not be written completely.
     """
 
     def __init__(self, path: Path, begin_s: float = 0.0) -> None:
-        """Raises Refused: the file is there, or cannot be made. UsageError, NoMcap: as recording_files.create."""
+        """Raises Refused: the file exists, or cannot be created. UsageError, NoMcap: as recording_files.create."""
         if path.exists():
             raise Refused(f"{path} is there already", "give the recording another name, or remove that file")
         self._files = SplitFiles(path)
         self._trouble = ""
         self._begin_s = begin_s
         self._early_ns: range | None = None
-        """On the clock, what is left out of the second in which it begins; None: that has not begun."""
+        """Clock times to skip in the second in which it begins, ns; None until that second."""
         self._has_begun = False
         self._subscriptions: dict[str, TopicSubscription] = {}
         self._changes = -1
         self._left_out = re.compile(EVERY_CYCLE)
 
     def watch(self, replay: Replay) -> None:
-        """This is the replay, before it runs."""
+        """Set the replay, before it runs."""
         self._replay, self._graph = replay, replay.simulation.graph
         replay.after_entry = self._look
         self._graph.timers.every(_LOOK_EVERY_NS, self._look)
@@ -67,7 +67,7 @@ class ReplayRecording:
         self._changes = topics.changes
 
     def _is_time(self) -> bool:
-        """From the beginning on, also when the clock is set back."""
+        """True from `begin_s` on, also after the clock is set back."""
         whole_s, now_ns = int(self._begin_s), self._graph.clock.time_ns
         if self._early_ns is None and self._replay.states >= whole_s:
             self._early_ns = range(now_ns, now_ns + round((self._begin_s - whole_s) * 1e9))
@@ -79,12 +79,12 @@ class ReplayRecording:
             return
         try:
             self._files.write(topic, kind, latched, self._graph.clock.time_ns, kind.encode(message))
-        except OSError as error:  # told at the end: a publisher must not hear of it
+        except OSError as error:  # raised at the end: a publisher must not get it
             self._trouble = error.strerror or str(error)
 
     @property
     def messages(self) -> int:
-        """How many are in the file."""
+        """The number of messages in the file."""
         return self._files.counts.total()
 
     def __enter__(self) -> ReplayRecording:

@@ -1,7 +1,7 @@
-"""The server: accepts connections, serves those that have more to do, and carries bytes between sockets and sessions.
+"""The server: accepts connections, serves those with pending work, and moves bytes between sockets and sessions.
 
-Called from the event loop between two cycles. Never waits: what the kernel does not take stays in the outbox. Knows
-lines, not operations: each connection has its session for these.
+Called from the event loop between two cycles. It never blocks: what the kernel does not accept stays in the outbox. It
+handles lines, not operations: each connection has a session for these.
 """
 
 from __future__ import annotations
@@ -34,19 +34,19 @@ _ACCEPTED_A_TURN = 16
 _CHUNK = 64 * 1024
 _MOST_UNREAD = 1024 * 1024
 _SERVED_ONE_S, _SERVED_A_TURN_S = 0.002, 0.005
-"""How long one connection, and all of them, are served before cycles have their turn."""
+"""The longest time in which one connection, and all of them, are served before cycles run."""
 _SENT_ONE, _SENT_A_TURN_S = 256 * 1024, 0.003
-"""Bytes to one connection, and seconds for all of them, likewise."""
+"""The most bytes to one connection, and seconds for all of them, before cycles run."""
 _COSTLY_S, _LONGEST_PAUSE_S = 0.0003, 0.1
 _PAUSE_FACTOR = 3.0
-"""Between two rounds of messages that took long, so many times that time is left to the cycles and to all else."""
+"""After sending messages took long, the pause before the next is this many times as long, for cycles and other work."""
 _LONGEST_STALL_S, _LONGEST_END_S = 0.5, 4.0
-"""How long the daemon's end waits for clients of which none takes anything, and for those that do."""
+"""The longest waits at the daemon's end: while no client reads, and in total while some do."""
 _GONE: Any = object()
 
 
 class Server:
-    """Connections on `listener`, with the graph behind them."""
+    """Connections on `listener` to the graph."""
 
     def __init__(
         self, listener: socket.socket, loop: EventLoop, graph: Graph, unexpected: Callable[[str], None], run: RunState
@@ -56,13 +56,13 @@ class Server:
         self.unexpected = unexpected
         self.publications = Publications(run)
         self.journal: Journal | None = None
-        """Notes what clients do, from before the first of them."""
+        """Records what clients do; set before the first of them connects."""
         self.connections: dict[Connection, None] = {}
         self.with_input: dict[Connection, None] = {}
-        """Connections that have more to do before the loop may wait, in order, as the two below."""
+        """Connections with work to do before the loop may wait, in order; so are the next two."""
         self.with_output: dict[Connection, None] = {}
         self.with_messages: dict[Reader, None] = {}
-        """Readers of topics that have new messages."""
+        """Readers of topics with new messages."""
         self._listener = listener
         self._most = _most_connections()
         self._serial = 0
@@ -73,13 +73,13 @@ class Server:
         self._listen()
 
     def serve(self) -> None:
-        """Take in what clients have said, in turn. Who has no turn before the time is up is the first the next time."""
+        """Handle clients' input, one after the other. Clients not reached in time come first in the next call."""
         _in_turn(self.with_input, Connection.serve, time.monotonic() + _SERVED_A_TURN_S)
 
     def flush(self) -> None:
-        """Send what the clients take: messages of topics when it is time for these, then answers.
+        """Send what the clients accept: messages of topics when they are due, then answers.
 
-        Messages come first: an answer says that its effect is there.
+        Messages come first: an answer means that its effect was already sent.
         """
         began = time.monotonic()
         fresh = self.publications.fresh
@@ -93,7 +93,7 @@ class Server:
         _in_turn(self.with_output, Connection.flush, began + _SENT_A_TURN_S)
 
     def _send_messages(self, began: float) -> None:
-        """To a hundred readers sending takes longer than a cycle: then several cycles' messages are sent together."""
+        """Send messages. If this takes longer than a cycle, the messages of several cycles are sent together."""
         _in_turn(self.with_messages, Connection.flush, began + _SENT_A_TURN_S)
         now = time.monotonic()
         self._sending_s += now - began
@@ -101,7 +101,7 @@ class Server:
             self._messages_due_s = now + min(_LONGEST_PAUSE_S, _PAUSE_FACTOR * self._sending_s)
 
     def wait(self, most_s: float | None) -> float | None:
-        """How long the loop may wait for clients when it has nothing else to do for `most_s`."""
+        """How long the loop may wait for clients when it has nothing else to do for `most_s`, s."""
         if self.publications.held:
             left_s = self.publications.release()
             most_s = left_s if most_s is None else min(most_s, left_s)
@@ -113,7 +113,7 @@ class Server:
         return due_s if most_s is None else min(most_s, due_s)
 
     def close(self, why: str) -> None:
-        """End all connections and let go of everything. Who goes on reading gets what waits: a recording is whole."""
+        """End all connections and close. Clients that keep reading get all waiting lines: recordings are complete."""
         for connection in list(self.connections):
             connection.warn(why)
         end_s = time.monotonic() + _LONGEST_END_S
@@ -132,19 +132,19 @@ class Server:
         self._listener.close()
 
     def tidy(self) -> None:
-        """Now and then: give up lines that nobody wants, and look whether there is room for connections again."""
+        """Drop lines that no reader needs, and accept connections again when there is room."""
         self.publications.tidy()
         if len(self.connections) < self._most:
             self._listen()
 
     def ended(self, connection: Connection) -> None:
-        """It was closed."""
+        """Forget a closed connection."""
         for waiting in (self.connections, self.with_input, self.with_output, self.with_messages):
             waiting.pop(connection, None)
         self._listen()
 
     def listen_on(self, listener: socket.socket) -> None:
-        """Accept connections here from now on; those that there are stay."""
+        """Accept connections on another listener from now on; open ones stay."""
         self._pause()
         self._listener.close()
         self._listener = listener
@@ -157,7 +157,7 @@ class Server:
         self._listening = False
 
     def _listen(self) -> None:
-        """Accept while there is room: a listener that is ready and not served would keep the loop from waiting."""
+        """Accept while there is room: a ready listener that is not served would keep the loop from waiting."""
         if not self._listening:
             self.loop.watch(self._listener.fileno(), READ, self._accept)
         self._listening = True
@@ -168,7 +168,7 @@ class Server:
                 connection, _address = self._listener.accept()
             except BlockingIOError:
                 return
-            except OSError as error:  # out of file descriptors: the others are served on
+            except OSError as error:  # out of file descriptors: open connections are still served
                 self._pause_listening(f"cannot accept: {error.strerror}")
                 return
             self._paused_for = ""
@@ -178,7 +178,7 @@ class Server:
                 return
 
     def _pause_listening(self, why: str) -> None:
-        if why != self._paused_for:  # it is tried again and again
+        if why != self._paused_for:  # log once: it is tried again and again
             self.graph.log("warn", OWN_NODE, why)
         self._paused_for = why
         self._pause()
@@ -212,11 +212,11 @@ class Connection:
         self.outbox = Outbox(self._session.report, server.publications)
         self._chunk: bytes | memoryview = b""
         self._failure: BadLine | None = None
-        self._blocked = False  # the kernel takes no more for now
-        self._readable = True  # the kernel may have something for us
-        self._ends = False  # the client sends no more than what is here already
+        self._blocked = False  # the kernel accepts no more for now
+        self._readable = True  # the kernel may have input for us
+        self._ends = False  # the client sends no more than what has arrived
         self._ended = False  # no more will be read
-        self._deaf = False  # the client takes no more, ever
+        self._deaf = False  # the client will never read more
         self._waits_to_write = False
         self.open = True
         self._loop.watch(self._fd, READ | ONCE, self._ready)
@@ -224,7 +224,7 @@ class Connection:
     # --- in -----------------------------------------------------------------------------------------------------
 
     def _ready(self, events: int) -> None:
-        """Events are only noted: what is done about them has its turn when all have been noted."""
+        """Note events only; they are handled after all have been noted."""
         self._readable = not self._ended
         self._ends = self._ends or bool(events & (HANG_UP | PEER_CLOSED))
         self._server.with_input[self] = None
@@ -235,7 +235,7 @@ class Connection:
             self._server.with_output[self] = None
 
     def _safely(self, action: Callable[[], None]) -> None:
-        """A fault of ours ends one connection, not the daemon."""
+        """Call `action`. An internal error ends this connection, not the daemon."""
         try:
             action()
         except Exception:
@@ -243,12 +243,12 @@ class Connection:
             self.close()
 
     def serve(self) -> None:
-        """Take in what has come. There is a limit to each turn, so that no client holds up the others."""
+        """Handle input. Each turn is limited, so that no client blocks the others."""
         self._safely(self._serve_some)
 
     def _serve_some(self) -> None:
-        # A client that does not take its answers is not listened to until it does: that bounds what we keep for it.
-        # Lines of it that have come already wait as well.
+        # A client that does not read its answers is not served until it does: that bounds what we store for it. Its
+        # lines that have arrived wait too.
         lines = self._incoming.lines
         end = time.monotonic() + _SERVED_ONE_S
         while (lines or self._readable) and not self.is_overfull:
@@ -278,23 +278,23 @@ class Connection:
         except BadLine as error:
             self._failure = error
         self._ended = not data or self._failure is not None
-        # A short piece is all that there is, except for the end; what comes later is told anew: see epoll(7).
+        # A short piece is all the input, except for the end; later input raises a new event: see epoll(7).
         self._readable = not self._ended and (len(data) == _CHUNK or self._ends)
 
     # --- out ----------------------------------------------------------------------------------------------------
 
     def send(self, line: bytes) -> None:
-        """A line that must arrive: an answer, a refusal."""
+        """Send a line that must arrive: an answer or a refusal."""
         if self._deaf:
             return
         self.outbox.put(line)
         if not self._blocked:
-            # To the end of the row: answers leave in the order in which they were given, whoever they are for.
+            # Move to the end of the queue: answers leave in the order in which they were given, across clients.
             self._server.with_output.pop(self, None)
             self._server.with_output[self] = None
 
     def look_again(self) -> None:
-        """Its session waits for less than before: look, between two cycles, whether the end is reached."""
+        """Check, between two cycles, whether the connection can end: its session has fewer open requests."""
         self._server.with_output[self] = None
 
     @property
@@ -304,11 +304,11 @@ class Connection:
 
     @property
     def is_overfull(self) -> bool:
-        """True while more waits for the client than may: what is not an answer to it should not be added."""
+        """True while too much waits for the client: only answers to it should be added."""
         return self.unread >= _MOST_UNREAD
 
     def flush(self) -> None:
-        """Send what the kernel takes now, within reason."""
+        """Send what the kernel accepts now, up to a limit."""
         if not self._blocked:
             self._safely(self._send_some)
 
@@ -323,7 +323,7 @@ class Connection:
             except OSError:
                 self._stop_sending()
                 break
-            # No copy of the rest: a piece may be 16 MiB, and go out in a hundred parts.
+            # Do not copy the rest: a piece may be 16 MiB, and be sent in a hundred parts.
             self._chunk = memoryview(chunk)[count:] if count < len(chunk) else b""
             self._blocked = bool(self._chunk)
             sent += count
@@ -335,7 +335,7 @@ class Connection:
         self.outbox.clear()
 
     def _settle(self) -> None:
-        """After anything changed: what to wait for, and whether the end is reached."""
+        """Update the events to wait for, and close when the end is reached."""
         lines = bool(self._incoming.lines)
         unsent = self.unsent
         if self._ended and not lines and not unsent and (self._deaf or not self._session.waiting):
@@ -351,7 +351,7 @@ class Connection:
             self._loop.change(self._fd, READ | ONCE | (WRITE if self._blocked else 0))
 
     def close(self) -> None:
-        """End it now; the session takes back all that the client had."""
+        """Close now; the session removes all that the client had."""
         if not self.open:
             return
         self.open = False
@@ -365,21 +365,21 @@ class Connection:
 
     @property
     def unsent(self) -> bool:
-        """True while something waits that the client may still take."""
+        """True while something waits that the client may still read."""
         return bool(self._chunk or self.outbox)
 
     def warn(self, text: str) -> None:
-        """A status, after all that waits already."""
+        """Send a status line, after all that waits already."""
         self._session.warn(text)
 
     def resume(self) -> None:
-        """Send on: the kernel takes something again, or says that the client has gone."""
+        """Send again: the kernel accepts data, or reports that the client has disconnected."""
         self._blocked = False
         self.flush()
 
 
 def _in_turn(waiting: dict[Any, None], action: Callable[[Any], None], end_s: float) -> None:
-    """Act for those who wait, until the time is up: the others stay, before those who come to wait meanwhile."""
+    """Call `action` for each until the time is up. The rest stay, before those that are added meanwhile."""
     for connection in list(waiting):
         if waiting.pop(connection, _GONE) is not _GONE:
             action(connection)
@@ -388,15 +388,15 @@ def _in_turn(waiting: dict[Any, None], action: Callable[[Any], None], end_s: flo
 
 
 def _session_of(pid: int) -> int:
-    """The session id of a process, 0 when it has gone or is not to be seen from here."""
+    """The session id of a process, 0 when it has ended or is not visible from here."""
     try:
-        return os.getsid(pid) if pid else 0  # 0 is a process of another pid namespace, and for getsid ourselves
+        return os.getsid(pid) if pid else 0  # pid 0 is in another pid namespace, but getsid(0) is our own session
     except OSError:
         return 0
 
 
 def _most_connections() -> int:
-    """How many connections there may be."""
+    """The most connections, by the limit of file descriptors."""
     limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
     if limit == resource.RLIM_INFINITY:
         return MOST_CONNECTIONS

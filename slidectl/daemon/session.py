@@ -1,7 +1,7 @@
-"""What one client may say and what comes back: the rosbridge v2 operations on the graph.
+"""The session of one client: the rosbridge v2 operations on the graph.
 
-Speaks in lines with its connection and in plain calls with the graph. Whatever a client sends, the worst that
-happens is a `status` back to it.
+It exchanges lines with its connection and calls the graph. Nothing that a client sends can do more harm than cause a
+`status` line to it.
 """
 
 from __future__ import annotations
@@ -35,29 +35,29 @@ _OPERATIONS = (
     "unadvertise_service", "service_response", "set_level", "set_node",
     "cancel_call",
 )  # fmt: skip
-"""Each is a method of the session, with an underscore before its name."""
+"""Each operation is a method of the session, with an underscore before its name."""
 _MOST_OPEN_CALLS = 1000
 _MOST_TIMED, _MOST_TIMED_BYTES = 10_000, 64 * 1024 * 1024
-"""Messages of a connection that may wait for their time, and the bytes of their lines."""
+"""The most messages of a connection with a later time, and the most bytes of their lines."""
 _LONGEST_LATE, _MOST_LATE = 4096, 8 * 1024 * 1024
-"""Bytes of an answer, and of what waits before it, from which on it is given up when it comes later than its call.
+"""Bytes of an answer, and of waiting lines, above which a late answer is dropped.
 
-What answers at once is bounded otherwise: a connection with so much unread is not listened to.
+Immediate answers have another bound: a connection with so many unread bytes is not served.
 """
 _LONGEST_ENVELOPE = 4096
 _ENVELOPE = re.compile(r'"(op|id|service)"\s*:\s*("(?:[^"\\\x00-\x1f]|\\["\\/bfnrt])*"|-?\d{1,18}(?=\s*[,}]))')
 _LONGEST_ID = 1000
 _GIVEN_NODE = re.compile(r"/slidectl(_\d+)+")
-"""What a connection is called that does not name its node."""
+"""The name of a connection that does not name its node."""
 _DEEPEST_ID = 200
-"""Characters of an id that is a list or a mapping: enough to number things with, too few to nest deeply."""
+"""The most characters of an id that is a list or a mapping: enough for numbers, too few to nest deeply."""
 _LARGEST_NUMBER = 1e9
 
 
 class Session:
-    """The graph as one client uses it, under the node name `node`. Everything it took is given back by `closed`.
+    """The graph as one client uses it, under the node name `node`. `closed` removes all that the client had.
 
-    `process_session` is the session id of the client's process, 0 when it is not known.
+    `process_session` is the session id of the client's process, 0 when it is unknown.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class Session:
         self.node = node
         self._journal = journal
         self.unexpected = unexpected
-        """Logs the exception that is being handled: it is a fault of ours."""
+        """Logs the exception that is being handled, an internal error."""
         self._process_session = process_session
         self._connection = connection
         self._graph = graph
@@ -82,23 +82,23 @@ class Session:
         self._publishers: dict[str, TopicPublisher] = {}
         self._feeds: dict[str, Feed] = {}
         self._calls: dict[Pending, Any] = {}
-        """Those that are not answered yet, each with its id."""
+        """Open calls, each with its id."""
         self._timed: dict[Timer, int] = {}
-        """Messages that wait for their time, each with the bytes of its line."""
+        """Messages with a later time, each with the bytes of its line."""
         self._line_bytes = 0
         self._services: dict[str, Service] = {}
         self._asked: dict[str, Pending] = {}
         self._serial = 0
 
-    # --- the connection's side ----------------------------------------------------------------------------------
+    # --- for the connection -------------------------------------------------------------------------------------
 
     @property
     def waiting(self) -> bool:
-        """True while answers or messages may still come for a client that has said its last word."""
+        """True while answers or messages may still come for a client that sends no more."""
         return bool(self._calls or self._feeds or self._timed)
 
     def take(self, line: bytes) -> None:
-        """Carry out one line; whatever is wrong with it is told to the client."""
+        """Handle one line; the client gets a status about any error."""
         message: Message = {}
         self._line_bytes = len(line)
         try:
@@ -121,7 +121,7 @@ class Session:
             self._carry_out(getattr(self, f"_{op}"), message)
 
     def _carry_out(self, action: Callable[[Message], None], message: Message) -> None:
-        """Do what a message says; what goes wrong is told to the client."""
+        """Call the operation of a message; the client gets a status about any error."""
         log = self._graph.log
         log.reasons = []
         self._graph.caller = self._process_session
@@ -142,19 +142,19 @@ class Session:
             self._graph.calling_node = ""
 
     def report(self, topic: str, dropped: int) -> bytes:
-        """The line that tells of messages that were dropped; empty for a client that does not want to know."""
+        """The line about dropped messages; empty when the client's level excludes it."""
         if self._level > LEVELS["warning"]:
             return b""
         text = f"{dropped} messages on {topic} were dropped: read too slowly"
         return encode({"op": "status", "level": "warning", "topic": topic, "dropped": dropped, "msg": text})
 
     def warn(self, text: str) -> None:
-        """A status line that answers nothing in particular."""
+        """Send a status line that belongs to no request."""
         if self._level <= LEVELS["warning"]:
             self._connection.send(encode({"op": "status", "level": "warning", "msg": text}))
 
     def closed(self) -> None:
-        """The client has gone: take back all that it had, and drop what it waits for."""
+        """Remove all that the client had, and cancel its open requests, after it has disconnected."""
         if self._journal is not None:
             self._journal.gone(self)
         for pending in list(self._calls):
@@ -171,7 +171,7 @@ class Session:
         self._graph.close_node(self.node)
 
     def complain(self, error: SlidectlError, message: Message) -> None:
-        """Tell the client what is wrong with its message; who called a service gets an answer even then."""
+        """Send the error of a message to the client; a service call gets it as its answer."""
         if message.get("op") == "call_service" and isinstance(message.get("service"), str):
             asked = {"op": "service_response", "service": message["service"][: names.LONGEST]}
             self._connection.send(encode(asked | _returned(message) | _failure(error) | self._reasons()))
@@ -180,7 +180,7 @@ class Session:
             self._connection.send(encode(status | _given_id(message) | self._reasons()))
 
     def _reasons(self) -> Message:
-        """The warnings and errors so far of the line that is being carried out, as a part of its answer."""
+        """The warnings and errors so far of the line that is being handled, as a part of its answer."""
         return _with_levels(self._graph.log.reasons)
 
     # --- topics -------------------------------------------------------------------------------------------------
@@ -191,7 +191,7 @@ class Session:
         latch = bool(message.get("latch", False))
         known = self._publishers.get(topic)
         if known is not None and known.latch == latch:
-            self._graph.topics.advertise(topic, kind, self.node).close()  # complains when the type is another one
+            self._graph.topics.advertise(topic, kind, self.node).close()  # raises when the type is another one
             return
         self._publishers[topic] = self._graph.topics.advertise(topic, kind, self.node, latch)
         if known is not None:
@@ -203,7 +203,7 @@ class Session:
         self._publishers.pop(topic).close()
 
     def _publish(self, message: Message) -> None:
-        """At once, or with `at` at the end of the first cycle with that time or a later one."""
+        """Publish at once, or with `at` at the end of the first cycle at or after that time."""
         at = message.get("at")
         if at is None:
             self._publish_now(message)
@@ -218,7 +218,7 @@ class Session:
             most = f"{_MOST_TIMED} messages, or {_MOST_TIMED_BYTES >> 20} MiB,"
             raise Refused(f"{most} of this connection wait for their time", "send later ones later")
         kind = _text(message, "type", "") or self._graph.topics.type_of(topic)
-        message["msg"] = msgs.check(kind, message.get("msg", {}))  # what is wrong is said now, not when it is due
+        message["msg"] = msgs.check(kind, message.get("msg", {}))  # raises now, not when it is due
 
         def publish() -> None:
             del self._timed[timer]
@@ -257,7 +257,7 @@ class Session:
             feed.begin(self._graph.topics, kind, self.node)
             self._feeds[topic] = feed
             return
-        if kind is not None:  # complains when the type is another one
+        if kind is not None:  # raises when the type is another one
             self._graph.topics.subscribe(topic, kind, self.node, lambda _: None).close()
         feed.want(_wish_id(message), throttle, int(queue), stamped)
 
@@ -280,7 +280,7 @@ class Session:
         pending.then(lambda answered: self._answer(answered, service, call_id, reasons))
 
     def _cancel_call(self, message: Message) -> None:
-        """Nobody waits for the answers of the calls with this id any more, and none come."""
+        """Cancel the calls with this id: they get no answers."""
         if message.get("id") is None:
             raise UsageError("cancel_call without the id of the call")
         for pending in [pending for pending, given in self._calls.items() if given == message["id"]]:
@@ -288,7 +288,7 @@ class Session:
             pending.cancel()
 
     def _by_name(self, service: str, values: Any) -> Any:
-        """Arguments may come as a list, in the order of the fields."""
+        """The arguments by name; they may be a list, in the order of the fields."""
         if not isinstance(values, list):
             return values
         fields = msgs.fields(msgs.request_type(self._graph.services.type_of(service)))
@@ -312,7 +312,7 @@ class Session:
             if len(line) > _LONGEST_LATE and self._connection.unread > _MOST_LATE:
                 what = f"its answer of {len(line)} bytes was given up: this connection does not read its answers"
                 line = encode(response | _failure(Refused(f"{service}: {what}")))
-        except Exception as error:  # this may be called from within a control cycle, which must not fail for it
+        except Exception as error:  # this may be called from within a control cycle, which must not fail
             self.unexpected(f"the answer of {service} to {self.node}")
             line = encode(response | _failure(Refused(f"internal error: {error!r}; the daemon's log has more")))
         self._connection.send(line)
@@ -329,7 +329,7 @@ class Session:
         self._services.pop(service).close()
 
     def _ask(self, service: str, request: Message) -> Pending:
-        """Somebody calls a service that this client provides. Raises Refused when it does not take its calls."""
+        """Forward a call of a service that this client provides. Raises Refused when it does not read its calls."""
         if self._connection.is_overfull:
             raise Refused(f"{self.node}, which provides {service}, does not read its calls")
         self._serial += 1
@@ -354,14 +354,14 @@ class Session:
             pending.reject(Refused(values if isinstance(values, str) else "the provider failed"))
 
     def _set_node(self, message: Message) -> None:
-        """Raises Refused: the connection has topics, services or calls by the name that it had until now."""
+        """Rename the node. Raises Refused: the connection has topics, services or calls under its present name."""
         if self._publishers or self._feeds or self._services or self._calls or self._graph.knows_node(self.node):
             raise Refused(f"this connection is the node {self.node} already", "set_node is its first op")
         name = _name(message, "node")
         if _GIVEN_NODE.fullmatch(name):
             raise Refused(f"{name} is a name that the daemon gives", "choose another one")
         self._graph.claim_node(name)
-        self._graph.close_node(self.node)  # what services keep of it by that name ends
+        self._graph.close_node(self.node)  # services drop their state about the old name
         self.node = self._connection.node = name
 
     def _set_level(self, message: Message) -> None:
@@ -372,26 +372,26 @@ class Session:
 
 
 def _returned(call: Message) -> Message:
-    """What the answer to a call brings back: the id, and our version to a client that has given its own."""
+    """Fields for the answer to a call: the id, and our version for a client that has sent its own."""
     return _given_id(call) | ({"version": slidectl.__version__} if "version" in call else {})
 
 
 def _failure(error: SlidectlError) -> Message:
     failure = {"values": str(error), "result": False, "exit_code": error.exit_code, "cause": type(error).__name__}
     if isinstance(error, AmbiguousName):
-        failure["matches"] = error.matches  # the text may leave some out
+        failure["matches"] = error.matches  # all of them: the text may leave some out
     return failure
 
 
 def _owned(owned: dict[str, Any], name: str, how: str) -> Any:
-    """What the connection has by this name. Raises Refused."""
+    """The entry of the connection under this name. Raises Refused."""
     if name not in owned:
         raise Refused(f"{name} is not {how} on this connection", f"{how}: {listing(owned)}")
     return owned[name]
 
 
 def _text(message: Message, key: str, default: str | None = None) -> str:
-    """Raises UsageError."""
+    """The text under a key. Raises UsageError."""
     value = message.get(key, default)
     if not isinstance(value, str):
         raise UsageError(f"op {message['op']!r} needs {key!r}, a text")
@@ -399,7 +399,7 @@ def _text(message: Message, key: str, default: str | None = None) -> str:
 
 
 def _name(message: Message, key: str) -> str:
-    """A name, from the root if it is relative. Raises UsageError: BadName for one that is too long."""
+    """An absolute name; relative ones are resolved in the root. Raises UsageError: BadName when it is too long."""
     given = _text(message, key)
     if len(given) > names.LONGEST:
         raise names.TooLong(given)
@@ -407,14 +407,14 @@ def _name(message: Message, key: str) -> str:
 
 
 def _envelope(line: bytes) -> Message:
-    """What stands before the first list of a line that is not read: its op, its id, its service, where given."""
+    """The op, id and service before the first list of a line that is too large to parse, as far as given."""
     beginning = line[:_LONGEST_ENVELOPE].decode("utf-8", "replace")
     fields = {match[1]: json.loads(match[2]) for match in _ENVELOPE.finditer(beginning.partition("[")[0])}
     return {key: fields[key] for key in ("op", "id", "service") if key in fields}
 
 
 def _check_id(message: Message) -> None:
-    """Raises UsageError, and forgets the id, when it is one that nobody could want back."""
+    """Raise UsageError, and remove the id, when it is too long to be returned."""
     given = message.get("id")
     most = _LONGEST_ID if isinstance(given, str) else _DEEPEST_ID
     try:
@@ -432,18 +432,18 @@ def _with_levels(reasons: Reasons | None) -> Message:
 
 
 def _given_id(message: Message) -> Message:
-    """The id that comes back with the answer: as it was given, if it was."""
+    """The id for the answer: as it was given, if it was."""
     return {"id": message["id"]} if "id" in message else {}
 
 
 def _wish_id(message: Message) -> str | None:
-    """The id by which a subscription is told from another one of the same connection."""
+    """The id that distinguishes a subscription from others of the same connection."""
     given = message.get("id")
     return None if given is None else str(given)
 
 
 def _number(message: Message, key: str) -> float:
-    """0 when it is not given. Raises UsageError."""
+    """The number under a key, 0 when it is not given. Raises UsageError."""
     value = message.get(key) or 0
     if not isinstance(value, int | float) or not 0 <= value <= _LARGEST_NUMBER:
         raise UsageError(f"{key!r} is a number from 0 to {_LARGEST_NUMBER:g}, not {_shortened(value)}")
@@ -451,7 +451,7 @@ def _number(message: Message, key: str) -> float:
 
 
 def _nanoseconds(time: Any) -> int:
-    """A time as messages have it. Raises UsageError."""
+    """A message time in ns. Raises UsageError."""
     parts = [time.get(part) for part in ("secs", "nsecs")] if isinstance(time, dict) else [None]
     if not all(isinstance(part, int) and 0 <= part < 2**32 for part in parts):
         raise UsageError(f"'at' is a time, {{secs, nsecs}}, not {_shortened(time)}")
@@ -459,6 +459,6 @@ def _nanoseconds(time: Any) -> int:
 
 
 def _shortened(value: Any) -> str:
-    """The value as an error quotes it."""
+    """The value as quoted in an error."""
     text = repr(value[:60] if isinstance(value, str) else value)
     return text if len(text) <= 60 else text[:57] + "..."

@@ -1,8 +1,8 @@
-"""A limit of wall time around users' code, which would hold up the daemon and all its clients if it did not end.
+"""A limit of wall time for users' code, which would otherwise block the daemon and all its clients if it did not end.
 
-There is one thread, so nobody else can end that code: a timer's signal interrupts it, and the signal's handler raises
-an exception in it. The timer ticks on while users' code runs now and then: an `update` is entered in each cycle, and to
-set a timer costs system calls. Code in C that does not return to the interpreter cannot be interrupted.
+There is one thread, so no other code can end it: a timer's signal interrupts it, and the signal's handler raises
+an exception in it. The timer keeps ticking while users' code runs now and then, because an `update` is entered in each
+cycle, and setting a timer costs system calls. C code that does not return to the interpreter cannot be interrupted.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ LIMIT_S = 5.0
 _TICK_S = 0.1
 _AGAIN_S = 0.005
 _MOST_AGAIN = 200
-"""Signals that may meet code of slidectl before that is interrupted too."""
+"""The number of signals that may meet slidectl's own code before that is interrupted too."""
 _ENTRIES = tuple(
     str(module.__file__) for module in (controller_interface, controller_manager, cycle, graph, user_classes)
 )
@@ -31,7 +31,7 @@ _ENTRIES = tuple(
 
 
 class TimeLimit(AbstractContextManager[None]):
-    """Raises CodeTimeout in what runs inside after `most_s`. Set as `user_classes.limit`; main thread only."""
+    """Raises CodeTimeout inside its context after `most_s`. Set as `user_classes.limit`; main thread only."""
 
     def __init__(self) -> None:
         self.most_s = LIMIT_S
@@ -40,16 +40,16 @@ class TimeLimit(AbstractContextManager[None]):
         self._has_ended = False
         self._depth = 0
         self._end_s = inf
-        """When what runs inside is interrupted; infinite while nothing does."""
+        """The time at which the code inside is interrupted; infinite outside."""
         self._tick_s = 0.0
-        """The timer's period; 0: it stands still."""
+        """The timer's period; 0: it is stopped."""
         self._was_entered = False
-        """Since the tick before."""
+        """True when the context was entered since the last tick."""
         self._spared = 0
         signal.signal(signal.SIGALRM, self._tick)
 
     def __enter__(self) -> None:
-        self._depth += 1  # a controller publishes, and another one takes the message
+        self._depth += 1  # contexts nest: a controller publishes, and another one takes the message
         if self._depth == 1:
             self._end_s = monotonic() + self.most_s
             self._was_entered = True
@@ -65,7 +65,7 @@ class TimeLimit(AbstractContextManager[None]):
                 self.on_end()
 
     def close(self) -> None:
-        """No signal comes any more."""
+        """Stop the timer."""
         self._set_timer(0.0)
 
     def _set_timer(self, period_s: float) -> None:
@@ -81,9 +81,9 @@ class TimeLimit(AbstractContextManager[None]):
                 self._set_timer(_TICK_S)
             self._was_entered = False
             return
-        if self._tick_s != _AGAIN_S:  # again and again: the code may catch the exception and go on
+        if self._tick_s != _AGAIN_S:  # tick faster: the code may catch the exception and go on
             self._set_timer(_AGAIN_S)
-        # What slidectl does for the user's code, such as to advertise a topic, is to be done wholly or not at all: the
+        # Work of slidectl for the user's code, such as advertising a topic, must be done completely or not at all: the
         # next signals try again until they meet the user's own code.
         self._spared += 1
         if _is_users(frame) or self._spared > _MOST_AGAIN:
@@ -92,7 +92,7 @@ class TimeLimit(AbstractContextManager[None]):
 
 
 def _is_users(frame: FrameType | None) -> bool:
-    """Is the code of a frame a user's, or that of a library which it calls? Of slidectl's own frames none is."""
+    """True when a frame's code is a user's, or a library's called by it. slidectl's own frames never are."""
     is_outside = False
     while frame is not None:
         file = frame.f_code.co_filename

@@ -1,6 +1,6 @@
-"""The simulation: clock, robots, and the graph of topics, services and parameters with the services that are built in.
+"""The simulation: clock, robots, and the graph of topics, services and parameters with the built-in services.
 
-Knows simulated time only: no sockets, no wall time, no threads.
+It knows simulated time only: no sockets, no wall time, no threads.
 """
 
 from slidectl.simulation.graph import Graph

@@ -1,7 +1,7 @@
 """The server of an action: goals, cancellations, states, feedback and results on the five topics of actionlib.
 
-After actionlib's ActionServer. It keeps the states of goals and publishes them; whether a goal is accepted and what
-becomes of it is up to whoever has its handle. It knows topics and simulated time only by its node handle.
+It follows actionlib's ActionServer. It keeps the states of goals and publishes them; the owner of a goal's handle
+decides whether the goal is accepted and how it ends. It knows topics and simulated time only through its node handle.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from slidectl.control.node_handle import GoalCallback, GoalStatus, Message, Node
 
 STATUS_PERIOD_NS = NANOSECONDS // 5
 KEPT_NS = 5 * NANOSECONDS
-"""How long the list of states shows a goal that has ended."""
+"""How long a goal that has ended stays in the list of states."""
 _RECALLED_BY_TIME = (
     "This goal handle was canceled by the action server because its timestamp is before the timestamp of the last "
     "cancel request"
@@ -20,7 +20,7 @@ _RECALLED_BY_TIME = (
 
 
 class ActionGoal:
-    """One goal: its message, and its state. What its methods do is in control.node_handle.GoalHandle."""
+    """One goal: its message and its state. control.node_handle.GoalHandle documents the methods."""
 
     def __init__(self, server: ActionServer, goal_id: Message, goal: Message) -> None:
         self.id: str = goal_id["id"]
@@ -29,7 +29,7 @@ class ActionGoal:
         self.state = GoalStatus.PENDING
         self.text = ""
         self.ended_ns: int | None = None
-        """When it got its result, or nobody worked on it any more."""
+        """Time of its result, or of its release without one."""
         self._server = server
 
     @property
@@ -66,7 +66,7 @@ class ActionGoal:
             self.ended_ns = self._server.now_ns()
 
     def request_cancel(self) -> bool:
-        """A client wants it cancelled. True when whoever works on it is to be told."""
+        """Note a client's request to cancel. True when the goal's owner must be told."""
         wanted = {GoalStatus.PENDING: GoalStatus.RECALLING, GoalStatus.ACTIVE: GoalStatus.PREEMPTING}
         if self.state not in wanted:
             return False
@@ -75,7 +75,7 @@ class ActionGoal:
         return True
 
     def message(self) -> Message:
-        """As actionlib_msgs/GoalStatus."""
+        """The goal as actionlib_msgs/GoalStatus."""
         goal_id = {"stamp": to_stamp(self.stamp_ns), "id": self.id}
         return {"goal_id": goal_id, "status": int(self.state), "text": self.text}
 
@@ -107,7 +107,7 @@ class ActionServer:
         self._goals: list[ActionGoal] = []
         self._made = 0
         self._last_cancel_ns = 0
-        """Goals with a stamp up to this are cancelled when they come."""
+        """Goals with a stamp up to this are cancelled on arrival."""
         self._latest_ns = 0
         self._results = node.advertise("result", f"{type_name}ActionResult")
         self._feedback = node.advertise("feedback", f"{type_name}ActionFeedback")
@@ -118,30 +118,30 @@ class ActionServer:
         self.publish_status()
 
     def publish_status(self) -> None:
-        """The list of all goals that are there; those that ended some time ago leave it."""
+        """Publish the list of all goals; a goal leaves it KEPT_NS after its end."""
         now_ns = self.now_ns()
         shown = [goal.message() for goal in self._goals]
         self._goals = [goal for goal in self._goals if goal.ended_ns is None or 0 <= now_ns - goal.ended_ns <= KEPT_NS]
         self._status.publish({"header": header_of(now_ns), "status_list": shown})
 
     def publish_result(self, goal: ActionGoal, result: Message | None) -> None:
-        """The result of a goal that has ended, then the list."""
+        """Publish the result of a goal that has ended, then the list."""
         message = msgs.default(f"{self._type}Result") if result is None else result
         self._results.publish({"header": header_of(self.now_ns()), "status": goal.message(), "result": message})
         self.publish_status()
 
     @property
     def open_goals(self) -> list[ActionGoal]:
-        """Those that have no result yet, and that somebody works on."""
+        """Goals without a result that have not been released."""
         return [goal for goal in self._goals if goal.ended_ns is None]
 
     @property
     def wants_feedback(self) -> bool:
-        """Does somebody listen to it?"""
+        """True when feedback has a subscriber."""
         return self._feedback.wanted
 
     def publish_feedback(self, goal: ActionGoal, feedback: Message) -> None:
-        """How far a goal is."""
+        """Publish the progress of a goal."""
         self._feedback.publish({"header": header_of(self.now_ns()), "status": goal.message(), "feedback": feedback})
 
     def _take_goal(self, message: Message) -> None:
@@ -153,7 +153,7 @@ class ActionServer:
             goal.id = f"{self.node.namespace}-{self._made}-{now_ns // NANOSECONDS}.{now_ns % NANOSECONDS}"
             goal.stamp_ns = now_ns
         for known in self._goals:
-            if known.id == goal.id:  # sent twice, or cancelled before it came
+            if known.id == goal.id:  # sent twice, or cancelled before its arrival
                 if known.state is GoalStatus.RECALLING:
                     known.cancel()
                 return
@@ -166,7 +166,7 @@ class ActionServer:
             self._on_goal(goal)
 
     def _take_cancel(self, message: Message) -> None:
-        """Cancel the goal of this id and all up to this stamp; without both, all. An id may come before its goal."""
+        """Cancel the goal of this id and all up to this stamp; without both, all. An id may arrive before its goal."""
         self._look_at_clock()
         wanted, stamp_ns = message["id"], from_stamp(message["stamp"])
         is_known = False
@@ -183,7 +183,7 @@ class ActionServer:
         self._last_cancel_ns = max(self._last_cancel_ns, stamp_ns)
 
     def _look_at_clock(self) -> None:
-        """After a reset the stamps of goals begin anew: none of them is older than a cancellation of before."""
+        """After a reset, discard the last cancellation time: stamps of goals start again, and all would be below it."""
         now_ns = self.now_ns()
         if now_ns < self._latest_ns:
             self._last_cancel_ns = 0

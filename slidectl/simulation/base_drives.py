@@ -1,7 +1,7 @@
-"""Drives of bases that a model brings: velocities come on a topic, odometry goes out on another and on /tf.
+"""Drives of mobile bases in a model: they receive velocities on a topic and publish odometry on a topic and on /tf.
 
-Wheels turn by motors of the world (diff_drive, skid_steer_drive); planar_move gives the robot its velocity in each
-step. Odometry without a listener costs nothing, unless it is made of the turns of the wheels.
+Motors of the world turn the wheels (diff_drive, skid_steer_drive); planar_move sets the robot's velocity in each step.
+Odometry without a subscriber costs nothing, unless it is computed from the wheel positions.
 """
 
 from __future__ import annotations
@@ -27,30 +27,30 @@ if TYPE_CHECKING:
     from slidectl.simulation.simulation import Simulation
 
 UNKNOWN = 1e12
-"""Variance of what a base that drives on a plane cannot tell."""
+"""Variance of the quantities that a planar base does not measure."""
 REACHED = 0.01
-"""m/s. A wheel that is so near to its velocity gets it at once, whatever the acceleration."""
+"""m/s. With a velocity error below this, a wheel gets its velocity at once, without the acceleration limit."""
 
 
 class RunningDrive:
-    """One drive of one robot, until that goes. An emergency stop ends its command, as a reset does."""
+    """One drive of one robot, until the robot is deleted. An emergency stop or a reset ends its command."""
 
     def __init__(self, simulation: Simulation, robot: SpawnedRobot, drive: BaseDrive) -> None:
         self._simulation = simulation
         self._world = simulation.world
         self._robot = robot
         self._drive = drive
-        # A spawn may have sent the robot elsewhere than its control plugin says.
+        # A spawn may set another namespace for the robot than its control plugin does.
         follows = drive.namespace in (None, namespace_of(robot.paper, robot.name))
         self._namespace = robot.namespace if follows else str(drive.namespace)
         self._wanted = (0.0, 0.0, 0.0)
-        """Forwards and to the left in m/s, about the vertical in rad/s."""
+        """Commanded velocities: forwards and to the left in m/s, about the vertical in rad/s."""
         self._wanted_ns = 0
         self._topics: list[PeriodicTopic] = []
         self._timer = Timer(0, self._update)
-        """Set when there is something to do."""
+        """Active when an update is to come."""
         self._timer.active = False
-        robot.taken.callback(lambda: self._timer.cancel())  # it is another one by then
+        robot.taken.callback(lambda: self._timer.cancel())  # lambda: `_timer` may have been replaced by then
         robot.node.subscribe(self._absolute(drive.command_topic), "geometry_msgs/Twist", self._receive)
         if drive.has_odometry:
             self._publish(drive.odometry_topic, "nav_msgs/Odometry", drive.odometry_rate_hz, self._odometry)
@@ -67,7 +67,7 @@ class RunningDrive:
         self._timer = self._simulation.graph.timers.every(period_ns, self._update)
 
     def reset(self) -> None:
-        """Forget the command."""
+        """Discard the command."""
         self._wanted = (0.0, 0.0, 0.0)
 
     def _absolute(self, topic: str) -> str:
@@ -90,7 +90,7 @@ class RunningDrive:
     # Odometry.
 
     def _place(self) -> tuple[Pose, float, float, float]:
-        """Where the base is, and its velocities forwards, to the left and about the vertical; by the world's state."""
+        """The pose of the base and its velocities forwards, to the left and about the vertical; from the world."""
         name, root = self._robot.name, self._robot.paper.root
         pose, (linear, angular) = self._world.link_pose(name, root), self._world.link_twist(name, root)
         yaw = to_rpy(pose[1])[2]
@@ -128,7 +128,7 @@ class RunningDrive:
 
 
 class WheelMotors(RunningDrive):
-    """diff_drive and skid_steer_drive: motors turn the wheels with no more than the torque.
+    """diff_drive and skid_steer_drive: motors turn the wheels with at most the plugin's torque.
 
     Commands take effect at the multiples of the plugin's period.
     """
@@ -136,7 +136,7 @@ class WheelMotors(RunningDrive):
     def __init__(self, simulation: Simulation, robot: SpawnedRobot, drive: WheelDrive) -> None:
         self._wheels = drive
         self._issued = [0.0, 0.0]
-        """What the wheels of each side were told last while they gather speed, m/s."""
+        """The last velocity commanded to the wheels of each side while they accelerate, m/s."""
         self._forget_way()
         super().__init__(simulation, robot, drive)
         self._ways = self._measured_ways()
@@ -165,7 +165,7 @@ class WheelMotors(RunningDrive):
             self._simulation.graph.timers.arm(self._timer, due_ns)
 
     def _update(self) -> None:
-        """Let the wheels follow the command, and measure what they did."""
+        """Let the wheels follow the command, and measure their motion."""
         wheels, (forwards, _, turning) = self._wheels, self._wanted
         if wheels.measures_wheels:
             self._measure()
@@ -180,7 +180,7 @@ class WheelMotors(RunningDrive):
         self._turn(*speeds)
 
     def _turn(self, left: float, right: float) -> None:
-        """Let the wheels have these velocities, m/s."""
+        """Command these velocities to the wheels of each side, m/s."""
         velocities, body, radius = self._world.views.velocities, self._robot.body, self._wheels.diameter / 2.0
         for joints, speed in ((self._wheels.left, left), (self._wheels.right, right)):
             for joint in joints:
@@ -188,7 +188,7 @@ class WheelMotors(RunningDrive):
 
     @property
     def _period_s(self) -> float:
-        """Between two updates."""
+        """The time between two updates, s."""
         return max(period_ns_of(self._wheels.update_rate_hz), self._simulation.timestep_ns) / SECOND
 
     def _state(self, joint: str) -> tuple[float, float, float]:
@@ -200,13 +200,13 @@ class WheelMotors(RunningDrive):
         positions = [self._state(joint)[0] for joint in joints]
         return {"header": header, "name": joints, "position": positions, "velocity": [], "effort": []}
 
-    # Odometry by the wheels, after Siegwart, Autonomous Mobile Robots, page 337.
+    # Odometry from the wheels, after Siegwart, Autonomous Mobile Robots, page 337.
 
     def _forget_way(self) -> None:
         self._x = self._y = self._heading = self._forwards = self._turning = 0.0
 
     def _measured_ways(self) -> list[float]:
-        """How far the left and the right wheel have rolled, m."""
+        """The rolled distances of the left and the right wheel, m."""
         sides = (self._wheels.left[0], self._wheels.right[0])
         return [self._state(joint)[0] * self._wheels.diameter / 2.0 for joint in sides]
 
@@ -227,7 +227,7 @@ class WheelMotors(RunningDrive):
 
 
 class PlanarDrive(RunningDrive):
-    """planar_move: the root link has the commanded velocity at the beginning of each step, and no other."""
+    """planar_move: the root link gets the commanded velocity at the beginning of each step; others are 0."""
 
     def __init__(self, simulation: Simulation, robot: SpawnedRobot, drive: PlanarMove) -> None:
         self._timeout_s = drive.timeout_s
@@ -251,7 +251,7 @@ def _covariance(variances: Vector) -> list[float]:
 
 
 def bring_up(simulation: Simulation, robot: SpawnedRobot) -> None:
-    """Let the drives of a robot run."""
+    """Start the drives of a robot."""
     running: list[RunningDrive] = []
     for drive in robot.paper.drives:
         if isinstance(drive, WheelDrive):

@@ -1,6 +1,6 @@
-"""Simulated time: the clock, its topic, and what is due at a time (deadlines, sleeps, periodic publishing).
+"""Simulated time: the clock, its topic, and timers (deadlines, sleeps, periodic publishing).
 
-Integer nanoseconds; the time of the machine has no place here. The cycle compares one integer (`Timers.next_ns`) and
+Times are integer nanoseconds; wall time is not used here. The cycle compares one integer (`Timers.next_ns`) and
 calls `fire` only when something is due, at the end of that cycle.
 """
 
@@ -16,12 +16,12 @@ from slidectl.control.node_handle import Publisher
 SECOND = NANOSECONDS
 NEVER = 1 << 62
 EACH_STEP_NS = 1
-"""A period that is over at the end of each cycle."""
+"""A period that ends with each cycle."""
 _FEW = 64
 
 
 class Clock:
-    """The time of the last cycle begun, and how many there were."""
+    """The time of the last cycle begun, and the number of cycles."""
 
     __slots__ = ("cycles", "time_ns")
 
@@ -34,7 +34,7 @@ class Clock:
         return self.time_ns
 
     def stamp(self) -> dict[str, int]:
-        """Time as it stands on messages."""
+        """Time as a message stamp."""
         return to_stamp(self.time_ns)
 
     @property
@@ -44,7 +44,7 @@ class Clock:
 
 
 class ClockTopic:
-    """Publishes `/clock`: at every cycle, or at a frequency when that is above 0 (gazebo_ros' pub_clock_frequency)."""
+    """Publishes `/clock`: at every cycle, or at a frequency if that is above 0 (gazebo_ros' pub_clock_frequency)."""
 
     __slots__ = ("_period_ns", "publisher")
 
@@ -53,18 +53,18 @@ class ClockTopic:
         self._period_ns = 0
 
     def set_frequency(self, frequency_hz: Any) -> None:
-        """Anything but a positive number means every cycle."""
+        """Set the frequency, in Hz. Anything but a positive number means every cycle."""
         number = frequency_hz if isinstance(frequency_hz, int | float) and not isinstance(frequency_hz, bool) else 0
         self._period_ns = period_ns_of(number) if number > 0 else 0
 
     def tick(self, time_ns: int, step_ns: int) -> None:
-        """A cycle has begun. Phases are multiples of the period, whoever listened before."""
+        """Publish if due, as a cycle begins. Times are multiples of the period, independent of subscribers."""
         period = self._period_ns
         if not period or time_ns // period != (time_ns - step_ns) // period:
             self.publisher.publish({"clock": to_stamp(time_ns)})
 
     def publish_now(self, time_ns: int) -> None:
-        """After the time was set, so that listeners need not wait for the next cycle."""
+        """Publish after the clock was set, so that subscribers need not wait for the next cycle."""
         if self.publisher.wanted:
             self.publisher.publish({"clock": to_stamp(time_ns)})
 
@@ -72,7 +72,7 @@ class ClockTopic:
 class Timer:
     """One entry. `period_ns` 0 is a single shot; a periodic timer fires at multiples of its period.
 
-    One that is `absolute` keeps its due time when the clock is set.
+    An `absolute` timer keeps its due time when the clock is set.
     """
 
     __slots__ = ("absolute", "active", "callback", "due_ns", "number", "period_ns")
@@ -84,15 +84,15 @@ class Timer:
         self.period_ns = period_ns
         self.active = True
         self.number = 0
-        """Of those that are due at one time the lower number fires first; 0: it was never set."""
+        """Orders timers that are due at the same time: the lower number fires first. 0: the timer was never set."""
 
     def cancel(self) -> None:
-        """It will not fire (again). Harmless when it has fired."""
+        """Cancel the timer: it does not fire again. No effect when it has fired."""
         self.active = False
 
 
 class Timers:
-    """Timers in the order of their due times; those of one time fire in the order in which they were made."""
+    """Timers in the order of their due times; timers of the same time fire in the order in which they were set."""
 
     __slots__ = ("_heap", "_made", "_most", "next_ns", "now_ns")
 
@@ -104,33 +104,33 @@ class Timers:
         self._most = _FEW
 
     def at(self, due_ns: int, callback: Callable[[], None], absolute: bool = False) -> Timer:
-        """Once, at the end of the first cycle whose time is `due_ns` or later.
+        """Call once, at the end of the first cycle whose time is `due_ns` or later.
 
         When the clock is set the due time moves with it, unless it is `absolute`.
         """
         return self._push(Timer(due_ns, callback, absolute=absolute))
 
     def after(self, duration_ns: int, callback: Callable[[], None]) -> Timer:
-        """Once, `duration_ns` from now."""
+        """Call once, `duration_ns` from now."""
         return self.at(self.now_ns() + duration_ns, callback)
 
     def soon(self, callback: Callable[[], None]) -> Timer:
-        """Once, at the end of the present cycle."""
+        """Call once, at the end of the present cycle."""
         return self.at(self.now_ns(), callback)
 
     def every(self, period_ns: int, callback: Callable[[], None]) -> Timer:
-        """At each multiple of the period, counted from time 0, after now."""
+        """Call at each multiple of the period, counted from time 0, after now."""
         if period_ns <= 0:
             raise ValueError(f"a period is above 0 ns, not {period_ns}")
         return self._push(Timer(_next_multiple(self.now_ns(), period_ns), callback, period_ns))
 
     def arm(self, timer: Timer, due_ns: int) -> None:
-        """Set a timer once more, whether it has fired, was cancelled, or still waits for another time."""
+        """Set a timer again, whether it has fired, was cancelled, or is still set for another time."""
         timer.active, timer.due_ns = True, due_ns
         self._push(timer)
 
     def fire(self) -> None:
-        """Call what is due now. What becomes due by that is called too, except a period's next multiple."""
+        """Call what is due now, and what becomes due by these calls, except a period's next multiple."""
         now = self.now_ns()
         while self._heap and self._heap[0][0] <= now:
             entry = heapq.heappop(self._heap)
@@ -146,7 +146,7 @@ class Timers:
         self._update_next()
 
     def rebase(self, old_ns: int, new_ns: int) -> None:
-        """The clock was set from `old_ns` to `new_ns`: durations that are running keep what is left of them."""
+        """Follow a clock that was set from `old_ns` to `new_ns`: running durations keep their remaining time."""
         timers = [entry[2] for entry in sorted(self._heap, key=lambda entry: entry[:2]) if _counts(entry)]
         self._heap.clear()
         for timer in timers:
@@ -161,7 +161,7 @@ class Timers:
         self._made += 1
         timer.number = self._made
         heapq.heappush(self._heap, (timer.due_ns, timer.number, timer))
-        if len(self._heap) > self._most:  # drop the cancelled ones: in a world that stands still nothing else would
+        if len(self._heap) > self._most:  # drop cancelled timers: in a paused world nothing else removes them
             self._heap = [entry for entry in self._heap if _counts(entry)]
             heapq.heapify(self._heap)
             self._most = 2 * len(self._heap) + _FEW
@@ -175,7 +175,7 @@ class Timers:
 
 
 def period_ns_of(rate_hz: float, least_ns: int = EACH_STEP_NS) -> int:
-    """The period of a rate; the least one for a rate that is not above 0, and never more than a clock can count."""
+    """The period of a rate, in ns: at least `least_ns` (also for a rate that is not above 0), at most NEVER."""
     return max(least_ns, round(min(SECOND / rate_hz, float(NEVER)))) if 0.0 < rate_hz < SECOND else least_ns
 
 
@@ -189,12 +189,12 @@ def _next_multiple(now_ns: int, period_ns: int) -> int:
 
 
 class RepeatedCall:
-    """Calls back each period from now on, at the end of the first cycle whose time is that or later."""
+    """Calls back once in each period from now on, at the end of the first cycle at or after that time."""
 
     def __init__(
         self, timers: Timers, period_ns: int, callback: Callable[[], None], running: list[RepeatedCall]
     ) -> None:
-        """`running` are all calls of one node handle; this one is among them while it is not cancelled."""
+        """`running` is the list of all calls of one node handle; this call is in it until it is cancelled."""
         if period_ns <= 0:
             raise ValueError(f"a period is above 0 ns, not {period_ns}")
         self._timers = timers
@@ -205,23 +205,23 @@ class RepeatedCall:
         self.restart()
 
     def restart(self) -> None:
-        """Begin anew: the first call comes a period from now."""
+        """Begin again: the first call comes one period from now."""
         self._timers.arm(self._timer, self._timers.now_ns() + self._period_ns)
         self.resume()
 
     def resume(self) -> None:
-        """It is called at the times for which its timer is set."""
+        """Add this call, whose timer is set, to the running ones."""
         if self not in self._running:
             self._running.append(self)
 
     def cancel(self) -> None:
-        """It is not called any more."""
+        """Stop calling back."""
         self._timer.cancel()
         if self in self._running:
             self._running.remove(self)
 
     def _call(self) -> None:
-        # The timer's own due time counts: it moves with the clock when that is set. Missed periods are left out.
+        # Count from the timer's due time, since that moves when the clock is set. Missed periods are skipped.
         due_ns = self._timer.due_ns
         missed = (self._timers.now_ns() - due_ns) // self._period_ns
         self._timers.arm(self._timer, due_ns + (missed + 1) * self._period_ns)

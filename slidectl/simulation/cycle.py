@@ -1,8 +1,8 @@
-"""The control cycle: one robot's part of it, and who runs the cycles of a loop.
+"""The control cycle: one robot's part of it, and the runners of a loop's cycles.
 
 A robot's part is read, update, limits and write, in the order of gazebo_ros_control. The interpreter runs the cycles
-here, machine code in `compiled/`, with the same results to the bit. The hot path of the whole program; times are
-integer nanoseconds.
+in this file, machine code in `compiled/`, with the same results to the bit. This is the hot path of the whole program;
+times are integer nanoseconds.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ if TYPE_CHECKING:
     from slidectl.simulation.spawned_robots import SpawnedRobot
 
 CHECK_EVERY = 256
-"""Cycles between two looks at whether the physics has diverged; counted from time 0, however stepping is cut."""
+"""Cycles between two divergence checks of the physics; counted from time 0, however the steps are divided."""
 _LOOK_MASK = 7
-"""The interpreter asks after so many cycles, and one more, whether there is `enough`."""
+"""The interpreter calls `enough` once in this number of cycles plus one."""
 
 
 @law
 def control_is_due(cycle: ControlCycle, time_ns: int) -> bool:
-    """Do the controllers run in the cycle at this time? Then `period_s` is what has passed since they last did."""
+    """True when the controllers run in the cycle at this time. `period_s` is then the time since their last run."""
     elapsed = time_ns - cycle.last_update_ns
     if elapsed < cycle.control_period_ns:
         return False
@@ -43,7 +43,7 @@ def control_is_due(cycle: ControlCycle, time_ns: int) -> bool:
 
 @law
 def begin_to_write(cycle: ControlCycle, time_ns: int) -> float:
-    """The seconds since the hardware was last written."""
+    """Begin the write. Returns the time since the last one, s."""
     elapsed = time_ns - cycle.last_write_ns
     cycle.last_write_ns = time_ns
     if elapsed != cycle.write_period_ns:
@@ -53,11 +53,11 @@ def begin_to_write(cycle: ControlCycle, time_ns: int) -> float:
 
 
 class HardwareFailed(SlidectlError):
-    """Hardware that a user wrote has failed in a cycle."""
+    """Hardware of a user's class has failed in a cycle."""
 
 
 def guarded(hardware: RobotHW, hook: Callable[[int, float], None]) -> Callable[[int, float], None]:
-    """The hook; that of a user's class raises HardwareFailed, with file and line, whatever it raises."""
+    """The hook. That of a user's class is wrapped: any exception becomes HardwareFailed, with file and line."""
     if not is_of_a_user(type(hardware)):
         return hook
     guard = HookGuard()
@@ -74,7 +74,7 @@ def guarded(hardware: RobotHW, hook: Callable[[int, float], None]) -> Callable[[
 
 
 class Stages(NamedTuple):
-    """What a robot's cycle calls, one after the other. `update` is ControllerManager.update."""
+    """The functions that a robot's cycle calls, in this order. `update` is ControllerManager.update."""
 
     read: Callable[[int, float], None]
     update: Callable[..., None]
@@ -84,7 +84,7 @@ class Stages(NamedTuple):
 class ControlCycle:
     """Calls the hardware and the controller manager of one robot as GazeboRosControlPlugin::Update does.
 
-    Controllers run when `control_period_ns` has passed since they last did; the hardware is written in every cycle.
+    Controllers run when `control_period_ns` has passed since their last run; the hardware is written in every cycle.
     """
 
     __slots__ = (
@@ -105,7 +105,7 @@ class ControlCycle:
     )
 
     def __init__(self, hardware: RobotHW, manager: ControllerManager, control_period_ns: int, time_ns: int) -> None:
-        """`time_ns` is now: counted from 0, the first period would be the whole time of the world."""
+        """`time_ns` is the present time. From 0 the first period would be the whole simulated time so far."""
         self._stages = Stages(guarded(hardware, hardware.read), manager.update, guarded(hardware, hardware.write))
         self.intercept(None)
         self.control_period_ns = control_period_ns
@@ -115,11 +115,14 @@ class ControlCycle:
 
     @property
     def is_stopped(self) -> bool:
-        """True while controllers feel an emergency stop, or its end."""
+        """True while controllers run under an emergency stop, and until the first update after it."""
         return self.emergency_stop or self._was_stopped
 
     def intercept(self, make: Callable[[Stages], Stages] | None) -> None:
-        """Let other stages be called, made of the cycle's own; None: those again. The interpreter runs others."""
+        """Replace the stages by those that `make` returns for the cycle's own; None restores these.
+
+        Replaced stages run in the interpreter only.
+        """
         self.is_intercepted = make is not None
         self._read, self._update, self._write = self._stages if make is None else make(self._stages)
 
@@ -128,13 +131,13 @@ class ControlCycle:
         self._read(time_ns, 0.0)
 
     def rewind(self, time_ns: int) -> None:
-        """The next cycle's periods are counted from this time."""
+        """Count the periods of the next cycle from this time."""
         self.last_update_ns = self.last_write_ns = time_ns
         self.period_ns = self.write_period_ns = 0
         self.period_s = self.write_period_s = 0.0
 
     def run(self, time_ns: int) -> None:
-        """The cycle at `time_ns`, before the physics makes its step."""
+        """Run the cycle at `time_ns`, before the physics step."""
         if control_is_due(self, time_ns):
             self._read(time_ns, self.period_s)
             if self.emergency_stop or self._was_stopped:
@@ -145,37 +148,37 @@ class ControlCycle:
         self.write(time_ns)
 
     def write(self, time_ns: int) -> None:
-        """The end of the cycle at `time_ns`: limits and commands."""
+        """Apply limits and write commands: the end of the cycle at `time_ns`."""
         self._write(time_ns, begin_to_write(self, time_ns))
 
 
 class Runner:
-    """Runs cycles: the clock advances, every robot has its part, the physics makes its step, timers fire.
+    """Runs cycles: the clock advances, each robot's part runs, the physics steps, timers fire.
 
-    A runner may keep the state of robots in memory of its own: before anybody looks at a robot, it gives that robot
-    back.
+    A runner may keep the state of robots in memory of its own. Before other code reads a robot, the runner writes the
+    state back to that robot.
     """
 
     def run(self, count: int) -> int:
-        """At most `count` cycles, up to and with the first after which a timer is due, the physics is to be checked, or
-        the driver says that there is enough.
+        """Run at most `count` cycles, up to and with the first after which a timer is due, the physics is to be
+        checked, or `enough` returns True.
 
-        Returns how many. Raises EngineError: MuJoCo cannot go on.
+        Returns the number run. Raises EngineError: MuJoCo cannot go on.
         """
         raise NotImplementedError
 
     def take_robots(self, robots: Sequence[SpawnedRobot]) -> None:
-        """These are the robots now, in this order."""
+        """Replace the robots, in this order."""
         raise NotImplementedError
 
     def give_back(self, robot: SpawnedRobot) -> None:
-        """Somebody is about to look at the robot, or to change it: its objects are to be what they should be."""
+        """Bring the robot's objects up to date, before other code reads or changes them."""
 
     def give_back_all(self) -> None:
-        """The same for all robots."""
+        """Bring the objects of all robots up to date."""
 
     def follow_world(self) -> None:
-        """The world was rebuilt: robots may have other places in it."""
+        """Follow a rebuilt world: the indices of robots in it may have changed."""
 
     def compiled_controllers(self, robot: SpawnedRobot) -> frozenset[str]:  # noqa: ARG002
         """The names of the robot's controllers that run as machine code."""
@@ -183,7 +186,7 @@ class Runner:
 
 
 class PlainRunner(Runner):
-    """The interpreter. Robots are always as they should be."""
+    """The interpreter. Its robots are always up to date."""
 
     def __init__(self, loop: Loop) -> None:
         self._loop = loop

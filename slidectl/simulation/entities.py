@@ -1,6 +1,6 @@
-"""Robots and models as the services of simulators see them: found by name, looked at in frames, spawned and put.
+"""Robots and models for the simulator services: found by name, read in frames of reference, spawned and moved.
 
-`/gazebo` and the services of simulation_interfaces are both made of this. It knows neither topics nor services.
+`/gazebo` and the services of simulation_interfaces both use it. It knows neither topics nor services.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ if TYPE_CHECKING:
 
 WORLD_FRAMES = ("", "world", "map", "/map", "/world")
 _MOST_TAGS = 100_000
-"""Opening and closing tags of a URDF: some thousand links. To read more than these holds up the world."""
+"""The most opening and closing tags of a URDF: some thousand links. Reading more would block the world."""
 
 Placed = tuple[ParsedRobot, Pose]
-"""A robot that was read, and where it is to be."""
+"""A parsed robot, and its pose in the world."""
 
 
 class Entities:
-    """Those of one simulation. A link or joint is named `model::link`, or without its model as long as only one robot
-    has it."""
+    """The entities of one simulation. A link or joint is named `model::link`; the model may be left out when only one
+    robot has a part of that name."""
 
     def __init__(self, simulation: Simulation) -> None:
         self._simulation = simulation
@@ -41,7 +41,7 @@ class Entities:
     # Names, and frames of reference
 
     def find(self, kind: Literal["link", "joint"], name: str) -> tuple[str, str]:
-        """Robot and link (or joint) that `name` means.
+        """The robot and the link (or joint) that `name` means.
 
         Raises:
             UnknownName: there is none. AmbiguousName: several robots have one of that name.
@@ -74,9 +74,9 @@ class Entities:
         return self.model_frame(name) if name in self._robots else self.link_frame(*self.find("link", name))
 
     def put(self, name: str, place: Pose | None, moving: Twist | None, viewer: Frame) -> None:
-        """Give a robot's root this pose and this twist, as they look in `viewer`; None: it keeps its own.
+        """Set the pose and the twist of a robot's root, expressed in `viewer`; None keeps the present one.
 
-        Raises UnknownName, and Refused: a twist of what is fixed to the world, or numbers that are not finite.
+        Raises UnknownName, and Refused: a twist for a robot fixed to the world, or numbers that are not finite.
         """
         robot, present = self._robots.get(name), self.model_frame(name)
         if robot.paper.is_fixed_to_world and moving not in (None, STILL):
@@ -90,21 +90,21 @@ class Entities:
     # Spawning
 
     def read(self, xml: str, name: str, namespace: str | None, *, is_model: bool = False) -> ParsedRobot:
-        """A robot of URDF. Raises as Robots.read."""
+        """Parse a robot from URDF. Raises as Robots.read."""
         check_size("URDF", xml)
         return self._robots.read(xml, name, namespace, is_model=is_model)
 
     def read_sdf(self, xml: str, name: str, namespace: str | None, place: Pose) -> list[Placed]:
-        """The parts of one model, as SDF or, as in Gazebo, as URDF.
+        """Parse the parts of one model from SDF or, as in Gazebo, from URDF.
 
-        It gets no controller manager, unless it is URDF with transmissions or the control plugin. Raises as
+        A part gets no controller manager, unless it is URDF with transmissions or the control plugin. Raises as
         Robots.read.
         """
         check_size("SDF", xml)
         if sdf.is_urdf(xml):
             return [(self._robots.read(xml, name, namespace, is_model=True), place)]
         parts = file_reads.read_or_raise(
-            f"SDF of {name}",  # it may include others
+            f"SDF of {name}",  # it may include other files
             lambda: [(part.xml, part.name, part.pose) for part in sdf.parse(xml, "model_xml").named(name)],
         )
         return [
@@ -113,7 +113,7 @@ class Entities:
         ]
 
     def spawn(self, read: list[Placed]) -> Pending:
-        """All of them or none, at once, or as soon as their meshes are read: a driver lets the world go on meanwhile.
+        """Spawn all of them or none: at once, or when their meshes are read; with a driver the world runs meanwhile.
 
         Resolved with the robots (SpawnedRobot).
         """
@@ -126,7 +126,7 @@ class Entities:
                 return self._spawn_now(read, hulls_read.result())
             except SlidectlError:
                 raise
-            except Exception as error:  # nobody but the one who asked would hear of it
+            except Exception as error:  # only the caller would see it
                 raise Refused(f"{read[0][0].name!r} cannot be spawned: {type(error).__name__}: {error}") from error
 
         return self._simulation.read_meshes(meshes).converted(go_on)
@@ -144,7 +144,7 @@ class Entities:
 
 
 def check_size(kind: str, xml: str) -> None:
-    """Raises Refused: so many elements would hold up the world."""
+    """Raise Refused for too many elements: reading them would block the world."""
     tags = xml.count("<")
     if tags > _MOST_TAGS:
         raise Refused(f"the {kind} has {tags} tags, and {_MOST_TAGS} is the most")

@@ -1,7 +1,7 @@
-"""Faults on purpose, of sensors, commands, joints, loads, controllers and topics; the services `/slidectl/fault/*`.
+"""Injected faults of sensors, commands, joints, loads, controllers and topics; the services `/slidectl/fault/*`.
 
-What a fault does follows from its seed and the simulated time: every run gives the same bits. The interpreter runs the
-cycle of a robot that has faults which are not over; a robot and a topic without any are left alone.
+The effect of a fault depends on its seed and the simulated time only: every run gives the same bits. The interpreter
+runs the cycle of a robot while it has faults that are not over; robots and topics without faults are not touched.
 """
 
 from __future__ import annotations
@@ -32,54 +32,54 @@ if TYPE_CHECKING:
 
 Values = list[float]
 _MOST_WAITING = 10_000
-"""Late messages of one topic."""
+"""The most late messages of one topic."""
 
 
 class Asked(NamedTuple):
-    """A fault as it was asked for, checked. It acts in cycles with a time from `start_ns` on and before `end_ns`."""
+    """A checked request for a fault. It acts in cycles with a time from `start_ns` on and before `end_ns`."""
 
     name: str
     kind: str
     target: str
-    """In full: /ROBOT/JOINT, /ROBOT/LINK, the controller in its namespace, or the topic."""
+    """The full name: /ROBOT/JOINT, /ROBOT/LINK, the controller in its namespace, or the topic."""
     robot: str
-    """Empty for a topic."""
+    """The robot's name; empty for a topic."""
     part: str
-    """The joint, link or controller, by its own name."""
+    """The joint, link or controller, by its name within the robot."""
     start_ns: int
     end_ns: int
-    """NEVER: until it is removed."""
+    """NEVER: it lasts until it is removed."""
     seed: int
     options: dict[str, Any]
 
 
 class Fault:
-    """One fault, and what it did so far. Children say what it does."""
+    """One fault, and its state so far. Subclasses define the effect."""
 
     def __init__(self, asked: Asked) -> None:
         self.asked = asked
         self.count = 0
-        """Cycles, or messages, in which it acted."""
+        """The number of cycles, or messages, in which it acted."""
         self.is_done = False
-        """It happens once, and has happened."""
+        """True for a fault that happens once and has happened."""
 
     def holds(self, time_ns: int) -> bool:
-        """Does it act at that time?"""
+        """True when it acts at that time."""
         return self.asked.start_ns <= time_ns < self.asked.end_ns and not self.is_done
 
     def is_over(self, time_ns: int) -> bool:
-        """Will it not act any more?"""
+        """True when it will not act any more."""
         return time_ns >= self.asked.end_ns or self.is_done
 
     def source(self, number: int) -> Random:
-        """Random numbers for one cycle or message: those of seed, kind, target and number."""
+        """The random numbers for one cycle or message, seeded by seed, kind, target and number."""
         return Random(f"{self.asked.seed}/{self.asked.kind}/{self.asked.target}/{number}")
 
     def end(self) -> None:
-        """Leave no trace, and forget the past."""
+        """Undo what the fault changed, and discard its state."""
 
     def message(self, time_ns: int) -> Message:
-        """As slidectl/Fault."""
+        """The fault as slidectl/Fault."""
         asked = self.asked
         return {
             "name": asked.name,
@@ -98,10 +98,10 @@ class Fault:
 
 
 class RobotFault(Fault):
-    """A fault in a robot's cycle. Each stage is told whether the fault `acts` at that time."""
+    """A fault in a robot's cycle. Each stage passes in `acts` whether the fault acts at that time."""
 
     busy_until_ns = 0
-    """While an update takes long, which began with the last read: its end."""
+    """The end of a slow update that began with the last read; 0 when there is none."""
 
     def __init__(self, asked: Asked, robot: SpawnedRobot) -> None:
         super().__init__(asked)
@@ -109,35 +109,38 @@ class RobotFault(Fault):
         self.part = asked.part
 
     def after_read(self, time_ns: int, acts: bool) -> None:
-        """The joints were read."""
+        """Called after the joints were read."""
 
     def before_update(self, acts: bool) -> None:
-        """Controllers are about to run."""
+        """Called before the controllers run."""
 
     def before_write(self, time_ns: int, acts: bool) -> None:
-        """Controllers have run."""
+        """Called after the controllers have run."""
 
     def before_step(self, acts: bool) -> None:
-        """The joints are driven, or an update takes long; the step is next."""
+        """Called before the physics step, with commands written, or during a long update."""
 
 
 class SignalFault(RobotFault):
-    """What is read of a joint, or its command, is changed, by a function of itself unless a child says otherwise."""
+    """Changes a joint's reading or command. By default the new values are a function of the present ones.
+
+    Subclasses override `change`.
+    """
 
     def __init__(self, asked: Asked, robot: SpawnedRobot) -> None:
         super().__init__(asked, robot)
         self.is_of_command = asked.kind.startswith("command")
 
     def change(self, time_ns: int, values: Values) -> Values | None:
-        """What becomes of the values; None when the fault leaves them as they are."""
+        """The changed values; None when the fault leaves them as they are."""
         changed = _CHANGES[self.asked.kind](self, time_ns, values)
         return None if changed == values else changed
 
     def note(self, time_ns: int, values: Values) -> None:
-        """The values before the fault acts."""
+        """Called with the values while the fault does not act."""
 
     def commands(self) -> Sequence[tuple[Any, str]]:
-        """The handle that drives the joint now, with each attribute that is a command."""
+        """The handle that commands the joint now, with each of its command attributes."""
         return self.robot.parts.hardware.commands(self.part)
 
     def after_read(self, time_ns: int, acts: bool) -> None:
@@ -151,7 +154,7 @@ class SignalFault(RobotFault):
             self._pass(time_ns, acts, [self.commands()])
 
     def _pass(self, time_ns: int, acts: bool, places: Sequence[Sequence[tuple[Any, str]]]) -> None:
-        """The values of the first places are changed; the others get the same."""
+        """Change the values of the first places, and set the others to the same."""
         values = [getattr(handle, attribute) for handle, attribute in places[0]]
         if not acts:
             self.note(time_ns, values)
@@ -195,7 +198,7 @@ _CHANGES: dict[str, Callable[[SignalFault, int, Values], Values]] = {
 
 
 class LostSignal(SignalFault):
-    """The last values that came through stay. Without a probability nothing comes through."""
+    """Keeps the last values that came through. Without the option `probability` nothing comes through."""
 
     kept: Values | None = None
 
@@ -214,12 +217,12 @@ class LostSignal(SignalFault):
 
 
 class LateSignal(SignalFault):
-    """The values are those of some time ago, or the first that are known."""
+    """Delays the values by a time; before that has passed, the first known values are used."""
 
     def __init__(self, asked: Asked, robot: SpawnedRobot) -> None:
         super().__init__(asked, robot)
         self.past: deque[tuple[int, Values]] = deque()
-        """With their times; the first ones are those that count now."""
+        """Times and values; the first entry is the one in use."""
 
     def note(self, time_ns: int, values: Values) -> None:
         if self.past and self.past[-1][0] == time_ns:
@@ -240,14 +243,14 @@ class LateSignal(SignalFault):
 
 
 class ChangeFault(RobotFault):
-    """Something is changed in the world while it lasts."""
+    """Changes the model while the fault acts."""
 
     def __init__(self, asked: Asked, robot: SpawnedRobot, change: Change) -> None:
         super().__init__(asked, robot)
         self.change = change
 
     def excludes(self, other: ChangeFault) -> bool:
-        """Both change the same in the model, at one time."""
+        """True when both change the same at overlapping times."""
         last_start_ns = max(self.asked.start_ns, other.asked.start_ns)
         if self.robot is not other.robot or last_start_ns >= min(self.asked.end_ns, other.asked.end_ns):
             return False
@@ -281,7 +284,7 @@ class PushFault(RobotFault):
             return
         self.count += 1
         world, asked = self._world, self.asked
-        if not any(wrench.source == asked.name for wrench in world.loads.wrenches):  # a reset takes it away
+        if not any(wrench.source == asked.name for wrench in world.loads.wrenches):  # a reset removes it
             duration_ns = -1 if asked.end_ns == NEVER else asked.end_ns - asked.start_ns - 1
             acting = asked.options["force"], asked.options["torque"], asked.start_ns, duration_ns
             world.add_wrench(self.robot.name, self.part, *acting, asked.name)
@@ -291,11 +294,11 @@ class PushFault(RobotFault):
 
 
 class RaisedByFault(SlidectlError):
-    """What a controller raises that is to."""
+    """The exception of a controller with the fault `controller-raise`."""
 
 
 class ControllerFault(RobotFault):
-    """A controller raises, is killed, or takes long."""
+    """A controller raises, is killed, or has a slow update."""
 
     def before_update(self, acts: bool) -> None:
         manager, kind = self.robot.parts.manager, self.asked.kind
@@ -309,7 +312,7 @@ class ControllerFault(RobotFault):
         return super().is_over(time_ns) and time_ns >= self.busy_until_ns
 
     def begin_update(self, time_ns: int) -> None:
-        """Its update begins now. It may take long."""
+        """Begin the controller's update; a `controller-slow` fault makes it long."""
         is_running = any(entry.name == self.part for entry in self.robot.parts.manager.running)
         if self.asked.kind == "controller-slow" and is_running and self.holds(time_ns):
             self.count += 1
@@ -323,32 +326,32 @@ class ControllerFault(RobotFault):
 
 
 class FaultyCycle:
-    """The stages of a robot's cycle with its faults, in the order in which these were added.
+    """The stages of a robot's cycle with its faults, in the order in which the faults were added.
 
-    Each read begins with what was truly read before, from which angles are unwrapped, and each write ends with what the
-    controllers have commanded.
+    Each read begins with the true values of the last read, from which angles are unwrapped. Each write ends with the
+    commands of the controllers.
     """
 
     _stages: Stages
-    """The cycle's own."""
+    """The cycle's own stages."""
 
     def __init__(self, robot: SpawnedRobot) -> None:
         self._robot = robot
         self._faults: list[RobotFault] = []
-        """Those that are not over."""
+        """The faults that are not over."""
         self._true: list[tuple[Any, float, float, float]] = []
-        """Handles of the joints, with what was read."""
+        """Handles of the joints, with the true values of the last read."""
         self._updated_ns = self._written_ns = 0
-        """When controllers ran, and the hardware was written, before an update that takes long."""
+        """Times of the last update and the last write before an update that takes long."""
 
     def take(self, faults: list[RobotFault]) -> None:
-        """These are the faults now."""
+        """Replace the active faults."""
         self.put_true()
         self._faults = faults
         self.follow()
 
     def follow(self) -> None:
-        """The robot's cycle has these stages while there are faults, and its own when there are none."""
+        """Put these stages into the robot's cycle while there are faults; without faults, restore its own."""
 
         def around(own: Stages) -> Stages:
             self._stages = own
@@ -404,13 +407,13 @@ class FaultyCycle:
             setattr(handle, attribute, command)
 
     def put_true(self) -> None:
-        """The handles are as they were read."""
+        """Set the handles to the true values of the last read."""
         for handle, position, velocity, effort in self._true:
             handle.position, handle.velocity, handle.effort = position, velocity, effort
         self._true = []
 
     def _current(self, time_ns: int) -> list[RobotFault]:
-        """The faults that are not over. Those that have just ended leave no trace."""
+        """The faults that are not over. Faults that have just ended are undone."""
         over = [fault for fault in self._faults if fault.is_over(time_ns)]
         if over:
             for fault in over:
@@ -426,13 +429,13 @@ class FaultyCycle:
 
 
 class TopicFault(Fault):
-    """Messages get lost, or come late."""
+    """Drops or delays messages."""
 
     seen = 0
-    """Messages that came while it acted."""
+    """The number of messages that came while it acted."""
 
     def lateness_ns(self) -> int | None:
-        """Of one more message; None when it gets lost."""
+        """The delay of the next message; None when it is dropped."""
         self.seen += 1
         if self.source(self.seen).random() >= self.asked.options["probability"]:
             return 0
@@ -444,20 +447,20 @@ class TopicFault(Fault):
 
 
 class FaultyTopic:
-    """Takes the messages of one topic, and hands on what its faults leave, in the order in which these were added."""
+    """Passes the messages of one topic through its faults, in the order in which the faults were added."""
 
     def __init__(self, simulation: Simulation, topic: str) -> None:
         self._graph = simulation.graph
         self._topic = topic
         self._faults: list[TopicFault] = []
         self.waiting: list[tuple[int, TopicFault, Message]] = []
-        """Late messages: when they are due, in this order, and which fault holds them."""
+        """Late messages in the order of their due times, each with the fault that delays it."""
         self._is_full = False
         self._timer = Timer(0, self._deliver)
         self._timer.cancel()
 
     def take(self, message: Message, behind: TopicFault | None = None) -> None:
-        """A message, or one that a fault has held."""
+        """Pass on a message; with `behind`, one that this fault has delayed."""
         now_ns = self._graph.clock.time_ns
         for fault in self._faults[0 if behind is None else self._faults.index(behind) + 1 :]:
             late_ns = fault.lateness_ns() if fault.holds(now_ns) else 0
@@ -469,7 +472,7 @@ class FaultyTopic:
         self._graph.topics.hand_on(self._topic, message)
 
     def have(self, faults: list[TopicFault]) -> None:
-        """Go on with these faults, and what they hold."""
+        """Replace the faults, and drop late messages of others."""
         self._faults = faults
         self.waiting = [late for late in self.waiting if late[1] in faults]
         self._arm()
@@ -494,8 +497,8 @@ class FaultyTopic:
         due = self.waiting[:count]
         del self.waiting[:count]
         for _, fault, message in due:
-            if fault in self._faults:  # who hears a message may remove faults
-                with suppress(SlidectlError):  # who published it is not there to hear a refusal
+            if fault in self._faults:  # a subscriber may remove faults
+                with suppress(SlidectlError):  # the publisher cannot receive an error any more
                     self.take(message, fault)
         self._arm()
 
@@ -503,7 +506,7 @@ class FaultyTopic:
 _DUE = itemgetter(0)
 
 
-# -- all of them -------------------------------------------------------------------------------------------------------
+# -- all faults --------------------------------------------------------------------------------------------------------
 
 _SIGNALS: dict[str, type[SignalFault]] = {
     **dict.fromkeys(_CHANGES, SignalFault),
@@ -523,7 +526,7 @@ class Faults:
         self._graph = simulation.graph
         self._faults: dict[str, Fault] = {}
         self._cycles: dict[str, FaultyCycle] = {}
-        """Of the robots that have faults, by name."""
+        """Cycles of the robots that have faults, by name."""
         self._topics: dict[str, FaultyTopic] = {}
         simulation.kept["faults"] = self
         simulation.robots.on_spawn.append(lambda robot: robot.taken.callback(self._forget_robot, robot))
@@ -544,11 +547,13 @@ class Faults:
         namespace: str = "/",
         **options: Any,
     ) -> Message:
-        """A fault from one simulated time (s; now) to another (until it is removed). Returns slidectl/Fault.
+        """Add a fault from one simulated time (s; default: now) to another (default: its removal).
+
+        Returns slidectl/Fault.
 
         Raises:
-            UnknownName, AmbiguousName: no such kind or target. UsageError: options that the kind has not. Refused: a
-            time in the past, a name that is taken, a fault that excludes this one.
+            UnknownName, AmbiguousName: no such kind or target. UsageError: options that the kind does not have.
+            Refused: a time in the past, a name in use, a fault that excludes this one.
         """
         self._simulation.loop.between_cycles("add a fault")
         checked = checked_options(kind, options)
@@ -576,7 +581,7 @@ class Faults:
                     hint = "give other times, or remove that one first"
                     raise Refused(f"{text}, and the two exclude each other", hint)
         if isinstance(fault, RobotFault):
-            fault.robot.node.enter()  # its handles are to be what they should be
+            fault.robot.node.enter()  # brings its handles up to date
             fault.after_read(now_ns, False)
             fault.before_write(now_ns, False)
         self._faults[asked.name] = fault
@@ -584,7 +589,7 @@ class Faults:
         return fault.message(now_ns)
 
     def remove(self, *wanted: str) -> list[str]:
-        """Take these faults back, all or none; without a name all there are. Their names. Raises UnknownName."""
+        """Remove these faults, all or none; without names, all. Returns their names. Raises UnknownName."""
         self._simulation.loop.between_cycles("remove a fault")
         for name in wanted:
             if name not in self._faults:
@@ -597,17 +602,17 @@ class Faults:
         return gone
 
     def asked(self) -> list[Asked]:
-        """What made them, for `make`."""
+        """The requests of all faults, for `make`."""
         return [fault.asked for fault in self._faults.values()]
 
     def make(self, wanted: Sequence[Asked]) -> None:
-        """These anew, where there are none. Their state is to be put in, and `go_on` to follow.
+        """Replace all faults by new ones. The caller then restores their state and calls `go_on`.
 
-        Raises Refused: one is on a joint or a link that is not there.
+        Raises Refused: a fault is on a joint or a link that does not exist.
         """
         for asked in wanted:
             kind = KINDS[asked.kind].target
-            if kind not in ("topic", "controller"):  # these may have gone since
+            if kind not in ("topic", "controller"):  # these may have been removed since
                 robot, part = self._targets(kind).get(asked.target, (None, ""))
                 if robot is None or (robot.name, part) != (asked.robot, asked.part):
                     raise Refused(f"the fault {asked.name} is on the {kind} {asked.target}, which is not there")
@@ -616,7 +621,7 @@ class Faults:
             self._install(fault)
 
     def go_on(self) -> None:
-        """Their state was put in: what they have changed is changed again, before the world gets its own state."""
+        """Apply restored changes of the model again, before the world gets its own state."""
         for fault in self._faults.values():
             if isinstance(fault, ChangeFault) and fault.change.is_held:
                 fault.change.hold()
@@ -624,11 +629,11 @@ class Faults:
             cycle.follow()
 
     def messages(self) -> list[Message]:
-        """All of them, each as slidectl/Fault."""
+        """All faults, each as slidectl/Fault."""
         return [fault.message(self._graph.clock.time_ns) for fault in self._faults.values()]
 
     def restart(self) -> None:
-        """The world is about to be as it was at the beginning, and so are the faults. Those of times to come, come."""
+        """Reset the faults before a reset of the world. They act again at their times, if these are still to come."""
         for fault in self._faults.values():
             fault.end()
             if self._graph.clock.time_ns < fault.asked.start_ns or not self._graph.clock.time_ns:
@@ -639,7 +644,7 @@ class Faults:
             self._install(fault)
 
     def _install(self, changed: Fault) -> None:
-        """Let what a fault is on have the faults that it has now."""
+        """Update the robot or topic of a fault to its present faults."""
         if isinstance(changed, TopicFault):
             topic = changed.asked.target
             faults = [one for one in self._faults.values() if isinstance(one, TopicFault) and one.asked.target == topic]
@@ -658,14 +663,14 @@ class Faults:
             del self._cycles[robot.name]
 
     def _forget_robot(self, robot: SpawnedRobot) -> None:
-        """It has left the world, with what its faults have changed."""
+        """Drop the faults of a robot that has been deleted."""
         self._cycles.pop(robot.name, None)
         for name, fault in list(self._faults.items()):
             if isinstance(fault, RobotFault) and fault.robot is robot:
                 del self._faults[name]
 
     def _targets(self, kind: str) -> dict[str, tuple[SpawnedRobot | None, str]]:
-        """All that a kind can be on, by full name; topics have no robot."""
+        """All possible targets of a kind, by full name; topics have no robot."""
         robots = [robot for robot in self._simulation.robots if robot.is_controlled]
         if kind == "topic":
             return dict.fromkeys(self._graph.topics.names(), (None, ""))
@@ -724,7 +729,7 @@ class Faults:
             options = None
         if not isinstance(options, dict):
             raise UsageError(f"options is a JSON object, not {request['options']!r}", 'such as {"sd": 0.001}')
-        checked_options(request["kind"], options)  # before they are keywords
+        checked_options(request["kind"], options)  # before they are used as keywords
         named = request["name"], request["namespace"] or "/"
         return {"fault": self.add(request["target"], request["kind"], start, end, request["seed"], *named, **options)}
 

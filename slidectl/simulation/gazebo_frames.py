@@ -1,4 +1,4 @@
-"""geometry_msgs in and out of plain tuples, and states seen from a moving frame."""
+"""Conversion between geometry_msgs and plain tuples, and states seen from a moving frame."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ STILL: Twist = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 @dataclass(frozen=True)
 class Frame:
-    """Where something is and how it moves, in the world."""
+    """Pose and twist in the world."""
 
     pose: Pose
     twist: Twist = STILL
@@ -36,43 +36,43 @@ WORLD = Frame(ORIGIN)
 
 
 def vector(message: Message) -> Vector:
-    """geometry_msgs/Vector3 or Point."""
+    """Convert from geometry_msgs/Vector3 or Point."""
     return (message["x"], message["y"], message["z"])
 
 
 def vector_message(values: Vector) -> Message:
-    """geometry_msgs/Vector3 or Point."""
+    """Convert to geometry_msgs/Vector3 or Point."""
     return {"x": values[0], "y": values[1], "z": values[2]}
 
 
 def pose(message: Message) -> Pose:
-    """geometry_msgs/Pose; an orientation of four zeros means none, as with messages that leave it out."""
+    """Convert from geometry_msgs/Pose; an orientation of four zeros (left out) means no rotation."""
     turn = message["orientation"]
     return vector(message["position"]), normalized((turn["x"], turn["y"], turn["z"], turn["w"]))
 
 
 def pose_message(values: Pose) -> Message:
-    """geometry_msgs/Pose."""
+    """Convert to geometry_msgs/Pose."""
     return {"position": vector_message(values[0]), "orientation": quaternion_message(values[1])}
 
 
 def transform_message(values: Pose) -> Message:
-    """geometry_msgs/Transform."""
+    """Convert to geometry_msgs/Transform."""
     return {"translation": vector_message(values[0]), "rotation": quaternion_message(values[1])}
 
 
 def twist(message: Message) -> Twist:
-    """geometry_msgs/Twist."""
+    """Convert from geometry_msgs/Twist."""
     return vector(message["linear"]), vector(message["angular"])
 
 
 def twist_message(values: Twist) -> Message:
-    """geometry_msgs/Twist."""
+    """Convert to geometry_msgs/Twist."""
     return {"linear": vector_message(values[0]), "angular": vector_message(values[1])}
 
 
 def seen_from(state: Frame, viewer: Frame) -> Frame:
-    """Pose and twist of `state` as they look in the (moving) frame `viewer`, on its axes."""
+    """Pose and twist of `state` relative to the (moving) frame `viewer`, in its axes."""
     back = conjugate(viewer.pose[1])
     arm = subtract(state.pose[0], viewer.pose[0])
     carried = add(viewer.twist[0], cross(viewer.twist[1], arm))
@@ -82,7 +82,7 @@ def seen_from(state: Frame, viewer: Frame) -> Frame:
 
 
 def into_world(local: Frame, viewer: Frame) -> Frame:
-    """The inverse of `seen_from`: what has this pose and twist in `viewer`, in the world."""
+    """The inverse of `seen_from`: the pose and twist in the world of a state given in `viewer`."""
     place = compose(viewer.pose, local.pose)
     arm = subtract(place[0], viewer.pose[0])
     carried = add(viewer.twist[0], cross(viewer.twist[1], arm))

@@ -1,7 +1,7 @@
-"""The services and topics of `/gazebo`, as gazebo_ros_api_plugin has them, on this world.
+"""The services and topics of `/gazebo`, as in gazebo_ros_api_plugin, for this world.
 
-All of them answer `success: false` with the reason where Gazebo does. A link or joint is named `model::link`, or
-without its model as long as only one robot has it.
+They answer `success: false` with the reason where Gazebo does. A link or joint is named `model::link`; the model may be
+left out when only one robot has a part of that name.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ if TYPE_CHECKING:
     from slidectl.simulation.simulation import Simulation
 
 JOINT_TYPES = {"revolute": 0, "continuous": 1, "prismatic": 2, "fixed": 3, "floating": 4, "planar": 5}
-"""Of gazebo_msgs/GetJointProperties. Gazebo knows no floating joint, a ball is the nearest; nor a planar one: a
-universal."""
+"""The `type` of gazebo_msgs/GetJointProperties. Gazebo has no floating and no planar joint: the nearest are a ball and
+a universal joint."""
 
 
 class GazeboServices:
-    """The services that look at one simulation, or change it."""
+    """The services that read or change one simulation."""
 
     def __init__(self, simulation: Simulation) -> None:
         """Advertises all of them."""
@@ -96,13 +96,13 @@ class GazeboServices:
     # Spawning and deleting
 
     def _spawn(self, request: Message) -> Pending:
-        """At once, or as soon as its meshes are read: a driver lets the world go on meanwhile."""
+        """Spawn at once, or when its meshes are read; with a driver the world runs meanwhile."""
         xml, name, namespace = request["model_xml"], request["model_name"], request["robot_namespace"] or None
         read = self._entities.read(xml, name, namespace)
         return self._entities.spawn([(read, self._place(request))]).converted(_spawned)
 
     def _spawn_sdf(self, request: Message) -> Pending:
-        """One model. All its parts are spawned, or none."""
+        """Spawn one model: all its parts or none."""
         xml, name, namespace = request["model_xml"], request["model_name"], request["robot_namespace"] or None
         read = self._entities.read_sdf(xml, name, namespace, self._place(request))
         return self._entities.spawn(read).converted(_spawned)
@@ -150,14 +150,14 @@ class GazeboServices:
         return f"got the state of {request['model_name']!r}", fields
 
     def _set_model_state(self, state: Message) -> Answer:
-        """Put a robot's root where gazebo_msgs/ModelState says."""
+        """Move a robot's root as gazebo_msgs/ModelState says."""
         name = state["model_name"]
         viewer = self._entities.frame(state["reference_frame"])
         self._entities.put(name, pose(state["pose"]), twist(state["twist"]), viewer)
         return f"set the state of {name!r}", {}
 
     def _configure(self, request: Message) -> Answer:
-        """All joints or none. A joint may be named with its model, as `model::joint`."""
+        """Set all joints or none. A joint may be named with its model, as `model::joint`."""
         names, positions = request["joint_names"], request["joint_positions"]
         self._robots.put_joints(request["model_name"], names, positions)
         return f"set {len(names)} joints of {request['model_name']!r}", {}
@@ -176,7 +176,7 @@ class GazeboServices:
         return f"got the state of {robot}::{link}", {"link_state": message}
 
     def _set_link_state(self, state: Message) -> Answer:
-        """A link in the middle of a robot hangs on its joints; only a root can be put somewhere."""
+        """Move a root link. Other links are held by joints and cannot be moved."""
         robot, link = self._entities.find("link", state["link_name"])
         root = self._robots.get(robot).paper.root
         if link != root:
@@ -206,7 +206,7 @@ class GazeboServices:
             fields.update(damping=[joint.damping], position=[position], rate=[velocity])
         return f"got the properties of {robot}::{name}", fields
 
-    # Forces from outside
+    # External forces
 
     def _apply_effort(self, request: Message) -> Answer:
         robot, joint = self._entities.find("joint", request["joint_name"])
@@ -236,7 +236,7 @@ class GazeboServices:
         return force, add(torque, cross(subtract(point, centre_of_mass), force))
 
     def _span(self, request: Message) -> tuple[int, int]:
-        """Start and duration in ns; a start that has passed means now, a negative duration until it is cleared."""
+        """Start and duration in ns. A start in the past means now; a negative duration lasts until it is cleared."""
         return max(from_stamp(request["start_time"]), self._simulation.time_ns), from_stamp(request["duration"])
 
     def _clear_joint(self, request: Message) -> None:
@@ -245,7 +245,7 @@ class GazeboServices:
     def _clear_body(self, request: Message) -> None:
         self._world.clear_wrenches(*self._entities.find("link", request["body_name"]))
 
-    # How the world runs
+    # Physics properties
 
     def _physics(self, _: Message) -> Answer:
         timestep, run = self._simulation.timestep_ns * 1e-9, self._simulation.run
@@ -258,7 +258,7 @@ class GazeboServices:
         return "got the properties of the physics", fields
 
     def _set_physics(self, request: Message) -> Answer:
-        """Time step (s), rate of cycles (1/s; 0 is as fast as possible), gravity; settings of ODE have no meaning."""
+        """Set time step (s), rate of cycles (1/s; 0: as fast as possible) and gravity; ODE settings have no effect."""
         timestep, rate = request["time_step"], request["max_update_rate"]
         check_timestep(timestep, "time_step")
         if not (math.isfinite(rate) and rate >= 0):
@@ -270,7 +270,7 @@ class GazeboServices:
         ignored = any(request["ode_config"].values())
         return "physics properties set" + ("; ode_config has no effect on MuJoCo" if ignored else ""), {}
 
-    # Topics: every cycle, but only while somebody listens
+    # Topics: published in every cycle with a subscriber
 
     def _model_states(self) -> Message:
         return _states({name: self._entities.model_frame(name) for name in self._robots.names()})
@@ -281,7 +281,7 @@ class GazeboServices:
 
 
 def _acting(action: Callable[[Message], None]) -> Handler:
-    """The handler of a service with an empty response."""
+    """A service handler with an empty response, which calls `action`."""
 
     def act(request: Message) -> Message:
         action(request)

@@ -1,6 +1,6 @@
-"""The graph: topics, services, parameters, the log, timers and the clock that they share, and node handles on it.
+"""The graph: topics, services, parameters, log, timers and their common clock, and node handles on them.
 
-No physics and no control here; the simulation hangs those on it.
+It contains no physics and no control; the simulation connects those to it.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ T = TypeVar("T")
 WORLD_NODE = "/gazebo"
 CLOCK_FREQUENCY = "/gazebo/pub_clock_frequency"
 GRAPH_CHANGES = "/slidectl/graph_changes"
-"""Nobody advertises it, nor the next: they exist while somebody subscribes them."""
+"""This topic and the next have no publisher: they exist while they have a subscriber."""
 PARAMETER_CHANGES = "/slidectl/parameter_changes"
 LEVELS = {"debug": 1, "info": 2, "warn": 4, "error": 8, "fatal": 16}
 MOST_REASONS = 100
-"""Reasons that one answer holds; the log has the rest."""
+"""The most reasons in one answer; the log has all of them."""
 Sink = Callable[[str, str, str, int], None]
 """Takes severity, node, text, time in ns."""
 
 
 class Graph:
-    """Everything that a client can see or do. `clock_topic` publishes /clock."""
+    """All that a client can see or do. `clock_topic` publishes /clock."""
 
     def __init__(self) -> None:
         self.clock = Clock()
@@ -52,11 +52,11 @@ class Graph:
         self.services = Services()
         self.parameters = Parameters()
         self.caller = 0
-        """The session id of the process whose request is being carried out, 0 when nobody knows or none is."""
+        """The session id of the process whose request is being handled, 0 when it is unknown or there is none."""
         self.calling_node = ""
-        """The node whose request is being carried out, empty when none is."""
+        """The node whose request is being handled, empty when there is none."""
         self.on_node_closed: list[Callable[[str], None]] = []
-        """Called with the name of a node that has gone."""
+        """Called with the name of a node that was closed."""
         self._claimed_nodes: set[str] = set()
         self.log = Log(self.topics, self.clock.now_ns)
         clock = self.topics.advertise("/clock", "rosgraph_msgs/Clock", WORLD_NODE, kind=NodePublisher)
@@ -98,13 +98,13 @@ class Graph:
         return name in self._claimed_nodes or name in self.topics.nodes() or name in self.services.nodes()
 
     def claim_node(self, name: str) -> None:
-        """Keep a node's name for one client, until `close_node`. Raises BadName; Refused: it is taken."""
+        """Reserve a node's name for one client, until `close_node`. Raises BadName; Refused: it is in use."""
         if self.knows_node(names.check_absolute(name, "node")):
             raise Refused(f"there is a node {name} already", "give yours another name")
         self._claimed_nodes.add(name)
 
     def close_node(self, name: str) -> None:
-        """A node has gone (a client has disconnected): take back all that it had."""
+        """Remove all that a node has, after its client has disconnected."""
         self._claimed_nodes.discard(name)
         self.topics.close_node(name)
         self.services.close_node(name)
@@ -113,22 +113,22 @@ class Graph:
 
 
 class Log:
-    """Lines from nodes, out on `/rosout` and to `sink` (the daemon's file), whether somebody subscribes or not.
+    """Publishes lines of nodes on `/rosout` and passes them to `sink` (the daemon's log file).
 
-    Warnings and errors also become the reasons of the request that is being carried out, if one is.
+    Warnings and errors also become reasons of the request that is being handled, if any.
     """
 
     def __init__(self, topics: Topics, now_ns: Callable[[], int]) -> None:
         self.sink: Sink | None = None
         self.reasons: Reasons | None = None
-        """Those of the request that is being carried out. There is one thread, so there is at most one request."""
+        """Reasons of the request that is being handled. There is one thread, so there is at most one request."""
         self._now_ns = now_ns
         self._publisher = topics.advertise("/rosout", "rosgraph_msgs/Log", WORLD_NODE, kind=NodePublisher)
 
     def __call__(self, severity: str, node: str, text: str) -> None:
-        """One line; `severity` is a key of LEVELS."""
+        """Log one line; `severity` is a key of LEVELS."""
         level = LEVELS[severity]
-        text = cut(text)  # what a client sent may be part of it
+        text = cut(text)  # it may contain text from a client
         if self.reasons is not None and level >= LEVELS["warn"] and len(self.reasons) < MOST_REASONS:
             self.reasons.append(Reason(text, severity))
         now = self._now_ns()
@@ -142,7 +142,7 @@ class Log:
 
     @contextmanager
     def answering(self, reasons: Reasons | None) -> Iterator[None]:
-        """Inside, lines are reasons of that request (of none: None)."""
+        """Inside the context, lines become reasons of that request (None: of no request)."""
         before, self.reasons = self.reasons, reasons
         try:
             yield
@@ -151,9 +151,9 @@ class Log:
 
 
 class GraphNode:
-    """A node handle on the graph, with all that was advertised through it. NodeHandle (control) says what it does.
+    """A node handle on the graph, with all that was advertised through it. control.NodeHandle documents the methods.
 
-    `namespace` resolves relative names, `name` is the node that stands in listings and in the log.
+    `namespace` resolves relative names; `name` is the node's name in listings and in the log.
     """
 
     def __init__(self, graph: Graph, namespace: str, name: str) -> None:
@@ -166,10 +166,10 @@ class GraphNode:
         self._calls: list[RepeatedCall] = []
         self._servers: list[ActionServer] = []
         self.before_entry: Callable[[], None] = lambda: None
-        """Called before every callback that was given to this handle or a child of it."""
+        """Called before every callback of this handle and its children."""
         self.guard: AbstractContextManager[None] | None = None
         self.command_warning = ""
-        """Of a handle without a parent: a warning for who publishes to it or to a child of it; empty for none."""
+        """Only in a handle without a parent: a warning for publishers to it or its children; empty for none."""
 
     def child(self, name: str) -> GraphNode:
         """The node handle of `namespace/name`. What it advertises ends with this one's `shutdown`."""
@@ -189,7 +189,7 @@ class GraphNode:
         self._graph.parameters.set(self._absolute(name), value)
 
     def delete_param(self, name: str) -> None:
-        """Delete the parameter, or all below it. Raises UnknownName."""
+        """Delete the parameter, or all parameters below it. Raises UnknownName."""
         self._graph.parameters.delete(self._absolute(name))
 
     def search_param(self, name: str) -> str | None:
@@ -232,7 +232,7 @@ class GraphNode:
         enter = self._entering(callback) if enters else callback
 
         def tick() -> None:
-            with suppress(SlidectlError):  # nobody asked for this call; the guard has told of it
+            with suppress(SlidectlError):  # this call has no caller; the guard has logged the error
                 enter()
 
         return RepeatedCall(self._graph.timers, period_ns, tick, self._calls)
@@ -251,35 +251,35 @@ class GraphNode:
         return self._graph.clock.time_ns
 
     def shutdown(self) -> None:
-        """Take back all that was advertised, subscribed and watched through this handle and its children.
+        """End all that was advertised, subscribed and watched through this handle and its children.
 
-        All of it, even if somebody who is told of it fails; the last such error is raised then.
+        A failing callback does not stop the rest; the last such error is raised at the end.
         """
         if self._parent is not None and self in self._parent._children:
             self._parent._children.remove(self)
         for call in tuple(self._calls):
             call.cancel()
         taken, self._taken = self._taken, []
-        with ExitStack() as closing:  # the last is the first
+        with ExitStack() as closing:  # closes in reverse order
             for close in taken:
                 closing.callback(close)
             for child in reversed(self._children):
                 closing.callback(child.shutdown)
 
     def calls_below(self) -> list[RepeatedCall]:
-        """The calls that run, of this handle and its children, in the order of their making."""
+        """The running calls of this handle and its children, in the order of creation."""
         return [*self._calls, *(call for child in self._children for call in child.calls_below())]
 
     def servers_below(self) -> list[ActionServer]:
-        """The actions of this handle and its children, in the order of their making."""
+        """The actions of this handle and its children, in the order of creation."""
         return [*self._servers, *(server for child in self._children for server in child.servers_below())]
 
     def _current_warning(self) -> str:
         return self.command_warning if self._parent is None else self._parent._current_warning()
 
     def _entering(self, callback: Callable[P, T]) -> Callable[P, T]:
-        """The callback in its guard, before which all handles above are told that somebody is about to call into what
-        they hold."""
+        """Wrap a callback: before it, `before_entry` of this handle and all its parents is called; its guard holds
+        during the call."""
         guard = self.guard
 
         def entered(*arguments: P.args, **keywords: P.kwargs) -> T:

@@ -1,8 +1,8 @@
-"""The recent past of all joints: their state at every tenth cycle, kept by whoever runs the cycles.
+"""The recent past of all joints: their state at every tenth cycle, written by the runner of the cycles.
 
-The rows lie in one block of numbers, which the compiled cycle fills as well. It begins anew when a robot comes or goes,
-since others have the places then. To keep a row costs a third of a microsecond in the interpreter, and some
-nanoseconds in machine code.
+The rows are in one block of numbers, which the compiled cycle writes too. The block is replaced when a robot is spawned
+or deleted, since the indices of the joints change. Writing a row takes a third of a microsecond in the interpreter, and
+some nanoseconds in machine code.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ if TYPE_CHECKING:
 EVERY = 10
 """Cycles from one row to the next, counted from time 0."""
 HEADER, ROWS, TAKEN = 2, 0, 1
-"""Length of the header; the places in it of how many rows there is room for, and how many were written so far."""
+"""Length of the header; the indices in it of the capacity in rows, and of the number of rows written so far."""
 _MOST_ROWS = 6000
 _MOST_BYTES = 1 << 25
 
 
 class History:
-    """The last rows of a world: time in ns, then all of qpos, qvel, and the forces and the outside efforts by dof."""
+    """The last rows of a world: time in ns, then all of qpos, qvel, qfrc_applied and external efforts by dof."""
 
     def __init__(self, world: World) -> None:
         self._world = world
         self.begin()
 
     def begin(self) -> None:
-        """Forget everything: the world has other places for its joints."""
+        """Start with an empty block: the indices of the joints have changed."""
         model = self._world.model
         self._positions, self._dofs = int(model.nq), int(model.nv)
         self._width = 1 + self._positions + 3 * self._dofs
@@ -46,16 +46,16 @@ class History:
         self._time = array("d", [0.0])
 
     def forget(self) -> None:
-        """Joints were put elsewhere, or the clock was set: what was before does not lead to this moment."""
+        """Discard all rows, after joints were moved or the clock was set: they do not lead to the present state."""
         self._table[TAKEN] = 0.0
 
     @property
     def address(self) -> int:
-        """Where the block lies, until `begin`."""
+        """The address of the block; valid until `begin`."""
         return int(self._table.ctypes.data)
 
     def keep(self, time_ns: int) -> None:
-        """A row: the state at the end of the cycle at this time. The kernel's `keep` does the same."""
+        """Write a row: the state at the end of the cycle at this time. The kernel's `keep` does the same."""
         table, row_bytes = self._view, 8 * self._width
         taken = table[TAKEN]
         table[TAKEN] = taken + 1.0
@@ -65,7 +65,7 @@ class History:
         self._bytes[at : at + row_bytes] = b"".join((self._time, qpos, qvel, forces, efforts))
 
     def of_joint(self, qpos: int, dof: int, since_ns: int, before_ns: int) -> Any:
-        """Time (s), position, velocity and effort of a joint in the rows between these times, (n, 4)."""
+        """Time (s), position, velocity and effort of a joint in the rows with since_ns <= time < before_ns, (n, 4)."""
         room, taken = int(self._table[ROWS]), int(self._table[TAKEN])
         rows = self._table[HEADER:].reshape(room, self._width)
         rows = np.roll(rows, -(taken % room), axis=0) if taken > room else rows[:taken]

@@ -1,4 +1,4 @@
-"""`/slidectl/trace`: the motion of a joint over the last seconds, or over those to come."""
+"""`/slidectl/trace`: the motion of a joint over the last seconds, or over the next ones."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from slidectl.simulation.simulation import Simulation
 
 _MOST_SAMPLES = 100_000
-"""Of a trace. A longer one has every second cycle, or every third."""
+"""The most samples of a trace. A longer one has every second cycle, or every third."""
 _SAMPLE = struct.Struct("<4d")
 
 
@@ -31,7 +31,7 @@ def advertise(simulation: Simulation) -> None:
 
 
 def _trace(simulation: Simulation, request: Message) -> Pending:
-    """Raises UnknownName, Refused."""
+    """Answer a request. Raises UnknownName, Refused."""
     last, duration = request["last"], request["duration"]
     if not 0 <= last < LONGEST_S or not 0 <= duration < LONGEST_S or bool(last) == bool(duration):
         raise Refused(
@@ -55,7 +55,7 @@ def _answer(period_ns: int, rows: bytes) -> Message:
 
 
 class _TraceToCome:
-    """Samples from now on, one a cycle where they are not too many; answered when the time has passed."""
+    """Samples from now on, one per cycle if these are not too many; answered at the end of the duration."""
 
     def __init__(self, simulation: Simulation, duration: float, sample: Callable[[], bytes]) -> None:
         step_ns, duration_ns = simulation.timestep_ns, from_seconds(duration)
@@ -70,7 +70,7 @@ class _TraceToCome:
     def _take(self) -> None:
         try:
             row = self._sample()
-        except SlidectlError as error:  # the robot has gone
+        except SlidectlError as error:  # the robot was deleted
             self._close()
             self.pending.reject(error)
             return

@@ -1,11 +1,11 @@
-"""The state of objects as plain data: taken out of all that is below a tree of them, and put back.
+"""The state of objects as plain data: saved from all objects below a root, and restored.
 
-All attributes count, by one rule for each kind of value. What something else has made (`STRUCTURE`, and what `KEPT`
-leaves out) is not saved: a state is put into objects that were made in the same way. What has no rule is an error that
-names the attribute. Several references to one object stay references to one object. No class is looked up by a name
-that comes from a file, but for those in `VALUES` and those of the users' modules that are there.
+All attributes are saved, by one rule for each kind of value. Not saved is what other code creates (`STRUCTURE`, and
+what `KEPT` leaves out): a state is restored into objects that were created in the same way. A value without a rule is
+an error that names the attribute. Several references to one object stay references to one object. No class is looked
+up by a name from a file, except those in `VALUES` and those of loaded user modules.
 
-An object with `save_state` and `load_state` says itself what its state is.
+An object with `save_state` and `load_state` defines its own state.
 """
 
 from __future__ import annotations
@@ -75,10 +75,9 @@ KEPT: dict[type, tuple[str, ...]] = {
     SensorTopic: ("_topic",),
     StuckJoint: ("_position", "_lasting", "_dynamics"),
 }
-"""Of objects of these classes and their subclasses only these attributes are saved. The rest follows from how they were
-made."""
+"""For these classes and their subclasses only these attributes are saved. The rest follows from their creation."""
 _MAY_BE_NONE = ("_before", "_position", "_timer", "change", "kept", "limit", "pid")
-"""Those of these attributes that may be None."""
+"""Attributes in KEPT that may be None."""
 STRUCTURE = (
     Graph,
     GraphNode,
@@ -93,9 +92,9 @@ STRUCTURE = (
     World,
     type,
 )
-"""Classes of which nothing is saved where an attribute refers to them."""
+"""Classes whose objects are not saved where an attribute refers to them."""
 VALUES: dict[str, type] = {cls.__qualname__: cls for cls in (ActionGoal, GoalStatus, MonitoredGoal, RollingMean, State)}
-"""Classes of objects that come and go while a simulation runs: they are made anew."""
+"""Classes of objects that are created and dropped while a simulation runs: a restore creates them again."""
 
 _SCALARS = frozenset((bool, int, float, str, bytes, type(None)))
 _FUNCTIONS = (FunctionType, BuiltinFunctionType, partial)
@@ -103,7 +102,7 @@ _HINT = "leave it out of the class, or give the class save_state and load_state"
 
 
 class Ref(NamedTuple):
-    """An object of the state, by its number."""
+    """An object of the state, as its index in the entries."""
 
     number: int
 
@@ -116,32 +115,32 @@ class Method(NamedTuple):
 
 
 class Named(NamedTuple):
-    """A member of an enumeration, a tuple of a class, or a function, by the name of its class or its own."""
+    """A member of an enumeration or a tuple of a class, by the name of the class; or a function, by its own name."""
 
     name: str
     value: Any
 
 
 class SavedObject(NamedTuple):
-    """One object: the name of its class, and what it consists of."""
+    """One object: the name of its class, and its content."""
 
     kind: str
     content: Any
 
 
 _RESERVED = SavedObject("", None)
-"""In the place of an object of which the content is being saved."""
+"""The entry of an object while its content is being saved."""
 
 
 class NotSaved:
-    """Stands for what is not saved."""
+    """The class of NOT_SAVED, the saved form of other values."""
 
 
 NOT_SAVED = NotSaved()
 
 
 class CannotSave(Refused):
-    """Something at `path` is of a kind that no snapshot holds."""
+    """The value at `path` is of a kind that a snapshot cannot hold."""
 
     def __init__(self, what: str, path: str = "") -> None:
         super().__init__(f"cannot save {path}: it is {what}", _HINT)
@@ -149,15 +148,15 @@ class CannotSave(Refused):
         self._path = path
 
     def below(self, owner: str) -> CannotSave:
-        """The same, with the way to it from an owner farther up."""
+        """The same error, with `owner` put before the path."""
         return CannotSave(self._what, f"{owner}.{self._path}" if self._path else owner)
 
 
-# -- taking the state out ----------------------------------------------------------------------------------------------
+# -- saving ------------------------------------------------------------------------------------------------------------
 
 
 class Saving:
-    """`value` gives what is saved of a value; the objects that it refers to are in `entries`."""
+    """Saves values with `value`; the objects that they refer to are in `entries`."""
 
     def __init__(self) -> None:
         self.entries: list[SavedObject] = []
@@ -166,12 +165,12 @@ class Saving:
         """Keeps the objects alive: otherwise a new object could get the id() of a dead one."""
 
     def value(self, value: Any, of_user: bool = False) -> Any:
-        """`of_user`: it belongs to an object of a user's class. Raises CannotSave."""
+        """The saved form. `of_user`: the value belongs to an object of a user's class. Raises CannotSave."""
         kind = type(value)
         return value if kind in _SCALARS else rule_of(kind).save(self, value, of_user)
 
     def values(self, values: Mapping[Any, Any], of_user: bool) -> dict[Any, Any]:
-        """What is saved of attributes, or of a mapping."""
+        """The saved form of attributes, or of a mapping."""
         saved = {}
         for name, value in values.items():
             try:
@@ -182,14 +181,14 @@ class Saving:
         return saved
 
     def element(self, value: Any, of_user: bool) -> Any:
-        """What is saved of a key, or of an element of a set: of these nothing else says which ones there are."""
+        """The saved form of a key or of a set's element. It must be saved: nothing else tells which ones exist."""
         saved = self.value(value, of_user)
         if saved is NOT_SAVED:
             raise CannotSave(f"a {type(value).__qualname__} that is a key, or in a set")
         return saved
 
     def object(self, value: Any, content: Callable[[], Any]) -> Ref:
-        """The object's entry, made when it comes for the first time."""
+        """The number of the object's entry, which is created at the first reference."""
         ref = self._numbers.get(id(value))
         if ref is None:
             ref = self._numbers[id(value)] = Ref(len(self.entries))
@@ -199,28 +198,28 @@ class Saving:
         return ref
 
 
-# -- putting it back ---------------------------------------------------------------------------------------------------
+# -- restoring ---------------------------------------------------------------------------------------------------------
 
 
 class Restoring:
-    """`value` puts what was saved into what is there, and gives the result; `finish` is to follow."""
+    """Restores saved values into the present objects with `value`; `finish` must follow."""
 
     def __init__(self, entries: list[SavedObject], timers: Timers, users: list[ModuleType]) -> None:
-        """`users` are modules in which classes of objects may be found that have to be made."""
+        """`users` are the modules in which classes of objects to create are looked up."""
         self._entries = entries
         self._timers = timers
         self._users = users
         self._found: list[Any] = [None] * len(entries)
         self._used: set[int] = set()
         self.set_timers: list[tuple[int, int, Timer]] = []
-        """Those that are to be set: the numbers that say in which order, due times, timers."""
+        """Timers to set: (the number that defines the order, due time in ns, timer)."""
         self.latched: list[TopicPublisher] = []
-        """Those with another latched message than before."""
+        """Publishers whose latched message has changed."""
         self.later: list[Callable[[], None]] = []
         """Called when all objects have their values."""
 
     def finish(self) -> None:
-        """Set the timers in the order in which they were set, and tell subscribers of latched messages."""
+        """Set the timers in the saved order, and send latched messages to subscribers."""
         for take in self.later:
             take()
         for _, due_ns, timer in sorted(self.set_timers, key=lambda entry: entry[0]):
@@ -233,7 +232,7 @@ class Restoring:
                     callback(last)
 
     def value(self, saved: Any, live: Any) -> Any:
-        """Raises Refused: what is there is not like what was saved."""
+        """Restore a saved value into the present one. Raises Refused: no match."""
         kind = type(saved)
         if kind is Ref:
             return self._object(saved.number, live)
@@ -250,12 +249,12 @@ class Restoring:
         return saved
 
     def values(self, saved: Mapping[Any, Any], live: Mapping[Any, Any]) -> dict[Any, Any]:
-        """The same of a mapping."""
+        """The restored values of a mapping."""
         keys = self.in_order(list(saved), list(live))
         return {key: self.value(value, live.get(key)) for key, value in zip(keys, saved.values(), strict=True)}
 
     def in_order(self, saved: Sequence[Any], live: Sequence[Any]) -> list[Any]:
-        """The same of elements in their order; what has been found otherwise, here and there, does not count."""
+        """The restored elements of a sequence, in order. Live objects that were matched before are skipped."""
         rest = iter([one for one in live if id(one) not in self._used])
         return [
             self._found[one.number]
@@ -281,7 +280,8 @@ class Restoring:
         return found
 
     def _class(self, name: str) -> Any:
-        """What a module merely imports does not count: its constructor may do anything."""
+        """Find a class by name. Classes that a user module only imports are excluded: their constructor may do
+        anything."""
         known = [VALUES.get(name), *(vars(module).get(name) for module in self._users)]
         places = {*(module.__name__ for module in self._users)}
         for cls in known:
@@ -307,7 +307,7 @@ class Restoring:
 
 
 def _method(owner: Any, name: str) -> Any:
-    """Raises Refused: only objects of users keep methods in their attributes."""
+    """The method. Raises Refused unless the owner is a user's object: only these keep methods in attributes."""
     if not is_of_a_user(type(owner)) or name.startswith("_"):
         raise Refused(f"the snapshot has the method {name} of {type(owner).__name__} where there is another")
     return getattr(owner, name)
@@ -317,18 +317,18 @@ def _method(owner: Any, name: str) -> Any:
 
 
 class Rule:
-    """How values of one class are saved and put back. The base is for those that are not saved."""
+    """Saves and restores values of one class. This base is for values that are not saved."""
 
     def save(self, saving: Saving, value: Any, of_user: bool) -> Any:  # noqa: ARG002
-        """What is saved of it; Ref for an object that has an entry."""
+        """The saved form of a value; Ref for an object that has an entry."""
         return NOT_SAVED
 
     def fit(self, live: Any, content: Any) -> Any:  # noqa: ARG002
-        """The object that takes the content: the one that is there, or one of the right size."""
+        """The object that receives the content: the present one, or a new one of the right size."""
         return live
 
     def fill(self, restoring: Restoring, live: Any, content: Any) -> None:
-        """Put the content of an entry in."""
+        """Restore the content of an entry into `live`."""
 
 
 class _Unknown(Rule):
@@ -353,7 +353,7 @@ class _BoundMethod(Rule):
 
 
 class _Constant(Rule):
-    """Members of enumerations, numbers of numpy, sets that do not change."""
+    """Enumeration members, numpy numbers and frozen sets."""
 
     def save(self, saving: Saving, value: Any, of_user: bool) -> Any:
         if isinstance(value, Enum):
@@ -410,7 +410,7 @@ class _Set(Rule):
 
 
 class _Numbers(Rule):
-    """Arrays, and memory views of them. Those of the same size stay where they are: others may look at that memory."""
+    """Arrays, and memory views of them. Of equal size they stay in place: other code may use that memory."""
 
     def save(self, saving: Saving, value: Any, of_user: bool) -> Any:  # noqa: ARG002
         numbers = np.asarray(value)
@@ -454,7 +454,7 @@ class _SetTimer(Rule):
 
 
 class _Publisher(Rule):
-    """The number of its next message, and the latched one, which nobody changes."""
+    """The number of a publisher's next message, and the latched message, which is never modified."""
 
     def save(self, saving: Saving, value: Any, of_user: bool) -> Any:  # noqa: ARG002
         return saving.object(value, lambda: (value.sequence, value.last))
@@ -467,7 +467,7 @@ class _Publisher(Rule):
 
 
 class _Attributes(Rule):
-    """Objects of classes that are written in Python: these attributes, or all."""
+    """Objects of classes written in Python: the given attributes, or all."""
 
     def __init__(self, cls: type, names: tuple[str, ...] | None) -> None:
         self._has_all = names is None
@@ -492,7 +492,7 @@ class _Attributes(Rule):
                 delattr(live, name)
 
     def _check(self, live: Any, name: str, before: Any, new: Any) -> None:
-        """Raises Refused: no state of our own classes is so. Compiled code relies on them, and looks at no types."""
+        """Raise Refused when our own class cannot have this state. Compiled code relies on it: it checks no types."""
         if name in self._methods if self._has_all else name not in self._names:
             raise Refused(f"the snapshot has a state of {name} of {type(live).__name__}, which has none")
         kind = type(before)
@@ -510,7 +510,7 @@ class _Attributes(Rule):
 
 
 class _OwnState(Rule):
-    """Objects that say themselves what their state is."""
+    """Objects that define their own state."""
 
     def save(self, saving: Saving, value: Any, of_user: bool) -> Any:  # noqa: ARG002
         return saving.object(value, lambda: saving.value(_state_of(value), is_of_a_user(type(value))))
@@ -542,7 +542,7 @@ _MAKERS: dict[str, Callable[[Any], Any]] = {
     "memoryview": lambda content: content.copy().data,
     "Random": lambda _: random.Random(),
 }
-"""How objects of these classes are made where they are missing."""
+"""Creates missing objects of these classes."""
 _RULES: tuple[tuple[type | tuple[type, ...], Rule], ...] = (
     (STRUCTURE, Rule()),
     (Timer, _SetTimer()),
@@ -561,7 +561,7 @@ _RULES: tuple[tuple[type | tuple[type, ...], Rule], ...] = (
 
 
 def _rule_of(cls: Any) -> Rule:
-    """For objects of the class."""
+    """The rule for objects of the class."""
     for base in cls.__mro__:
         if base in KEPT:
             return _Attributes(cls, KEPT[base])

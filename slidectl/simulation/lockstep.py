@@ -1,6 +1,7 @@
-"""Lock-step: the world goes on only when every client that has joined says that it is done with its period.
+"""Lock-step: the world goes on only when every member has called to say that it is done with its period.
 
-Knows simulated time and nodes; who holds the world for too long, in wall time, is let go by the driver.
+This module knows simulated time and nodes only. The driver removes a member that holds the world for too long in wall
+time.
 """
 
 from __future__ import annotations
@@ -21,9 +22,9 @@ _LONGEST_S = 1e6
 
 
 class LockStepMember:
-    """A client for which the world waits: `pending` is its call while it is done, None while the world may not go on.
+    """A client for which the world waits. `pending` is its call while its period runs; None while the world must wait.
 
-    Times in ns (simulated) and s (wall).
+    Times are in ns (simulated) and s (wall).
     """
 
     def __init__(self, node: str, period_ns: int, timeout_s: float, clock: Clock) -> None:
@@ -32,7 +33,7 @@ class LockStepMember:
         self.timeout_s = timeout_s
         self.pending: Pending | None = None
         self.timer = Timer(0, self._answer)
-        """Set for when its call is answered; it moves with the clock when that is set."""
+        """Set for the time at which its call is answered; it moves with the clock when that is set."""
         self._clock = clock
 
     def _answer(self) -> None:
@@ -43,21 +44,21 @@ class LockStepMember:
 
 
 class LockStepService:
-    """The service `/slidectl/lockstep`, and who has joined."""
+    """The service `/slidectl/lockstep`, and its members."""
 
     def __init__(self, graph: Graph, loop: Loop) -> None:
         self._graph = graph
         self._loop = loop
         self._let_go: dict[str, str] = {}
-        """Why, of nodes that do not know it yet."""
+        """The reasons of removals, by node, until it was told."""
         self.members: dict[str, LockStepMember] = {}
         self.on_let_go: Callable[[str], None] = lambda _: None
-        """Called with the node of a member that is let go: the one thing here that wall time decides."""
+        """Called with the node of a removed member. This is the only event in this class that wall time decides."""
         graph.node(OWN_NODE, OWN_NODE).advertise_service("lockstep", "slidectl/LockStep", self._take)
         graph.on_node_closed.append(self._gone)
 
     def allowed(self, most: int) -> int:
-        """How many cycles, at most `most`, may run until a member has its turn."""
+        """The number of cycles, at most `most`, that may run before the world must wait for a member."""
         now, step_ns = self._graph.clock.time_ns, self._loop.step_ns
         for member in self.members.values():
             if member.pending is None:
@@ -66,11 +67,11 @@ class LockStepService:
         return most
 
     def awaited(self) -> list[LockStepMember]:
-        """For whom the world waits now."""
+        """The members for which the world waits now."""
         return [member for member in self.members.values() if member.pending is None]
 
     def let_go(self, member: LockStepMember) -> None:
-        """It has held the world for longer than its time-out."""
+        """Remove a member that has held the world for longer than its time-out."""
         self.on_let_go(member.node)
         why = f"it held the world for more than {member.timeout_s:g} s"
         self._graph.log("warn", OWN_NODE, f"{member.node} has left the lock-step: {why}")

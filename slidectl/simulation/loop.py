@@ -1,6 +1,6 @@
-"""The loop of cycles, and how it is asked to run: paused or not, how fast, and the steps that somebody waits for.
+"""The loop of cycles, and its requested run state: paused or not, the speed, and the requested steps.
 
-One cycle after the other, on demand. It knows simulated time only; the caller decides how fast it is called.
+The loop runs one cycle after the other on request. It knows simulated time only; the caller sets the pace.
 """
 
 from __future__ import annotations
@@ -25,29 +25,29 @@ if TYPE_CHECKING:
     from slidectl.simulation.spawned_robots import SpawnedRobot
 
 FEW = 16
-"""Fewer cycles than these are not worth the way into the tables and back, which is made when nobody drives."""
+"""With fewer cycles than this, when not driven, copying the state into the tables and back costs more than it saves."""
 
 
 FAILED = "a control cycle failed"
-"""What a driver says of a fault in a cycle that is none of the user's; it holds the world then."""
+"""The driver's message when a cycle fails for a reason that is not the user's; it then holds the world."""
 SHORTEST_S = 1e-6
 LONGEST_S = 1.0
-"""Bounds of a time step, as at the daemon's start. With longer ones the clock soon leaves what a message can hold."""
+"""Bounds of a time step, as at the daemon's start. With longer steps the clock soon exceeds the range of a message."""
 
 
 def check_timestep(seconds: float, name: str = "timestep") -> None:
-    """Raises Refused for what is no time step."""
+    """Raise Refused when `seconds` is not a valid time step."""
     if not isinstance(seconds, Real) or not SHORTEST_S <= seconds <= LONGEST_S:
         raise Refused(f"{name} is between {SHORTEST_S:g} s and {LONGEST_S:g} s, not {seconds!r}")
 
 
 def whole_cycles(asked_ns: int, step_ns: int, start_ns: int = 0) -> int:
-    """How many cycles so much time is. Raises Refused for no whole number of them, with the times that would be.
+    """The number of cycles in `asked_ns`. Raises Refused when it is not whole, with the nearest possible times.
 
-    With a time of the clock in `start_ns` these are times of the clock too.
+    With a clock time in `start_ns` the times in the message are clock times too.
     """
     cycles = round(asked_ns / step_ns)
-    # A time step such as 1/240 s is rounded to nanoseconds, so a second of it is up to one off for each cycle.
+    # A time step such as 1/240 s is rounded to nanoseconds: the sum of n steps is up to n ns off.
     if abs(cycles * step_ns - asked_ns) > cycles:
         below = asked_ns // step_ns
         near = [f"{(start_ns + count * step_ns) * 1e-9:.9g}s" for count in (below, below + 1) if count]
@@ -58,7 +58,7 @@ def whole_cycles(asked_ns: int, step_ns: int, start_ns: int = 0) -> int:
 
 
 class StepRequest:
-    """Cycles that somebody asked for and waits for; with a `reader` no more when there is news for that node."""
+    """Cycles that a client requested and waits for. With a `reader`, they end early when news arrives for that node."""
 
     __slots__ = ("asked", "has_news", "pending", "reader", "remaining")
 
@@ -71,36 +71,36 @@ class StepRequest:
 
 
 class RunState:
-    """How the world is asked to run. It runs nothing itself: a driver (the daemon) looks at it between two slices.
+    """The requested run state. It runs nothing itself: a driver (the daemon) reads it between two slices.
 
-    `paused` and `speed` (real-time factor; infinite: as fast as possible) are wishes; steps run even when paused.
+    `paused` and `speed` (real-time factor; infinite: as fast as possible) are requests; steps run even when paused.
     """
 
     def __init__(self) -> None:
         self.paused = False
         self.speed = 1.0
         self.trouble = ""
-        """What holds the world, when nobody asked for that."""
+        """The reason why the world is held, when it was not paused on request."""
         self.on_halt: Callable[[], None] = lambda: None
-        """Called when the world comes to a stand: by `pause`, after the last step, or when nobody waits for steps."""
+        """Called when the world stops: by `pause`, after the last step, or when the last step request is cancelled."""
         self.requests: deque[StepRequest] = deque()
-        """Who waits for steps, in the order of asking."""
+        """Open step requests, in the order of arrival."""
         self.holders: set[str] = set()
-        """Nodes by whose requests alone the world goes on."""
+        """Nodes that hold the world: it advances only by their requests."""
         self.news_wanted = False
-        """True while `note_message` may end the steps that somebody asked for."""
+        """True while a message (`note_message`) may end a step request."""
         self.on_news: Callable[[], None] = lambda: None
-        """Called when they are to end with the cycle that runs."""
+        """Called when a step request is to end with the running cycle."""
         self.lockstep: LockStepService | None = None
-        """Those for whom the world waits, while there are any."""
+        """The lock-step, while it has members: the world waits for them."""
 
     @property
     def pending_steps(self) -> int:
-        """Cycles that were asked for, but by holders, and have not run yet."""
+        """Requested cycles that have not run yet, without those of holders."""
         return sum(request.remaining for request in self.requests if not request.reader)
 
     def pause(self) -> None:
-        """Hold the world; steps that somebody waits for are given up."""
+        """Pause the world and abandon all step requests."""
         self.paused = True
         self.abandon_steps("paused")
 
@@ -110,27 +110,27 @@ class RunState:
         self.trouble = ""
 
     def hold(self, trouble: str, reason: str) -> None:
-        """Something went wrong: pause. Who waits for steps is told the short `reason`."""
+        """Pause because of a failure. Step requests are rejected with the short `reason`."""
         self.paused = True
         self.trouble = trouble
         self.abandon_steps(reason)
 
     def asked(self, most: int) -> int:
-        """How many cycles, at most `most`, are wanted now: of a held world only those that its holder waits for."""
+        """The number of cycles, at most `most`, requested now. While there is a holder, only its requests count."""
         if self.holders:
             holder = self._first(of_holder=True)
             most = 0 if holder is None else min(most, holder.remaining)
         return min(most, self.pending_steps) if self.paused else most
 
     def allowed(self, most: int) -> int:
-        """How many cycles, at most `most`, may run now."""
+        """The number of cycles, at most `most`, that may run now."""
         if self.lockstep is not None:
             most = self.lockstep.allowed(most)
         return self.asked(most)
 
     @property
     def stands_still(self) -> bool:
-        """True when no cycle comes that nobody has asked for. Who holds the world is going to ask."""
+        """True when no cycle will come without a new request. A holder is expected to make one."""
         return self.paused and not self.pending_steps if self.holders else self.allowed(1) == 0
 
     def set_speed(self, factor: float) -> None:
@@ -140,10 +140,10 @@ class RunState:
         self.speed = factor or math.inf
 
     def ask_steps(self, cycles: int, reader: str = "") -> Pending:
-        """Pause, and run so many cycles more. Resolved with the number of cycles when they are done.
+        """Pause and run `cycles` more cycles. Resolved with the number of cycles when they are done.
 
-        With a `reader`, which holds the world, it is not paused, and they end with the cycle in which `note_message` is
-        called for that; where it is paused only those come that others ask for.
+        With a `reader`, a node that holds the world, the world is not paused, and the request ends with the cycle in
+        which `note_message` is called for that node. While paused, only cycles that others request run for it.
         """
         if not reader:
             self.paused = True
@@ -156,7 +156,7 @@ class RunState:
         return request.pending
 
     def note_message(self, node: str = "") -> None:
-        """There is a message for a node, or an answer for anybody."""
+        """End the step requests of `node` early, for a message; without a node all, for an answer."""
         for request in self.requests:
             if request.reader and node in ("", request.reader):
                 request.has_news = True
@@ -166,12 +166,12 @@ class RunState:
         return next((request for request in self.requests if bool(request.reader) is of_holder), None)
 
     def until_answer(self, cycles: int) -> int:
-        """`cycles`, cut where a request ends, so that it is answered in its own cycle."""
+        """`cycles`, reduced to the end of the first request, which is answered in its own cycle."""
         running = self._first(of_holder=False), self._first(of_holder=True)
         return min([cycles, *(request.remaining for request in running if request is not None)])
 
     def took(self, cycles: int) -> None:
-        """So many cycles have run, not more than `until_answer` allowed."""
+        """Count `cycles` cycles that have run, not more than `until_answer` allowed."""
         for request in (self._first(of_holder=False), self._first(of_holder=True)):  # an answer is news for a holder
             if request is None or request not in self.requests:
                 continue
@@ -184,7 +184,7 @@ class RunState:
                 self._look_for_halt()
 
     def abandon_steps(self, reason: str) -> None:
-        """Forget the steps; those who wait are told the reason."""
+        """Drop all step requests and reject each with the reason."""
         while self.requests:
             request = self.requests.popleft()
             done = request.asked - request.remaining
@@ -194,7 +194,7 @@ class RunState:
     def _drop(self, request: StepRequest) -> None:
         if request in self.requests:
             self.requests.remove(request)
-            self.took(0)  # a holder may wait for cycles that do not come any more
+            self.took(0)  # a holder's request may depend on the dropped cycles: end it
             self._look_for_halt()
 
     def _look_for_halt(self) -> None:
@@ -203,7 +203,7 @@ class RunState:
 
 
 class Loop:
-    """Runs cycles, by the interpreter or by machine code: see `engine`."""
+    """Runs cycles, by the interpreter or by machine code; see `engine`."""
 
     def __init__(self, graph: Graph, world: World, step_ns: int, engine: str) -> None:
         self.graph = graph
@@ -212,22 +212,22 @@ class Loop:
         self.run = RunState()
         self.run.on_news = self.end_burst
         self.driven = False
-        """True when somebody else (the daemon) calls `step` as `run` says; else time moves only when asked."""
+        """True when a driver (the daemon) calls `step` as `run` says; else time moves only on request."""
         self.enough: Callable[[], bool] | None = None
-        """Asked now and then between two cycles of a `step`: True ends it, since the driver has other things to do.
-        How long the next cycles take is not known before they have run: a robot may have come, or fallen."""
+        """Called now and then between two cycles of a `step`: True ends it, since the driver has other work.
+        The duration of the next cycles is not known in advance: a robot may have been spawned, or have fallen."""
         self.in_cycle = False
         self.robots: tuple[SpawnedRobot, ...] = ()
         self.history = History(world)
         self.plain = PlainRunner(self)
         self.runner: Runner = self.plain
-        """Who runs cycles where there are more than a few."""
+        """The runner of steps that are longer than a few cycles."""
         self._memory = world.data, world.views
         self.engine = Engine(self, engine)
         world.on_rebuild(self._world_changed)
 
     def take_robots(self, robots: tuple[SpawnedRobot, ...]) -> None:
-        """These are the robots from now on, in this order."""
+        """Replace the robots, in this order."""
         self.robots = robots
         for runner in (self.plain, self.runner):
             runner.take_robots(robots)
@@ -238,43 +238,43 @@ class Loop:
         data, views = self._memory
         if self.world.data is not data:
             self.history.begin()
-        if self.world.data is not data or self.world.views is not views:  # arrays lie elsewhere
+        if self.world.data is not data or self.world.views is not views:  # the arrays have moved
             self._memory = self.world.data, self.world.views
             self.runner.follow_world()
 
     @property
     def stands_still(self) -> bool:
-        """True when no cycle will come by itself."""
+        """True when no cycle will come without a request."""
         return not self.in_cycle and (not self.driven or self.run.stands_still)
 
     def between_cycles(self, action: str) -> None:
-        """Raises Refused inside a cycle, where others still work on what the action changes."""
+        """Raise Refused inside a cycle, while other code works on what the action would change."""
         if self.in_cycle:
             raise Refused(
                 f"cannot {action} in the middle of a control cycle", "do it after the cycle: graph.timers.soon(...)"
             )
 
     def end_burst(self) -> None:
-        """Let the runner stop after the running cycle, as after each in which a timer is due."""
+        """Let the runner stop after the running cycle, as it does when a timer is due."""
         if self.in_cycle:
             self.graph.timers.soon(lambda: None)
 
     def after_cycle(self, callback: Callable[[], None]) -> None:
-        """Call back at the end of the running cycle, or at once when none is running."""
+        """Call `callback` at the end of the running cycle, or at once outside of a cycle."""
         if self.in_cycle:
             self.graph.timers.soon(callback)
         else:
             callback()
 
     def settle(self) -> None:
-        """Somebody is about to look at handles and controllers that he holds: let them be what they should be."""
+        """Bring handles and controllers up to date, before user code reads those that it holds."""
         self.runner.give_back_all()
 
     def step(self, cycles: int = 1) -> int:
-        """Run so many cycles. Returns how many: fewer when there is `enough`, or the physics diverges and `driven`.
+        """Run `cycles` cycles. Returns the number run: fewer on `enough`, or if the physics diverges and `driven`.
 
         Raises:
-            Diverged: the state of a robot is no longer a number, and nobody drives.
+            Diverged: the state of a robot is no longer a number, and not `driven`.
         """
         if self.in_cycle:
             self.between_cycles("step")
@@ -301,7 +301,7 @@ class Loop:
         return cycles - left
 
     def _burst(self, count: int, runner: Runner) -> tuple[int, SlidectlError | None]:
-        """At most `count` cycles: how many, and what is wrong with the physics when that was looked at."""
+        """Run at most `count` cycles. Returns the number run, and the error of the physics check when it failed."""
         clock = self.graph.clock
         before = clock.cycles
         try:
@@ -315,7 +315,7 @@ class Loop:
         return done, None
 
     def _give_up(self, trouble: SlidectlError) -> None:
-        """Hold the world; whoever drives it is told by the log, whoever calls it directly by the error."""
+        """Hold the world and log the trouble; raise it too when not `driven`."""
         what = "the world cannot go on" if isinstance(trouble, HardwareFailed) else "the simulation diverged"
         self.run.hold(trouble.message, what)
         self.graph.log("fatal", WORLD_NODE, str(trouble))

@@ -1,8 +1,8 @@
-"""The six services of a robot's controller manager, in the order in which ros_control would carry them out.
+"""The six services of a robot's controller manager, handled in the same order as in ros_control.
 
-A seventh, `switch_controllers`, is the switch by the names of ros2_control.
+A seventh, `switch_controllers`, is the switch with the field names of ros2_control.
 
-While a switch is armed all of them queue behind it, as behind the manager's mutex. When the world stands still
+While a switch is armed, all requests wait in a queue, as they do at the manager's mutex. When the world stands still
 the switch is finished at once, at the present time; ros_control would hang.
 """
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from slidectl.simulation.loop import Loop
 
 Act = Callable[[Message, Pending], Message | None]
-"""Carries out a request. Returns the response, or None when the answer is settled at the end of a switch."""
+"""Handles a request. Returns the response, or None when the answer is resolved at the end of a switch."""
 
 
 class ManagerServices:
@@ -36,7 +36,7 @@ class ManagerServices:
 
     Args:
         look: reads the joints outside of a cycle, for controllers that start then.
-        loop: says whether a cycle will come by itself.
+        loop: tells whether a cycle will come without a request.
     """
 
     def __init__(self, manager: ControllerManager, node: GraphNode, look: Callable[[], None], loop: Loop) -> None:
@@ -47,7 +47,7 @@ class ManagerServices:
         self._queue: deque[tuple[Act, Message, Pending, Reasons | None]] = deque()
         self._switch: Pending | None = None
         self._after_update: dict[Callable[[], None], Timer] = {}
-        """Who waits for the first update of a controller."""
+        """Callbacks for the first update of a controller, with timers."""
         acts: dict[str, tuple[str, Act]] = {
             "list_controllers": ("ListControllers", lambda *_: {"controller": manager.list()}),
             "list_controller_types": (
@@ -68,7 +68,7 @@ class ManagerServices:
         services.advertise_service("switch_controllers", "slidectl/SwitchControllers", self._switch_as_in_ros2)
 
     def settle(self) -> None:
-        """Finish an armed switch now, because the world has come to a stand; nobody waits for an update any more."""
+        """Finish an armed switch and all waits for a first update now, because the world has stopped."""
         for tell in tuple(self._after_update):
             tell()
         if self._switch is not None and self._manager.switching:
@@ -77,13 +77,13 @@ class ManagerServices:
 
     @property
     def is_busy(self) -> bool:
-        """True while a switch is under way, or somebody waits for a controller's first update."""
+        """True while a switch or a wait for a controller's first update is open."""
         return self._switch is not None or bool(self._queue or self._after_update)
 
     def load_file(self, name: str, file: str, class_name: str) -> Pending:
         """Load a user's class from a file under a name; its type becomes the controller's parameter `type`.
 
-        Answered with `ok`. Fails, and changes nothing, as `registry.add_file`, and when the name cannot be had.
+        Answered with `ok`. On failure nothing changes. Raises as `registry.add_file`, and when the name is not free.
         """
 
         def load(_request: Message, _pending: Pending) -> Message:
@@ -108,11 +108,11 @@ class ManagerServices:
         return self._take(load, {})
 
     def reload(self, name: str, control_period_ns: int) -> Pending:
-        """Put what a controller's file is now in its place: stop it if it runs, load the new class, start it again.
+        """Load the present content of a controller's file: stop the controller if it runs, replace it, start it again.
 
-        One that was aborted is started too. Name, parameters and place in the order of updates stay. Answered with
-        `ok` after the first update, or at once when the world stands still. Raises as `registry.renewed` and changes
-        nothing then; when the new class refuses to be loaded the former one goes on.
+        An aborted controller is started too. Name, parameters and place in the order of updates stay. Answered with
+        `ok` after the first update, or at once when the world stands still. Raises as `registry.renewed`, and then
+        nothing changes; when the new class fails to load, the old controller goes on.
         """
         manager = self._manager
         if self._switch is not None:
@@ -129,7 +129,7 @@ class ManagerServices:
         return answers[-1].converted(lambda _: {"ok": all(answer.result()["ok"] for answer in answers)})
 
     def _see_update(self, name: str, control_period_ns: int, _request: Message, answer: Pending) -> None:
-        """Answered with `ok` when a controller that was started had its first update: false when that aborted it."""
+        """Resolve `answer` after the first update of a started controller: `ok` is False when it aborted in it."""
         reasons = self._node.reasons
 
         def tell() -> None:
@@ -151,13 +151,13 @@ class ManagerServices:
         return pending
 
     def _work(self) -> None:
-        """Carry out what is queued, up to the next switch that needs a cycle."""
+        """Handle queued requests, up to the next switch that needs a cycle."""
         while self._queue and self._switch is None:
             act, request, pending, reasons = self._queue.popleft()
             if pending.cancelled:
                 continue
             with self._node.answering(reasons):  # it may have waited for the switch of another request
-                self._node.before_entry()  # those who run the cycles give the robot back
+                self._node.before_entry()  # brings the robot's objects up to date
                 try:
                     response = act(request, pending)
                 except SlidectlError as error:
@@ -168,7 +168,7 @@ class ManagerServices:
                         pending.resolve(response)
 
     def _switch_as_in_ros2(self, request: Message) -> Pending:
-        """The same switch, asked for in the words of ros2_control."""
+        """Switch controllers by a request with the field names of ros2_control."""
         asked = {
             "start_controllers": request["activate_controllers"],
             "stop_controllers": request["deactivate_controllers"],

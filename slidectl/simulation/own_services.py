@@ -1,4 +1,4 @@
-"""The services of `/slidectl` but `wait`, which has a module of its own, and `shutdown`, which is the daemon's.
+"""The services of `/slidectl`, except `wait`, which has a module of its own, and `shutdown`, which is the daemon's.
 
 These are not in ROS: status, step, sleep, set_speed, set_params, list_robots, scene, joint_states, sources, resolve,
 estop, rest_joints, start_joints, load_controller_file, reload_controller, update_times, graph; and of snapshots save,
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 LONGEST_S = 1e9
 _KINDS = ("topic", "service", "parameter", "node", "robot")
 _MOST_COMPARED = 8
-"""Ways to cut a name from a field that are compared with known names for a suggestion, which takes milliseconds."""
+"""The most ways to split a name from a field that are compared with known names for a suggestion; this takes ms."""
 _PHRASES = {interface.type_name: interface.phrase for interface in interfaces.ALL}
 
 Claim = tuple[str, str]
@@ -107,7 +107,7 @@ class OwnServices:
     # Time
 
     def _step(self, request: Message) -> Pending:
-        """Pauses first. Answered when the cycles are done, or when they were given up."""
+        """Pause and step. Answered when the cycles are done or abandoned."""
         clock = self._graph.clock
 
         def response(done: Pending) -> Message:
@@ -118,10 +118,10 @@ class OwnServices:
         return self._simulation.ask_steps(self._cycles(request), reader).converted(response)
 
     def _cycles(self, request: Message) -> int:
-        """Whole cycles: those that were asked for, or as many as make up the time that was asked for.
+        """The requested number of cycles, or the number of cycles in the requested time.
 
-        Raises Refused for a time that is no whole number of cycles: the world would stop elsewhere than was asked; and
-        for one that has passed.
+        Raises Refused for a time that is not a whole number of cycles, since the world could not stop at that time, and
+        for a time in the past.
         """
         for name in ("seconds", "until"):
             if not 0 <= request[name] < LONGEST_S:
@@ -136,7 +136,7 @@ class OwnServices:
         return whole_cycles(asked_ns, step_ns, start_ns)
 
     def _sleep(self, request: Message) -> Pending:
-        """Answered when the simulated time has passed; a paused world never gets there."""
+        """Answered when the simulated time has passed; never while the world is paused."""
         duration: float = request["duration"]
         if not 0 <= duration < LONGEST_S:
             raise Refused(f"a duration is 0 s or more (and less than {LONGEST_S:g} s), not {duration:g}")
@@ -179,10 +179,10 @@ class OwnServices:
         return {"note": self._robots.sources.get(digest)}
 
     def _resolve(self, request: Message) -> Message:
-        """The full name that a short one means (see names.resolve), with the type and the nodes. It changes nothing.
+        """The full name for a short one (see names.resolve), with the type and the nodes. It changes nothing.
 
         Raises:
-            UnknownName: nothing fits. AmbiguousName: several do. Unused: the topic has nobody in the role.
+            UnknownName: nothing fits. AmbiguousName: several do. Unused: the topic has no node in the role.
         """
         kind, name = request["kind"], request["name"]
         if kind not in _KINDS:
@@ -236,7 +236,7 @@ class OwnServices:
         raise UnknownName("topic", next(suggested, text), known)
 
     def _resolve_parameter(self, name: str, namespace: str) -> str:
-        """The parameter, or the namespace of parameters."""
+        """The full name of a parameter, or of a namespace of parameters."""
         if name == "/":
             return name
         known = self._graph.parameters.names()
@@ -251,10 +251,10 @@ class OwnServices:
             raise
 
     def _robot(self, name: str) -> SpawnedRobot:
-        """By its name, or by its namespace. Raises UnknownName."""
+        """The robot by its name or its namespace. Raises UnknownName."""
         return next((robot for robot in self._robots if name == robot.namespace), None) or self._robots.get(name)
 
-    # Robots as they are
+    # State of robots
 
     def _list_robots(self, request: Message) -> Message:
         asked: str = request["name"]
@@ -262,7 +262,7 @@ class OwnServices:
         return {"robots": [self._robot_info(robot) for robot in robots]}
 
     def _robot_info(self, robot: SpawnedRobot) -> Message:
-        """slidectl/RobotInfo."""
+        """The robot as slidectl/RobotInfo."""
         paper = robot.paper
         commanded = robot.parts.hardware.interfaces() if robot.is_controlled else {}
         position, attitude = self._simulation.world.link_pose(robot.name, paper.root)
@@ -304,7 +304,7 @@ class OwnServices:
         }
 
     def _scene(self, request: Message) -> Message:
-        """What whoever draws the world needs, all of one moment."""
+        """The data for drawing the world, all from the same time."""
         world, robots = self._simulation.world, list(self._robots)
         places = [(robot.name, link) for robot in robots for link in robot.paper.links if link != "world"]
         contacts = list(sensing.contacts(world)) if request["contacts"] else []
@@ -321,7 +321,7 @@ class OwnServices:
         }
 
     def _joint_states(self, _: Message) -> Message:
-        """What whoever shows all joints asks for often; `list_robots` has more and takes much longer."""
+        """The state of all joints, for frequent calls; `list_robots` returns more and takes much longer."""
         places = [(robot.name, one.name) for robot in self._robots for one in robot.paper.joints.values()
                   if one.type in MOVING]  # fmt: skip
         states = [self._simulation.world.joint_state(*place) for place in places]
@@ -331,12 +331,12 @@ class OwnServices:
             **{name: list(column) for name, column in zip(("position", "velocity", "effort"), columns, strict=True)},
         }
 
-    # What joints do when nobody is to move them
+    # Emergency stop, and commands without a running controller
 
     def _stop(self, request: Message) -> Answer:
-        """The emergency stop of DefaultRobotHWSim, which the topic that a robot's plugin names sets too.
+        """Set or release the emergency stop of DefaultRobotHWSim, as the topic in a robot's plugin does.
 
-        All robots in one cycle, or none where a name is unknown.
+        It acts on all robots in one cycle, or on none when a name is unknown.
         """
         controlled = [robot for robot in self._robots if robot.is_controlled]
         meant = [self._robot(name) for name in dict.fromkeys(request["names"])] or controlled
@@ -351,7 +351,7 @@ class OwnServices:
         return f"{', '.join(listed)}: {what}", {"robots": listed}
 
     def _rest(self, request: Message) -> Answer:
-        """A stopped controller leaves its last command with the hardware, as in ros_control; this sets another one."""
+        """Replace the last command of stopped controllers, which stays with the hardware as in ros_control."""
         if request["command"] not in ("zero", "hold"):
             raise UnknownName("command", request["command"], ["zero", "hold"])
         robot = self._robot(request["robot"])
@@ -426,14 +426,14 @@ class OwnServices:
 
 
 def _absolute(file: str) -> str:
-    """The path. Raises UsageError: the daemon is not where its clients are."""
+    """The path. Raises UsageError for a relative one: clients have other working directories."""
     if not file.startswith("/"):
         raise UsageError(f"the file {file!r} is not an absolute path")
     return file
 
 
 def _resting_claims(robot: SpawnedRobot, request: Message) -> list[Claim]:
-    """What the controllers claim and nobody else does. Raises UnknownName, Refused (one runs)."""
+    """The claims of the given controllers that no other has. Raises UnknownName, Refused (one of them runs)."""
     loaded = {one["name"]: one for one in robot.manager.list()}
     for name in (*request["controllers"], *request["left_to"]):
         if name not in loaded:

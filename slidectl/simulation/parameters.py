@@ -1,8 +1,8 @@
 """The parameter tree: values by name, subtrees as dicts, search upwards, guards and watchers.
 
-Guards are asked before a change and may refuse it; watchers are told after it.
+Guards are called before a change and may refuse it; watchers are called after it.
 
-Semantics of the ROS parameter server, without its silent corners: names are checked, and null is no value.
+Semantics of the ROS parameter server, but stricter: names are checked, and null is not a value.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from slidectl.errors import Refused, UnknownName, UsageError, quoted
 Path = tuple[str, ...]
 C = TypeVar("C")
 DEEPEST = 64
-"""Levels of namespaces, mappings and lists above a value."""
+"""The most levels of namespaces, mappings and lists above a value."""
 LARGEST = 128 * 1024 * 1024
-"""Characters of all parameters together; each value counts LEAST besides the characters of a text."""
+"""The most characters of all parameters together; each value counts as LEAST plus the characters of its text."""
 LEAST = 80
 
 _BLANK = re.compile(r"\s")
@@ -46,13 +46,13 @@ class Hook(Generic[C]):
 
 
 class Hooks(Generic[C]):
-    """All watchers, or all guards, by the first part of their names: robots that are many do not slow each other."""
+    """All watchers, or all guards, grouped by the first part of their names, so that many robots stay fast."""
 
     def __init__(self) -> None:
         self._groups: dict[str, dict[Hook[C], None]] = {}
 
     def add(self, path: Path, callback: C) -> Callable[[], None]:
-        """Call back for what happens at `path`, below it or above it, until what this returns is called."""
+        """Call back for changes at `path`, below it or above it. Returns the function that ends this."""
         hook, first = Hook(path, callback), _first(path)
         self._groups.setdefault(first, {})[hook] = None
 
@@ -66,7 +66,7 @@ class Hooks(Generic[C]):
         return close
 
     def concerned(self, changed: list[Path]) -> Iterator[Hook[C]]:
-        """The hooks that a change of these paths concerns. One that is closed on the way is passed over."""
+        """The hooks that a change of these paths concerns. A hook that is closed meanwhile is skipped."""
         firsts = {"", *map(_first, changed)} if all(changed) else self._groups.keys()
         near = [hook for first in firsts if first in self._groups for hook in self._groups[first]]
         for hook in near:
@@ -75,18 +75,18 @@ class Hooks(Generic[C]):
 
 
 class Parameters:
-    """The tree. Values are bool, int, float, str, lists and dicts of these; what is read and written is copied."""
+    """The tree. Values are bool, int, float, str, lists and dicts of these; reads and writes copy them."""
 
     def __init__(self) -> None:
         self._root: dict[str, Any] = {}
         self._names: list[str] | None = None
-        """All names in order; None when that must be looked up again."""
+        """All names in order; None when they must be computed again."""
         self._counted = 0
-        """The size of the tree when it was last counted, and of all that was set since."""
+        """The size of the tree at the last count, plus the size of all values set since."""
         self._watches: Hooks[Callable[[], None]] = Hooks()
         self._guards: Hooks[ParameterJudge] = Hooks()
         self.on_change: Callable[[list[str]], None] = lambda _: None
-        """Called with the names of what was set or deleted, before the watchers."""
+        """Called with the names of changed or deleted parameters, before the watchers."""
 
     def get(self, name: str, default: Any = MISSING) -> Any:
         """The value, a dict for a namespace. Raises UnknownParameter (a KeyError too) when unset without default."""
@@ -94,7 +94,7 @@ class Parameters:
         return found if found is default else deepcopy(found)
 
     def look(self, name: str, default: Any = MISSING) -> Any:
-        """What `get` gives, not copied: for reading at once. Raises as `get`."""
+        """The value as in `get`, but not copied: only for immediate reading. Raises as `get`."""
         found = self._find(_path(name))
         if found is not MISSING:
             return found
@@ -107,11 +107,11 @@ class Parameters:
         return self._find(_path(name)) is not MISSING
 
     def set(self, name: str, value: Any, merge: bool = False) -> None:
-        """Set a value; a mapping replaces what is there, or with `merge` leaves in place what it does not name.
+        """Set a value. A mapping replaces the present one; with `merge` the keys that it does not have stay.
 
         Raises:
-            BadName: a name or a key that cannot be one. UsageError: a value that no parameter can have, or a root that
-            is no mapping. SlidectlError: a guard refused it.
+            BadName: an invalid name or key. UsageError: a value that no parameter can have, or a root that is not a
+            mapping. SlidectlError: a guard refused it.
         """
         path, checked = _settable(name, value)
         self._set(list(_leaves(checked, path)) if merge else [(path, checked)])
@@ -119,7 +119,7 @@ class Parameters:
     def set_all(self, values: Mapping[str, Any], known_only: bool = False) -> None:
         """Set several, all of them or none. Raises as `set`.
 
-        With `known_only` the guards refuse names that nobody reads.
+        With `known_only` the guards refuse names that no code reads.
         """
         self._set([_settable(name, value) for name, value in values.items()], known_only)
 
@@ -136,12 +136,12 @@ class Parameters:
         self._tell([leaf for leaf, _ in leaves])
 
     def tree(self) -> dict[str, Any]:
-        """A copy of the whole tree. Its lists are those of the tree: nobody changes them."""
+        """A copy of the whole tree. It shares its lists with the tree; they are never modified."""
         copy: dict[str, Any] = _copied(self._root)
         return copy
 
     def replace(self, tree: dict[str, Any], without: Iterable[str] = ()) -> None:
-        """Have this tree, but for these names, whatever guards say of it. Watchers of what is different are told.
+        """Replace the tree, without these names and without asking guards. Watchers of changed values are called.
 
         Raises UsageError: a value that no parameter can have.
         """
@@ -205,25 +205,25 @@ class Parameters:
         return None
 
     def watch(self, name: str, callback: Callable[[], None]) -> Callable[[], None]:
-        """Call back whenever the parameter, one below or a namespace above it is set or deleted; once for each call.
+        """Call back once per call that sets or deletes the parameter, one below it or a namespace above it.
 
-        Returns what ends that.
+        Returns the function that ends this.
         """
         return self._watches.add(_path(name), callback)
 
     def guard(self, name: str, judge: ParameterJudge) -> Callable[[], None]:
-        """Ask `judge` before the parameter, one below or a namespace above it is set or deleted; once for each call.
+        """Call `judge` once before each call that sets or deletes the parameter, one below it or a namespace above it.
 
-        Returns what ends that.
+        Returns the function that ends this.
         """
         return self._guards.add(_path(name), judge)
 
     def is_guarded(self, name: str) -> bool:
-        """True when a guard is asked before the parameter is set."""
+        """True when a guard is called before the parameter is set."""
         return any(True for _ in self._guards.concerned([_path(name)]))
 
     def _judge(self, leaves: list[tuple[Path, Any]], *, deletes: bool = False, known_only: bool = False) -> None:
-        """Raises what the first guard raises that refuses."""
+        """Ask the guards. Raises the error of the first guard that refuses."""
         for guard in self._guards.concerned([leaf for leaf, _ in leaves]):
             before = self._find(guard.path)
             after = _copied(before)
@@ -240,7 +240,7 @@ class Parameters:
         return node
 
     def _check_room(self, leaves: list[tuple[Path, Any]]) -> None:
-        """Raises Refused when the tree has no room for these; it is counted when that may be."""
+        """Raise Refused when the tree has no room for these. The exact size is computed only if needed."""
         growth = sum(_size(content) for _, content in leaves)
         if self._counted + growth > LARGEST:
             self._counted = _size(self._root)
@@ -250,7 +250,7 @@ class Parameters:
         self._counted += growth
 
     def _tell(self, changed: list[Path]) -> None:
-        """What one watcher fails at is no reason for the others not to hear of it."""
+        """Call the watchers, all of them even if one fails; then raise the first failure."""
         self.on_change(["/" + "/".join(path) for path in changed])
         failure: Exception | None = None
         for watch in self._watches.concerned(changed):
@@ -263,7 +263,7 @@ class Parameters:
 
 
 def _is_same(one: Any, other: Any) -> bool:
-    """Equal, and of the same types: 1, 1.0 and true are three values."""
+    """True for equal values of the same types: 1, 1.0 and true are three values."""
     if isinstance(one, dict) and isinstance(other, dict):
         return one.keys() == other.keys() and all(_is_same(below, other[key]) for key, below in one.items())
     return type(one) is type(other) and bool(repr(one) == repr(other) if isinstance(one, list) else one == other)
@@ -275,7 +275,7 @@ def _copied(value: Any) -> Any:
 
 
 def _assign(tree: dict[str, Any], path: Path, value: Any) -> None:
-    """Put the value at the path in the tree; MISSING takes away what is there."""
+    """Set the value at the path in the tree; MISSING removes it."""
     *above, last = path
     for part in above:
         below = tree.get(part)
@@ -289,7 +289,7 @@ def _assign(tree: dict[str, Any], path: Path, value: Any) -> None:
 
 
 def _with(value: Any, place: Path, leaf: Path, content: Any) -> Any:
-    """`value`, which stands at `place`, as it is when `content` (MISSING: nothing) stands at `leaf`."""
+    """The value at `place` after `content` (MISSING: nothing) was set at `leaf`; `value` is the one before."""
     if not _related(place, leaf):
         return value
     if len(leaf) <= len(place):
@@ -304,7 +304,7 @@ def _with(value: Any, place: Path, leaf: Path, content: Any) -> Any:
 
 
 def _size(value: Any) -> int:
-    """What LARGEST counts."""
+    """The size of a value as counted for LARGEST."""
     if isinstance(value, dict):
         return sum(len(key) + _size(below) for key, below in value.items())
     if isinstance(value, list):
@@ -313,7 +313,7 @@ def _size(value: Any) -> int:
 
 
 def _settable(name: str, value: Any) -> tuple[Path, Any]:
-    """Path and checked copy. Raises BadName, UsageError."""
+    """The path and a checked copy of the value. Raises BadName, UsageError."""
     path = _path(names.check_parameter(name))
     checked = _checked(value, name, len(path))
     if not path and not isinstance(checked, dict):
@@ -322,12 +322,12 @@ def _settable(name: str, value: Any) -> tuple[Path, Any]:
 
 
 def _has_names(value: Any) -> bool:
-    """True for what is not set or holds parameters of its own: to put it, or to replace it, changes the names."""
+    """True for MISSING or a mapping: setting or replacing it changes the list of names."""
     return value is MISSING or isinstance(value, dict)
 
 
 def _path(name: str) -> Path:
-    """Raises TooLong: names come from anybody, and one of a million parts is not worth to be taken apart."""
+    """Split a name. Raises TooLong first: a client may send a name of a million parts."""
     if len(name) > names.LONGEST:
         raise names.TooLong(name)
     return tuple(part for part in name.split("/") if part)
@@ -351,7 +351,7 @@ def _leaves(value: Any, path: Path) -> Iterator[tuple[Path, Any]]:
 
 
 def _checked(value: Any, where: str, depth: int) -> Any:
-    """A copy with keys that hold slashes taken apart, or an error that says where it is wrong."""
+    """A checked copy, in which keys with slashes become nested mappings. The error of a bad value names its place."""
     if depth > DEEPEST:
         raise UsageError(f"parameter {where[:80]}... is nested deeper than {DEEPEST} levels")
     if isinstance(value, dict):
@@ -370,7 +370,7 @@ def _checked(value: Any, where: str, depth: int) -> Any:
             shown = str(value)
         except OverflowError:
             shown = "an integer beyond 1e308"
-        # JSON has no other numbers, and no control law has a use for them.
+        # JSON has finite numbers only, and no control law needs others.
         raise UsageError(f"parameter {where}: {shown} is no finite number, and parameters hold no others")
     kind = "null" if value is None else type(value).__name__
     raise UsageError(
@@ -379,13 +379,13 @@ def _checked(value: Any, where: str, depth: int) -> Any:
 
 
 def _is_plain(value: Any) -> bool:
-    """True for the numbers that are sound at first sight: of these there may be very many."""
+    """True for bools and numbers that need no further check. This is fast, for large lists."""
     kind = type(value)
     return kind is bool or (kind is float and value - value == 0.0) or (kind is int and -_LARGE < value < _LARGE)
 
 
 def _checked_text(text: str, where: str) -> str:
-    """Half of a surrogate pair, which JSON can spell, could be kept but never be told."""
+    """The text. Refuses half of a surrogate pair: JSON can contain it, but it cannot be encoded."""
     try:
         text.encode()
     except UnicodeEncodeError:

@@ -1,6 +1,6 @@
-"""An answer that may come later: what a service call gives when its effect needs simulated time.
+"""An answer that may come later: the result of a service call whose effect needs simulated time.
 
-Single-threaded and without waiting: whoever is interested hangs a callback on it. Not a future of asyncio.
+It is single-threaded and never blocks: callers add a callback. It is not an asyncio future.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from slidectl.errors import SlidectlError
 
 
 class Pending:
-    """Settled once, by `resolve`, `reject` or `cancel`; what comes after the first of them is ignored."""
+    """Settled once, by `resolve`, `reject` or `cancel`; later calls of these are ignored."""
 
     __slots__ = ("_callbacks", "_value", "cancelled", "done", "error", "on_cancel")
 
@@ -21,20 +21,20 @@ class Pending:
         self.cancelled = False
         self.error: SlidectlError | None = None
         self.on_cancel = on_cancel
-        """Called once when the asker has gone; lets the answering side drop its work."""
+        """Called once when the caller cancels; lets the answering side drop its work."""
         self._value: Any = None
         self._callbacks: list[Callable[[Pending], None]] = []
 
     @classmethod
     def of(cls, value: Any) -> Pending:
-        """An answer that is there already."""
+        """An answer that is already resolved."""
         pending = cls()
         pending.resolve(value)
         return pending
 
     @classmethod
     def attempt(cls, call: Callable[[], Any]) -> Pending:
-        """What the call gives: that answer if it is one (a Pending), else one that is there, or refused as the call."""
+        """The Pending that the call returns, or one resolved with what it returns; rejected when the call raises."""
         pending = cls()
         try:
             given = call()
@@ -44,19 +44,19 @@ class Pending:
         return given if isinstance(given, Pending) else cls.of(given)
 
     def resolve(self, value: Any) -> None:
-        """The answer. Callbacks run before this returns."""
+        """Set the answer. Callbacks run before this returns."""
         if not self.done:
             self._value = value
             self._settle()
 
     def reject(self, error: SlidectlError) -> None:
-        """There will be no answer, for this reason."""
+        """Fail with this error."""
         if not self.done:
             self.error = error
             self._settle()
 
     def settle(self, call: Callable[[], Any]) -> None:
-        """The answer is what the call gives; a SlidectlError that it raises fails it."""
+        """Resolve with what the call returns, or reject with the SlidectlError that it raises."""
         try:
             value = call()
         except SlidectlError as error:
@@ -65,7 +65,7 @@ class Pending:
             self.resolve(value)
 
     def cancel(self) -> None:
-        """The asker has gone: no callback is called any more, and the answering side is told."""
+        """The caller does not want the answer any more: drop all callbacks, and call `on_cancel`."""
         if self.done:
             return
         self.done = self.cancelled = True
@@ -75,7 +75,7 @@ class Pending:
             on_cancel()
 
     def then(self, callback: Callable[[Pending], None]) -> Pending:
-        """Call back with this object as soon as it is settled, at once when it is already. Returns itself."""
+        """Call back with this object when it is settled, or at once when it is already. Returns itself."""
         if not self.done:
             self._callbacks.append(callback)
         elif not self.cancelled:
@@ -83,9 +83,9 @@ class Pending:
         return self
 
     def converted(self, convert: Callable[[Pending], Any]) -> Pending:
-        """The answer that `convert` makes of this one when it is settled; a SlidectlError that it raises fails it.
+        """A new answer: the result of `convert` for this one when it is settled. A SlidectlError rejects it.
 
-        Cancelling it cancels this one.
+        Cancelling the new one cancels this one.
         """
         answer = Pending(on_cancel=self.cancel)
         self.then(lambda done: answer.settle(lambda: convert(done)))
@@ -95,7 +95,7 @@ class Pending:
         """The answer.
 
         Raises:
-            SlidectlError: the call failed. RuntimeError: asked before it is settled, or after it was cancelled.
+            SlidectlError: the call failed. RuntimeError: the answer is not settled, or was cancelled.
         """
         if self.error is not None:
             raise self.error
@@ -105,7 +105,7 @@ class Pending:
 
     def _settle(self) -> None:
         self.done = True
-        self.on_cancel = None  # it refers to this object, whose answer may be large: not to be left to the collector
+        self.on_cancel = None  # break the reference cycle, so that a large answer is freed without the collector
         callbacks, self._callbacks = self._callbacks, []
         for callback in callbacks:
             callback(self)

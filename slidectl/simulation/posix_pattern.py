@@ -1,7 +1,8 @@
-"""POSIX extended regular expressions, within bounds: a pattern of a client's must not hold up the world.
+"""POSIX extended regular expressions with bounded cost: a client's pattern must not block the world.
 
-Python's `re` has another grammar, and patterns that take it for ever. Here each part of a pattern leads from all places
-where it may begin to all places where it may end: no way through the text is gone twice, and the places are counted.
+Python's `re` has another grammar, and some patterns take exponential time in it. Here each part of a pattern maps all
+its possible start positions to all its possible end positions: no path through the text is followed twice, and the
+positions are counted.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from collections.abc import Callable
 from slidectl.errors import UsageError, quoted
 
 MOST_STEPS = 200_000
-"""Of one pattern, over all texts: some tenths of a second."""
+"""The most steps of one pattern, over all texts: some tenths of a second."""
 _MOST_REPEATS = 255
 _CLASSES = {
     "alpha": str.isalpha,
@@ -29,13 +30,13 @@ _CLASSES = {
     "cntrl": lambda sign: ord(sign) < 32 or ord(sign) == 127,
 }
 Accepts = Callable[[str], bool]
-"""Whether a single character is one of those that are meant."""
+"""True when a single character matches."""
 Part = Callable[[str, set[int]], set[int]]
-"""A part of the pattern: where in a text it may end, of where it may begin. 0 is before the first character."""
+"""A part of the pattern: maps start positions in a text to end positions. 0 is before the first character."""
 
 
 class PosixPattern:
-    """A pattern, made to look for it in texts. Raises UsageError: it is none, or too large."""
+    """A compiled pattern, searched for in texts. Raises UsageError: it is invalid, or too large."""
 
     def __init__(self, text: str) -> None:
         self._text = text
@@ -49,7 +50,7 @@ class PosixPattern:
             raise self._error("')' without '('")
 
     def is_in(self, text: str) -> bool:
-        """Whether some part of the text matches. Raises UsageError: it takes too long to say, or is too large."""
+        """True when some part of the text matches. Raises UsageError: it takes too long, or is too large."""
         try:
             return bool(self._whole(text, set(range(len(text) + 1))))
         except RecursionError:
@@ -121,7 +122,7 @@ class PosixPattern:
         return self._one(sign.__eq__)
 
     def _bracket(self) -> Accepts:
-        """What stands between `[` and `]`."""
+        """The content of `[...]`."""
         is_other = self._peek() == "^"
         self._at += is_other
         accepted: list[Accepts] = []
@@ -153,7 +154,7 @@ class PosixPattern:
         return lambda sign: first <= sign <= last
 
     def _counts(self) -> tuple[int, int | None]:
-        """What stands behind `{`."""
+        """The content of `{...}`."""
         text, end, _ = self._text[self._at :].partition("}")
         least, comma, most = text.partition(",")
         numbers = [least] if not comma else [least, most or "0"]
@@ -165,10 +166,10 @@ class PosixPattern:
         self._at += len(text) + 1
         return low, high
 
-    # Its parts in a text
+    # Matching
 
     def _one(self, accepts: Accepts) -> Part:
-        """A single character."""
+        """A part that matches a single character."""
 
         def ends(text: str, starts: set[int]) -> set[int]:
             self._count(starts)
@@ -181,7 +182,7 @@ class PosixPattern:
             for _ in range(least):
                 if not places:
                     break
-                self._count(places)  # what is empty counts too
+                self._count(places)  # count empty matches too
                 places = part(text, places)
             reached, left = places, None if most is None else most - least
             while places and left != 0:

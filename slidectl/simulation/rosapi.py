@@ -1,7 +1,7 @@
-"""`/rosapi/*`: what exists in the graph, as rosapi of the rosbridge suite answers it.
+"""`/rosapi/*`: the contents of the graph, answered like rosapi of the rosbridge suite.
 
-Lists are sorted, and what does not exist gives an empty answer, as there; but a parameter that is not set is said to
-be so, where rosapi answers null. Relative names stand in the root. `get_ros_version` is from rosapi of ROS 2.
+Lists are sorted, and unknown names give empty answers, as there. An exception is a parameter that is not set: the call
+fails, where rosapi answers null. Relative names are resolved in the root. `get_ros_version` is from rosapi of ROS 2.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from slidectl.simulation.parameters import Parameters
 
 NODE = "/rosapi"
 _ACTION = ("cancel", "feedback", "result", "status")
-"""The topics of an action, beside its goal."""
+"""The topics of an action, besides its goal."""
 Offer = tuple[str, Callable[[Message], Message]]
-"""Service type without its package, and what answers."""
+"""The service type without its package, and the handler."""
 
 _LONGEST = 8 * 1024 * 1024
-"""Characters of a value: what is written twice as JSON must not take longer than a world can be held up."""
+"""The most characters of a value. It is encoded as JSON twice, and this must not block the world for long."""
 _LEAST = 80
-"""What a single value counts: a hundred thousand of them take as long to write as a text of that length."""
+"""The size of a single value: encoding a hundred thousand of them takes as long as a text of that many characters."""
 _MOST_VALUES = 100_000
 
 
@@ -55,7 +55,7 @@ def _graph_services(graph: Graph) -> dict[str, Offer]:
         return {"action_servers": [one for one in ends if one and all(f"{one}/{end}" in known for end in _ACTION)]}
 
     def providers(asked: str) -> list[str]:
-        """rosapi asks by type; a service's own name is understood too."""
+        """The providers of a service type, as in rosapi, or of a service by its name."""
         found = [asked] if services.exists(asked) else _having(services.types(), asked)
         return sorted({services.node_of(name) for name in found})
 
@@ -94,11 +94,11 @@ def _having(types: dict[str, str], wanted: str) -> list[str]:
     return [name for name, kind in types.items() if kind == wanted]
 
 
-# Types: the one that was asked for, then its parts, depth first, each once, as in rosapi
+# Types: the requested one, then its parts, depth first, each once, as in rosapi
 
 
 def _type_services() -> dict[str, Offer]:
-    """An unknown type fails the call with the names that are near."""
+    """The services for types. An unknown type fails the call, with similar names."""
 
     def details(type_name: str) -> Message:
         return {"typedefs": typedefs(type_name)}
@@ -111,12 +111,12 @@ def _type_services() -> dict[str, Offer]:
 
 
 def typedefs(type_name: str) -> list[Message]:
-    """The type (rosapi/TypeDef), then those that it is made of. Raises UnknownName."""
+    """The type (rosapi/TypeDef), then the types of its fields. Raises UnknownName."""
     return list(_typedefs(type_name, set()))
 
 
 def _typedefs(type_name: str, seen: set[str]) -> Iterator[Message]:
-    """Times are types of their own there."""
+    """The type definitions; times are types of their own in rosapi."""
     if type_name in seen:
         return
     seen.add(type_name)
@@ -139,7 +139,7 @@ def _typedefs(type_name: str, seen: set[str]) -> Iterator[Message]:
 
 
 def _example(field: msgs.Field, value: Any) -> str:
-    """As rosapi writes it: empty brackets for lists and messages, else the default's text."""
+    """The example as in rosapi: empty brackets for lists and messages, else the default's text."""
     if field.array >= 0:
         return "[]"
     return "{}" if isinstance(value, dict) else str(value)
@@ -174,7 +174,7 @@ def _parameter_services(parameters: Parameters) -> dict[str, Offer]:
 
 
 def absolute(name: str) -> str:
-    """The name of a request: relative ones stand in the root."""
+    """The name of a request; relative names are resolved in the root."""
     return names.join("/", name.rstrip("/") or "/")
 
 
@@ -192,7 +192,7 @@ def from_json(text: str) -> Any:
 
 
 def _text_or_json(text: str) -> Any:
-    """rosapi takes a default that is no JSON for the text that it is."""
+    """Parse a default. As in rosapi, one that is not JSON is taken as text."""
     try:
         return json.loads(text)
     except (ValueError, RecursionError):
@@ -200,7 +200,7 @@ def _text_or_json(text: str) -> Any:
 
 
 def _check_size(value: Any, name: str) -> None:
-    """Raises Refused for what would take long to be written, and no line can hold."""
+    """Raise Refused for a value that takes too long to encode and does not fit on one line."""
     left, rest = _LONGEST, [value]
     while rest and left > 0:
         here = rest.pop()

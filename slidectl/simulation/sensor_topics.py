@@ -1,6 +1,6 @@
-"""Sensors of robots: what a model declares is measured and published at its rate. Without a listener it costs nothing.
+"""Sensors of robots: they are measured and published at the rates in the model. Without a subscriber they cost nothing.
 
-Every run gives the same bits, whoever listens.
+Every run gives the same bits, independent of the subscribers.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _TYPES = {
 
 
 class SensorTopic:
-    """One sensor of one robot, on its topic until the robot goes."""
+    """One sensor of one robot, on its topic until the robot is deleted."""
 
     def __init__(self, simulation: Simulation, robot: SpawnedRobot, sensor: Sensor) -> None:
         self._simulation = simulation
@@ -77,7 +77,7 @@ class SensorTopic:
         return header_of(self._simulation.time_ns, self._sensor.frame)
 
     def _draws(self) -> Callable[[], float]:
-        """Noise for this message."""
+        """The noise for this message."""
         return sensing.draws(self._robot, self._sensor, self._simulation.time_ns)
 
     def _scan(self) -> Message:
@@ -140,7 +140,7 @@ class SensorTopic:
         return {"header": self._header(), "states": states}
 
     def _contact_state(self, other: str, touches: list[sensing.Touch]) -> Message:
-        """gazebo_msgs/ContactState. Torques are about the link's origin."""
+        """The state as gazebo_msgs/ContactState. Torques are about the link's origin."""
         origin = self._world.link_pose(self._robot, self._sensor.link)[0]
         wrenches = []
         total_force: Vector = (0.0, 0.0, 0.0)
@@ -175,10 +175,10 @@ class SensorTopic:
 
 
 class CameraTopics:
-    """The picture and the geometry of one camera, on their topics until the robot goes.
+    """The picture and the geometry of one camera, on their topics until the robot is deleted.
 
-    A picture comes when it is rendered; while one is being rendered the next ones are left out. So how many there are
-    depends on the machine, and what is on them does not.
+    A picture is published when it is rendered; while one is being rendered, the next ones are skipped. So the number of
+    pictures depends on the machine, but their content does not.
     """
 
     def __init__(self, simulation: Simulation, robot: SpawnedRobot, camera: Camera) -> None:
@@ -187,7 +187,7 @@ class CameraTopics:
         self._camera = camera
         self._has_failed = self._is_broken = False
         self._rendering: Pending | None = None
-        """The picture that is being made."""
+        """The picture that is being rendered."""
         if not rendering.gl_backend():
             text = f"{robot.name}: camera {camera.name} makes no pictures, there is no OpenGL: {rendering.INSTALL}"
             robot.warnings.append(text)
@@ -206,7 +206,7 @@ class CameraTopics:
         return header_of(self._simulation.time_ns, self._camera.frame)
 
     def _take(self) -> None:
-        """Begin a picture of now; it is published when it is there."""
+        """Start to render the present state; the picture is published when it is done."""
         if self._rendering is not None or self._is_broken:
             return
         simulation, camera, robot = self._simulation, self._camera, self._robot.name
@@ -221,7 +221,7 @@ class CameraTopics:
 
     def _publish(self, header: Message, done: Pending) -> None:
         self._rendering = None
-        if done.error is not None:  # a process that was killed is started again, once
+        if done.error is not None:  # a killed render process is started again, once
             self._has_failed, self._is_broken = True, self._has_failed
             last = "; it makes no more pictures" if self._is_broken else ""
             self._robot.node.log("error", f"camera {self._camera.name}: {done.error}{last}")
@@ -260,12 +260,12 @@ class CameraTopics:
 
 
 def _inside(namespace: str, topic: str) -> str:
-    """The topic in the namespace of the robot, which a model that is spawned in the root names itself."""
+    """The topic in the robot's namespace. A model spawned in the root may name its namespace in the topic itself."""
     return names.join("/" if f"/{topic}".startswith(f"{namespace}/") else namespace, topic)
 
 
 def bring_up(simulation: Simulation, robot: SpawnedRobot) -> None:
-    """Give a robot the topics of its sensors."""
+    """Create the sensor topics of a robot."""
     robot.kept["sensors"] = [
         CameraTopics(simulation, robot, sensor)
         if isinstance(sensor, Camera)

@@ -1,6 +1,6 @@
-"""Services by name: who answers, with which type, now or later.
+"""Services by name, with provider and type; answers come at once or later.
 
-Requests and responses are checked against the type here, so that handlers see and give complete messages.
+Requests and responses are checked against the type here, so that handlers receive and return complete messages.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from slidectl.simulation.pending import Pending
 
 Handler = Callable[[Message], Message | Pending]
 Answer = tuple[str, Message]
-"""What was done, and the other fields of the response."""
+"""A text about the result, and the other fields of the response."""
 
 
 def answering(handler: Callable[[Message], Answer | Pending], text: str) -> Handler:
-    """A handler whose responses have `success`, and in the field `text` what was done, or the error."""
+    """A handler whose responses have `success`, and in the field `text` the result in words, or the error."""
 
     def respond(done: Pending) -> Message:
         if done.error is not None:
@@ -31,7 +31,7 @@ def answering(handler: Callable[[Message], Answer | Pending], text: str) -> Hand
 
 
 def responding(handler: Callable[[Message], Any], respond: Callable[[Pending], Message]) -> Handler:
-    """A handler whose responses `respond` makes of what the handler gives, now or later, or of its error."""
+    """A handler whose responses `respond` makes from the handler's answer, now or later, or from its error."""
 
     def answer(request: Message) -> Message | Pending:
         answered = Pending.attempt(lambda: handler(request))
@@ -41,7 +41,7 @@ def responding(handler: Callable[[Message], Any], respond: Callable[[Pending], M
 
 
 class Service:
-    """One service and its provider. `open` holds the calls not answered yet, each with the handler's side.
+    """One service and its provider. `open` maps each unanswered call to the Pending of the handler.
 
     Raises UnknownName: no such service type.
     """
@@ -61,7 +61,7 @@ class Service:
         self._on_close = on_close
 
     def close(self) -> None:
-        """The provider goes; calls that it has not answered fail."""
+        """Remove the service; unanswered calls fail."""
         self._on_close(self)
         calls, self.open = self.open, {}
         for call, answer in calls.items():
@@ -70,19 +70,19 @@ class Service:
 
 
 class Services:
-    """All services."""
+    """All services of the graph."""
 
     def __init__(self) -> None:
         self._services: dict[str, Service] = {}
         self._by_node: dict[str, dict[Service, None]] = {}
         self.on_change: Callable[[], None] = lambda: None
-        """Called after a service came or went."""
+        """Called after a service was added or removed."""
 
     def advertise(self, name: str, type_name: str, node: str, handler: Handler) -> Service:
-        """Provide a service. The handler raises SlidectlError to fail a call, or gives a Pending to answer later.
+        """Provide a service. The handler raises SlidectlError to fail a call, or returns a Pending to answer later.
 
         Raises:
-            BadName. Refused: the name is taken. UnknownName: no such service type.
+            BadName. Refused: the name is in use. UnknownName: no such service type.
         """
         names.check_absolute(name, "service")
         if name in self._services:
@@ -93,7 +93,7 @@ class Services:
         return service
 
     def call(self, name: str, request: Any = None) -> Pending:
-        """Ask. Failures are in the answer, which is settled already unless it needs simulated time."""
+        """Call a service. Errors are in the answer, which is already settled unless it needs simulated time."""
 
         def ask() -> Message | Pending:
             service = self._known(name)
@@ -105,11 +105,11 @@ class Services:
         return Pending.attempt(ask)
 
     def names(self) -> list[str]:
-        """All services, sorted."""
+        """Names of all services, sorted."""
         return sorted(self._services)
 
     def exists(self, name: str) -> bool:
-        """True when somebody provides it."""
+        """True when the service has a provider."""
         return name in self._services
 
     def types(self) -> dict[str, str]:
@@ -117,11 +117,11 @@ class Services:
         return {name: self._services[name].type for name in self.names()}
 
     def type_of(self, name: str) -> str:
-        """Raises UnknownName when nobody provides it."""
+        """The type of a service. Raises UnknownName when it has no provider."""
         return self._known(name).type
 
     def node_of(self, name: str) -> str:
-        """The provider. Raises UnknownName when there is none."""
+        """The provider of a service. Raises UnknownName when there is none."""
         return self._known(name).node
 
     def nodes(self) -> set[str]:
@@ -133,7 +133,7 @@ class Services:
         return sorted(service.name for service in self._by_node.get(node, ()))
 
     def close_node(self, node: str) -> None:
-        """A node has gone: its services go too."""
+        """Remove all services of a node."""
         for service in list(self._by_node.get(node, ())):
             service.close()
 
@@ -153,7 +153,7 @@ class Services:
 
 
 def _follow(service: Service, inner: Pending) -> Pending:
-    """The caller's side of an answer: checked against the type; fails when the provider goes, ends with the caller."""
+    """The caller's Pending: checked against the type, rejected if the provider goes; cancelling cancels `inner`."""
     outer = Pending()
 
     def settle(answered: Pending) -> None:

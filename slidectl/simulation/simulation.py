@@ -1,4 +1,4 @@
-"""The simulation: a world, a graph, robots, and a loop that moves them. What batch scripts and the daemon hold.
+"""The simulation: a world, a graph, robots, and a loop that moves them. Batch scripts and the daemon hold one.
 
 Knows no wall time, no sockets and no threads: the same calls give the same bits.
 """
@@ -47,18 +47,18 @@ class Simulation:
     Args:
         timestep: seconds of one cycle, 1e-6 to 1.
         gravity: m/s².
-        ground: whether there is a floor at height 0.
-        engine: who runs the cycles: `plain` (the interpreter), `compiled` (machine code; needs numba) or `auto`, which
-            is compiled as soon as it can be. The results are the same to the bit.
-        imports: modules with controllers and hardware of your own, by dotted name or as files (`FILE.py`), imported
+        ground: True for a floor at height 0.
+        engine: the engine that runs the cycles: `plain` (the interpreter), `compiled` (machine code; needs numba) or
+            `auto`, which changes to compiled as soon as possible. The results are the same to the bit.
+        imports: modules with the user's controllers and hardware, by dotted name or as files (`FILE.py`), imported
             first.
 
-    Callbacks of `subscribe` and of `graph.timers` find what the script holds of a robot (controllers, joint handles) as
-    it is in that moment. Who listens in another way, as a node of the graph, takes it from `robots` anew.
+    In callbacks of `subscribe` and of `graph.timers` the objects of a robot that the script holds (controllers, joint
+    handles) are up to date. A node of the graph that listens in another way must take them from `robots` each time.
 
     Raises:
-        Refused: no time step, or `compiled` without numba. BadFile: a module cannot be found, its code fails, or it has
-            no controller.
+        Refused: the time step is invalid, or the engine is `compiled` without numba. BadFile: a module cannot be found,
+            its code fails, or it has no controller.
     """
 
     def __init__(
@@ -78,20 +78,20 @@ class Simulation:
         self.robots = Robots(self.world, self.loop)
         self.entities = Entities(self)
         self.monitor: Callable[[], dict[str, Any]] = dict
-        """What the driver adds to `/slidectl/status`: wall times, connections, memory."""
+        """Returns the fields that the driver adds to `/slidectl/status`: wall times, connections, memory."""
         self.read_meshes: Callable[[Sequence[MeshSource]], Pending] = _read_here
-        """How `/gazebo/spawn_urdf_model` gets the hulls (physics.hulls.Hulls) of meshes. A driver puts its own, which
-        may answer later."""
+        """Gives `/gazebo/spawn_urdf_model` the hulls (physics.hulls.Hulls) of meshes. A driver sets its own function,
+        which may answer later."""
         self.render: Callable[[Camera, Pose, int], Pending] = self._render_here
-        """How a camera at a pose gets its picture (pixels in base64), with the seed of its noise. A driver puts its
-        own, which may answer later."""
+        """Renders the picture of a camera at a pose (pixels in base64), with the seed of its noise. A driver sets its
+        own function, which may answer later."""
         self._renderer: RenderProcess | None = None
         self.snapshots = Snapshots(self)
         self.kept: dict[str, object] = {}
-        """What a snapshot saves besides world, clock, parameters and robots, by names of whoever puts it here. What
-        counts of an object is in `kept_state`."""
+        """Objects that a snapshot saves in addition to world, clock, parameters and robots, by name. Any module may
+        add one. `kept_state` defines which of an object's attributes are saved."""
         self.chosen: set[str] = set()
-        """What a user has asked for, of `speed`, `timestep` and `gravity`: the file of a world does not change it."""
+        """The settings (`speed`, `timestep`, `gravity`) that the user has set. A world file does not change them."""
         self.world.clock = self.graph.clock.now_ns
         self.run.on_halt = self.robots.settle_switches
         self.graph.parameters.set("/use_sim_time", True)
@@ -131,20 +131,20 @@ class Simulation:
 
     @property
     def engine(self) -> Engine:
-        """Who runs the cycles."""
+        """The engine that runs the cycles."""
         return self.loop.engine
 
     @property
     def run(self) -> RunState:
-        """How the world is asked to run."""
+        """The requested run state of the world."""
         return self.loop.run
 
     @property
     def driven(self) -> bool:
-        """True when a driver calls `step` as `run` says; else time moves only when this object is asked.
+        """True when a driver calls `step` as `run` says. When False, time moves only by calls to this object.
 
-        A driver looks at controllers and joints through robots, topics and services only: handles that it keeps from an
-        earlier look may be old while the compiled engine runs.
+        A driver must read controllers and joints through robots, topics and services only: handles that it keeps may
+        be out of date while the compiled engine runs.
         """
         return self.loop.driven
 
@@ -154,19 +154,19 @@ class Simulation:
         self.loop.settle()
 
     def step(self, cycles: int = 1) -> int:
-        """Run so many cycles. Returns how many: fewer only when the physics diverges and `driven`.
+        """Run `cycles` cycles. Returns the number run: fewer only when the physics diverges and `driven`.
 
         Raises:
-            Diverged: the state of a robot is no longer a number, and nobody drives. Refused: no number of cycles.
+            Diverged: the state of a robot is no longer a number, and not `driven`. Refused: a bad number of cycles.
         """
         if not isinstance(cycles, Integral) or cycles < 0:
             raise Refused(f"a number of cycles is a whole one of 0 or more, not {cycles!r}")
         return self.loop.step(int(cycles))
 
     def ask_steps(self, cycles: int, reader: str = "") -> Pending:
-        """Pause, and run so many cycles more: now, or when the driver does. Resolved with their number.
+        """Pause and run `cycles` more cycles: now, or when the driver does. Resolved with their number.
 
-        For a `reader` see RunState.ask_steps. Raises Diverged: it cannot go on before a reset.
+        For `reader` see RunState.ask_steps. Raises Diverged: the world cannot go on before a reset.
         """
         if reader:
             self.run.holders.add(reader)
@@ -180,18 +180,18 @@ class Simulation:
         return Pending.attempt(lambda: self.step(cycles))
 
     def spawn(self, xml: str, name: str, namespace: str | None = None, pose: Pose = ORIGIN) -> SpawnedRobot:
-        """A robot from the text of its URDF, with its meshes read here and now; see Robots.spawn."""
+        """Spawn a robot from the text of its URDF; its meshes are read in this call. See Robots.spawn."""
         return self.robots.spawn(xml, name, namespace, pose)
 
     def delete(self, name: str) -> None:
-        """Take a robot out of the world. Raises UnknownName."""
+        """Remove a robot from the world. Raises UnknownName."""
         self.robots.delete(name)
 
     def call(self, service: str, request: Message | None = None) -> Message:
-        """Call a service and give its response. What needs simulated time is stepped through, unless `driven`.
+        """Call a service and return its response. If it needs simulated time, cycles are run, unless `driven`.
 
         Raises:
-            SlidectlError: the call failed. Refused: it needs simulated time, and that is the driver's.
+            SlidectlError: the call failed. Refused: it needs simulated time, which only the driver may advance.
         """
         pending = self.graph.services.call(service, request)
         while not pending.done:
@@ -202,11 +202,11 @@ class Simulation:
         return response
 
     def publish(self, topic: str, message: Any, type_name: str | None = None) -> None:
-        """Publish a message, complete or partial. Raises BadMessage, UnknownName, or what a subscriber says."""
+        """Publish a message, complete or partial. Raises BadMessage, UnknownName, or the error of a subscriber."""
         self.graph.topics.publish(topic, type_name, message, SCRIPT_NODE)
 
     def subscribe(self, topic: str, callback: MessageCallback, type_name: str | None = None) -> TopicSubscription:
-        """Call back for each message. Raises UnknownName when the topic does not exist and no type is given."""
+        """Call `callback` with each message. Raises UnknownName when the topic does not exist and no type is given."""
 
         def take(message: Message) -> None:
             if not self.driven:
@@ -216,40 +216,40 @@ class Simulation:
         return self.graph.topics.subscribe(topic, type_name, SCRIPT_NODE, take)
 
     def pause(self) -> None:
-        """Hold the world. Steps that somebody waits for are given up; switches that wait for a cycle are finished."""
+        """Pause the world. Requested steps are abandoned; controller switches that wait for a cycle are finished."""
         self.run.pause()
 
     def resume(self) -> None:
-        """Let the world go on. Raises Diverged: it cannot before a reset."""
+        """Let the world go on. Raises Diverged: it cannot go on before a reset."""
         self.check_trouble()
         self.run.resume()
 
     def check_trouble(self) -> None:
-        """Raises Diverged when the world was held for that, and is still as it was."""
+        """Raise Diverged when the world was held for divergence and its state is still diverged."""
         if self.run.trouble:
             self.world.check()
 
     def set_speed(self, factor: float) -> None:
-        """Real-time factor, 0 for as fast as possible. Raises Refused for anything else."""
+        """Set the real-time factor, 0 for as fast as possible. Raises Refused for anything else."""
         self.run.set_speed(factor)
 
     def set_timestep(self, seconds: float) -> None:
-        """Another length for the cycles to come, s. Raises Refused: not 1e-6 to 1, or inside a cycle."""
+        """Set the period of the cycles to come, in s. Raises Refused: not 1e-6 to 1, or inside a cycle."""
         self.loop.between_cycles("change the time step")
         check_timestep(seconds)
         self.world.set_timestep(seconds)
         self.loop.step_ns = from_seconds(seconds)
 
     def save(self, name: str) -> None:
-        """Keep the whole state of now under a name, for `load`; see snapshots.Snapshots.save for what it raises."""
+        """Save the whole present state under a name, for `load`. Raises as snapshots.Snapshots.save."""
         self.snapshots.save(name)
 
     def load(self, name: str) -> None:
-        """Be again what was saved under the name. Raises UnknownName, Refused."""
+        """Restore the state that was saved under the name. Raises UnknownName, Refused."""
         self.snapshots.load(name)
 
     def _render_here(self, camera: Camera, pose: Pose, seed: int) -> Pending:
-        """Waits for the picture."""
+        """Render, and block until the picture is there."""
         renderer = self._renderer = self._renderer or RenderProcess()
 
         def render() -> str:
@@ -261,9 +261,9 @@ class Simulation:
         return Pending.attempt(render)
 
     def reset_simulation(self) -> None:
-        """Time and world back to the beginning, at once, all or nothing; controllers stay loaded and running.
+        """Set time and world back to the beginning, in one call, all or nothing; controllers stay loaded and running.
 
-        Sleeps, waits and deadlines that are running keep what is left of them.
+        Sleeps, waits and deadlines that are running keep their remaining time.
         """
         self.loop.between_cycles("reset")
         clock = self.graph.clock
@@ -273,10 +273,10 @@ class Simulation:
         self.graph.clock_topic.publish_now(0)
 
     def reset_world(self) -> None:
-        """Every robot as it was spawned, time goes on; controllers stay loaded and running.
+        """Set every robot back to its state at spawn; time goes on, and controllers stay loaded and running.
 
-        Each controller is stopped and started again, so that PID integrators, set points and publishers' clocks begin
-        afresh. ros_control leaves these behind.
+        Each controller is stopped and started again, so that PID integrators, set points and publishers' clocks start
+        again. ros_control does not do this.
         """
         self.loop.between_cycles("reset")
         self.run.trouble = ""

@@ -1,7 +1,7 @@
-"""Snapshots as files: a line that says what it is, a line of JSON about it, and compressed JSON. Nothing in it is code.
+"""Snapshots as files: a magic line, a line of JSON with metadata, and compressed JSON. Nothing in it is code.
 
-The second line has the version of slidectl and of MuJoCo, which must be those that read it: another one would go on
-with other bits, or has other attributes. It has the length and the digest of the rest too.
+The metadata holds the versions of slidectl and MuJoCo, and the length and the digest of the rest. A file of other
+versions is refused: they would continue with other bits, or have other attributes.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ from slidectl.simulation.snapshots import Snapshot, SpawnedAs
 
 MAGIC = b"slidectl snapshot\n"
 LARGEST = 1 << 30
-"""Bytes of the uncompressed content. A file from somebody else may pretend to be small."""
+"""The most bytes of the uncompressed content. A file from another user may expand to far more than its size."""
 _TAG = "~"
 _Packed = Any
-"""What JSON can say."""
+"""A value that JSON can represent."""
 
 
 def write(snapshot: Snapshot, path: str) -> None:
-    """Put it into the file, whole or not at all. Raises Refused: it cannot be written."""
+    """Write the file, whole or not at all. Raises Refused: it cannot be written."""
     content = zlib.compress(json.dumps(_pack_all(snapshot), separators=(",", ":")).encode(), 1)
     about = {
         "slidectl": slidectl.__version__,
@@ -54,8 +54,8 @@ def write(snapshot: Snapshot, path: str) -> None:
 
 
 def _written(path: str, content: bytes) -> str:
-    """Empty, or why it cannot be written."""
-    if os.path.exists(path) and not os.path.isfile(path):  # opening a pipe would hold up everybody
+    """Write the content. Returns the reason of a failure, else an empty text."""
+    if os.path.exists(path) and not os.path.isfile(path):  # opening a pipe would block the daemon
         return "it is no regular file"
     try:
         writing.write_whole(path, content)
@@ -65,7 +65,7 @@ def _written(path: str, content: bytes) -> str:
 
 
 def read(path: str) -> Snapshot:
-    """The snapshot of the file. Raises BadFile: it is none, of another version, cut off, or damaged."""
+    """The snapshot in a file. Raises BadFile: not a snapshot, of another version, cut off, or damaged."""
     text, trouble = file_reads.read(f"snapshot {path}", lambda: _content(path))
     if trouble:
         raise BadFile(trouble, path)
@@ -97,9 +97,9 @@ def read(path: str) -> Snapshot:
 
 
 def _content(path: str) -> tuple[str, str]:
-    """What follows the first line, in base64, and why it cannot be had."""
+    """The content after the first line, in base64; or the reason why it cannot be read."""
     try:
-        # O_NONBLOCK: opening a pipe would hold up everybody.
+        # O_NONBLOCK: opening a pipe would block the daemon.
         with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
             there = os.fstat(file.fileno())
             if not stat.S_ISREG(there.st_mode) or there.st_size > LARGEST:
@@ -137,7 +137,7 @@ def _unpack_all(packed: _Packed) -> Snapshot:
 
 
 def _check(snapshot: Snapshot) -> None:
-    """Raises ValueError, UsageError: no simulation has such a time, gravity, robot or fault."""
+    """Raise ValueError or UsageError for values that no simulation can have."""
     whole = snapshot.time_ns, snapshot.cycles, snapshot.step_ns - 1
     if not all(type(number) is int and 0 <= number < NEVER for number in whole):
         raise ValueError("its time is no whole number of ns")
@@ -160,7 +160,7 @@ def _hull(path: str, scale: tuple[float, float, float], content: Any) -> tuple[M
 
 
 def _pack(value: Any) -> _Packed:
-    """Numbers, texts, truth values, None, lists, and mappings of texts as they are; all else with its kind."""
+    """The value for JSON. Numbers, texts, bools, None, lists and dicts with text keys stay; others get a type tag."""
     kind = type(value)
     if kind in (bool, int, float, str, type(None)):
         return value

@@ -1,11 +1,10 @@
-"""Snapshots: the whole state of a simulation at one moment, from which it goes on with the same bits.
+"""Snapshots: the whole state of a simulation at one time, from which it continues with the same bits.
 
-Loading first makes robots and controllers as they were, where others are there now, from what made them, and all faults
-anew; then it puts the numbers in. Where the same robots and controllers are there, it only puts the numbers in. How
-fast the world is asked to run, and whether it is paused, is left alone; so are clients, who wait for what is left of
-their durations.
+Loading first restores robots and controllers, by deleting and creating those that differ, and creates all faults
+again; then it restores the numbers. When the same robots and controllers exist, it only restores the numbers. Speed
+and pause do not change; nor do clients: their waits keep the remaining time.
 
-Who adds a part to robots or to the simulation registers it in `SpawnedRobot.kept` or `Simulation.kept`.
+Code that adds a part to robots or to the simulation must register it in `SpawnedRobot.kept` or `Simulation.kept`.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ PUT_BACK = "The simulation was put back to a time before this goal was sent"
 
 @dataclass(frozen=True)
 class SpawnedAs:
-    """What made a robot: enough to make it again."""
+    """The inputs of a robot's spawn: enough to spawn it again."""
 
     name: str
     namespace: str
@@ -53,7 +52,7 @@ class SpawnedAs:
 
     @classmethod
     def of(cls, robot: SpawnedRobot) -> SpawnedAs:
-        """What made this one."""
+        """The inputs of this robot's spawn."""
         return cls(
             robot.name,
             robot.namespace,
@@ -68,19 +67,19 @@ class SpawnedAs:
         )
 
     def parsed(self) -> ParsedRobot:
-        """The robot, to be spawned again."""
+        """The parsed robot, to be spawned again."""
         paper, place = description.parse(source_note.join(self.xml, self.note)), names.check(self.namespace)
         return ParsedRobot(self.name, place, paper, self.xml, self.note, self.caller, self.is_controlled)
 
     def is_like(self, other: SpawnedAs) -> bool:
-        """Do both make the same robot, whatever its controllers are?"""
+        """True when both spawn the same robot, apart from its controllers."""
         made_by = attrgetter("name", "namespace", "is_controlled", "pose", "xml")
         return bool(made_by(self) == made_by(other))
 
 
 @dataclass(frozen=True)
 class Snapshot:
-    """All of one moment. Nothing in it is changed by the simulation that goes on."""
+    """The state at one time. The running simulation does not modify it."""
 
     time_ns: int
     cycles: int
@@ -88,22 +87,22 @@ class Snapshot:
     gravity: tuple[float, float, float]
     ground: bool
     is_from_file: bool
-    """Its values may be such as no simulation has."""
+    """True when it was read from a file: its values may be invalid."""
     robots: list[SpawnedAs]
     faults: list[Asked]
     parameters: dict[str, Any]
     world: dict[str, Any]
     entries: list[SavedObject]
     state: Any
-    """What is below `_tree`, with its objects in `entries`."""
+    """The saved form of `_tree`; its objects are in `entries`."""
 
 
 def take(simulation: Simulation) -> Snapshot:
-    """The state of now.
+    """A snapshot of the present state.
 
     Raises:
-        Refused: a switch is under way, the world cannot go on, or it is in the middle of a cycle. CannotSave: a user's
-        class has what no snapshot holds.
+        Refused: a switch is in progress, the world cannot go on, or it is inside a cycle. CannotSave: a user's class
+        has a value that a snapshot cannot hold.
     """
     simulation.loop.between_cycles("save a snapshot")
     if simulation.run.trouble:
@@ -129,12 +128,12 @@ def take(simulation: Simulation) -> Snapshot:
 
 
 def put(simulation: Simulation, snapshot: Snapshot) -> list[str]:
-    """Be again what the snapshot is of, all or nothing. Returns the robots that were made again.
+    """Restore a snapshot, all or nothing. Returns the names of the robots that were spawned again.
 
     Goals that clients have sent since then end as PREEMPTED.
 
     Raises:
-        Refused: a switch is under way, it is in the middle of a cycle, or the snapshot does not fit.
+        Refused: a switch is in progress, it is inside a cycle, or the snapshot does not fit.
     """
     simulation.loop.between_cycles("load a snapshot")
     _check_settled(simulation, "load a snapshot")
@@ -202,12 +201,12 @@ def _put(simulation: Simulation, snapshot: Snapshot) -> list[str]:
 
 
 def _tree(simulation: Simulation) -> dict[str, Any]:
-    """All of which the state is saved."""
+    """The root of all objects whose state is saved."""
     return {"robots": {robot.name: _tree_of(robot) for robot in simulation.robots}, "simulation": simulation.kept}
 
 
 def _tree_of(robot: SpawnedRobot) -> dict[str, Any]:
-    """In an order in which what refers to others comes after them: goals have actions, and both have calls."""
+    """The objects of a robot, ordered so that each comes after those it refers to: actions, ..., calls."""
     parts = robot.parts
     return {
         "actions": robot.node.servers_below(),
@@ -220,7 +219,7 @@ def _tree_of(robot: SpawnedRobot) -> dict[str, Any]:
 
 
 def _check_settled(simulation: Simulation, action: str) -> None:
-    """Raises Refused: a switch is under way."""
+    """Raise Refused while a switch is in progress."""
     for robot in simulation.robots:
         if robot.is_controlled and robot.services.is_busy:
             raise Refused(
@@ -230,14 +229,14 @@ def _check_settled(simulation: Simulation, action: str) -> None:
 
 
 def _goals_since(simulation: Simulation, snapshot: Snapshot) -> list[ActionGoal]:
-    """The open goals that the snapshot does not know."""
+    """Open goals that are not in the snapshot."""
     known = {entry.content["id"] for entry in snapshot.entries if entry.kind == ActionGoal.__qualname__}
     servers = [server for robot in simulation.robots for server in robot.node.servers_below()]
     return [goal for server in servers for goal in server.open_goals if goal.id not in known]
 
 
 def _modules_of_users(simulation: Simulation) -> list[ModuleType]:
-    """Those that define the controllers and the hardware that are there."""
+    """The user modules that define the present controllers and hardware."""
     found = {}
     for robot in simulation.robots:
         if robot.is_controlled:
@@ -248,11 +247,11 @@ def _modules_of_users(simulation: Simulation) -> list[ModuleType]:
     return list(found.values())
 
 
-# -- robots and controllers as they were -------------------------------------------------------------------------------
+# -- restoring robots and controllers ----------------------------------------------------------------------------------
 
 
 def _make(simulation: Simulation, snapshot: Snapshot) -> list[str]:
-    """Let the same robots and controllers be there, in the same order. Returns the robots that were made again."""
+    """Restore the same robots and controllers, in the same order. Returns the names of the robots spawned again."""
     robots, wanted = simulation.robots, snapshot.robots
     present = [SpawnedAs.of(robot) for robot in robots]
     if _are_alike(present, wanted):
@@ -282,19 +281,19 @@ def _make(simulation: Simulation, snapshot: Snapshot) -> list[str]:
 
 
 def _are_alike(present: list[SpawnedAs], wanted: list[SpawnedAs]) -> bool:
-    """Are the same robots and controllers there?"""
+    """True when the robots and their controllers are the same."""
     return len(present) == len(wanted) and all(
         one.is_like(other) and one.controllers == other.controllers for one, other in zip(present, wanted, strict=True)
     )
 
 
 def _common(equal: list[bool]) -> int:
-    """How many are equal from the beginning."""
+    """The number of leading True values."""
     return next((place for place, one in enumerate(equal) if not one), len(equal))
 
 
 def _check_type(robot: str, name: str, type_name: str) -> None:
-    """Raises Refused: files of users are not imported because a snapshot names them."""
+    """Raise Refused for an unknown type: a snapshot must not cause the import of a user's file."""
     try:
         registry.find(type_name)
     except UnknownName:
@@ -320,15 +319,15 @@ class Snapshots:
         return iter(tuple(self._kept.items()))
 
     def get(self, name: str) -> Snapshot:
-        """Raises UnknownName."""
+        """The snapshot. Raises UnknownName."""
         if name not in self._kept:
             raise UnknownName("snapshot", name, list(self._kept))
         return self._kept[name]
 
     def save(self, name: str, first: Callable[[Snapshot], None] = lambda _: None) -> Snapshot:
-        """Keep the state of now under the name, after `first` has had it; one that had the name is replaced.
+        """Save the present state under the name, after `first` was called with it. An older one is replaced.
 
-        Raises as `take`, what `first` raises, and BadName; then nothing has changed.
+        Raises as `take`, the errors of `first`, and BadName; then nothing has changed.
         """
         if not names.is_component(name):
             raise BadName(name, "name of a snapshot: letters, digits and '_', and the first is a letter")
@@ -341,10 +340,10 @@ class Snapshots:
         return snapshot
 
     def load(self, name: str) -> list[str]:
-        """Be again what was saved. Returns the robots that were made again. Raises UnknownName, and as `put`."""
+        """Restore a snapshot. Returns the names of the robots spawned again. Raises UnknownName, and as `put`."""
         return put(self._simulation, self.get(name))
 
     def delete(self, name: str) -> None:
-        """Forget it. Raises UnknownName."""
+        """Delete a snapshot. Raises UnknownName."""
         self.get(name)
         del self._kept[name]

@@ -1,6 +1,6 @@
-"""What services of simulation_interfaces can spawn: resources by URI or as text, and lists of those that are there.
+"""Resources for the services of simulation_interfaces: read by URI or as text, and lists of those that exist.
 
-A resource is read at once, and the world waits for it: some tens of milliseconds for one of xacro. It knows no world.
+A resource is read in one call, which blocks the world: some tens of milliseconds for xacro. This module knows no world.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from slidectl.simulation.entities import check_size
 
 FORMATS = ("urdf", "sdf", "xacro")
 _OF_SCENES = ("sdf", "world", "gazebo", "model")
-"""Outermost elements of SDF."""
+"""Root elements of SDF."""
 _SUFFIXES = (*models.SUFFIXES, *sdf.SUFFIXES)
 _LISTED = tuple(suffix for suffix in _SUFFIXES if suffix != ".xml")
 _MOST_FILES = 10_000
-"""Files of a package that are looked at, for those that can be spawned."""
+"""The most files of a package that are searched for spawnable ones."""
 
 
 class SpawnFailure(SlidectlError):
-    """Something cannot be spawned, for the reason that a constant of simulation_interfaces/SpawnResult names."""
+    """An entity cannot be spawned. `reason` is the name of a constant of simulation_interfaces/SpawnResult."""
 
     def __init__(self, reason: str, message: str, hint: str | None = None) -> None:
         super().__init__(message, hint)
@@ -39,22 +39,22 @@ class SpawnFailure(SlidectlError):
 
 
 class ResourcePart(NamedTuple):
-    """A robot or model that a resource holds: URDF with the note of its sources, and where it stands in the whole."""
+    """A robot or model in a resource: URDF with the note of its sources, and its pose in the whole."""
 
     xml: str
     name: str
     pose: Pose
     is_model: bool
-    """It came as SDF."""
+    """True when it came as SDF."""
 
 
 def read(resource: Message, name: str, named: Callable[[str], str]) -> list[ResourcePart]:
-    """The parts of a simulation_interfaces/Resource; of URDF one.
+    """The parts of a simulation_interfaces/Resource; URDF has one.
 
     Args:
-        resource: its `uri` goes before its `resource_string`.
-        name: what was asked for; empty for the name in the resource.
-        named: gives the name to use.
+        resource: its `uri` has precedence over its `resource_string`.
+        name: the requested name; empty for the name in the resource.
+        named: returns the name to use.
 
     Raises SpawnFailure.
     """
@@ -73,7 +73,7 @@ def read(resource: Message, name: str, named: Callable[[str], str]) -> list[Reso
 
 
 def failure(error: SlidectlError) -> SpawnFailure:
-    """An error of reading or spawning, with the constant that says its kind."""
+    """An error of reading or spawning as SpawnFailure, with the constant for its kind."""
     kinds = (
         ((BadShape, UnknownMesh), "UNSUPPORTED_ASSETS"),
         ((MissingMesh, NotThere), "MISSING_ASSETS"),
@@ -99,7 +99,7 @@ def _of_file(uri: str, name: str, named: Callable[[str], str]) -> list[Any]:
     path = _file(uri)
     if path.suffix.lower() in sdf.SUFFIXES:
         return _of_scene(sdf.read(path), name, named)
-    from slidectl.client import spawning  # late: it brings the client, which a daemon needs for nothing else
+    from slidectl.client import spawning  # late import: a daemon needs the client for nothing else
 
     if not name:
         name = xml_tree.read(spawning.document(str(path), {}, None).xml, str(path)).get("name") or ""
@@ -113,7 +113,7 @@ def _of_scene(scene: sdf.Scene, name: str, named: Callable[[str], str]) -> list[
 
 
 def _file(uri: str) -> Path:
-    """The file that a URI means. Raises SpawnFailure."""
+    """The file for a URI. Raises SpawnFailure."""
     known = models.shipped()
     if uri in known:
         return known[uri]
@@ -136,12 +136,12 @@ def _unsupported(why: str) -> SpawnFailure:
     return SpawnFailure("UNSUPPORTED_FORMAT", f"{why}; what can be read: {', '.join(FORMATS)}")
 
 
-# Lists of what is there
+# Lists of spawnables
 
 
 def spawnables(sources: list[str]) -> tuple[list[Message], str]:
-    """simulation_interfaces/Spawnable of the shipped models and of the packages in `sources`, and what is wrong with
-    those.
+    """simulation_interfaces/Spawnable for the shipped models and the packages in `sources`, and a text about unknown
+    packages.
 
     A source is a package, by its name or as package://NAME.
     """

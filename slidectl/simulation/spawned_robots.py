@@ -1,8 +1,7 @@
-"""The robots of the world: spawned as a whole or not at all, deleted without a trace.
+"""The robots of the world: spawned completely or not at all, deleted completely.
 
-A robot is its paper, body, hardware, controller manager and services. Each thing that is brought up leaves its undoing
-on a stack, so a failure half-way and a deletion are the same path. Requests of clients come through the services of
-`/gazebo`.
+A robot is its description, body, hardware, controller manager and services. Each step of a spawn puts its cleanup on a
+stack, so that a failed spawn and a deletion do the same. Requests of clients come through the services of `/gazebo`.
 """
 
 from __future__ import annotations
@@ -40,16 +39,16 @@ from slidectl.simulation.topics import PeriodicTopic
 DESCRIPTION = "robot_description"
 ACTUATOR_RATE_HZ = 50
 RESERVED = ("world", "map")
-"""What gazebo_ros takes for the world wherever it could be a model: such a robot could not be told from it."""
+"""Names that gazebo_ros takes for the world wherever a model is possible."""
 STANDING = 0.001
-"""m. What is in something else by no more than this stands on it, or beside it."""
+"""m. An overlap up to this depth is normal contact, such as standing on the ground."""
 MOST_NAMED = 5
-"""Robots, and pairs of links of each, that one spawn warns of."""
+"""The most robots, and pairs of links of each, in the warning of one spawn."""
 _SEVERITIES = {"wrong": "warn", "ignored": "warn", "converted": "info"}
 
 
 class ControlParts:
-    """What runs in a robot's cycle."""
+    """The parts that a robot's cycle uses."""
 
     hardware: MujocoRobotHW
     manager: ControllerManager
@@ -57,10 +56,10 @@ class ControlParts:
 
 
 class SpawnedRobot:
-    """One robot in the world with all that belongs to it.
+    """One robot in the world with all its parts.
 
-    `parts` are for whoever runs the cycles. Everybody else comes in by `hardware`, `manager`, `cycle` or a callback of
-    the node, so that those who run the cycles hear of it before.
+    Only the runners of the cycles may use `parts`. Other code must use `hardware`, `manager`, `cycle` or a callback of
+    the node: these first bring the objects up to date.
     """
 
     body: Body
@@ -73,36 +72,36 @@ class SpawnedRobot:
         self.xml = parsed.xml
         self.note = parsed.note
         self.caller = parsed.caller
-        """The session id of the process that asked for it, 0 when nobody knows."""
+        """The session id of the process that requested it, 0 when it is unknown."""
         self.is_controlled = parsed.is_controlled
-        """False for a model that stands around robots: it has no hardware, no controllers and no cycle."""
+        """False for a model without control: it has no hardware, no controllers and no cycle."""
         self.node = node
         self.serial = serial
-        """No other robot of this world has or had it."""
+        """A number that no other robot of this world has or had."""
         self.taken = ExitStack()
-        """Whoever gives the robot something registers here what takes it back; the last is the first."""
+        """The cleanup callbacks of all that was added to the robot; called in reverse order."""
         self.parts = ControlParts()
         self.on_reset: list[Callable[[], None]] = []
-        """Called when the robot is to be as it was spawned, after the world is."""
+        """Called when the robot is reset to its state at spawn, after the world."""
         self.on_emergency_stop: list[Callable[[], None]] = []
         """Called when an emergency stop begins."""
         self.kept: dict[str, object] = {}
-        """What a snapshot saves besides hardware, manager and cycle, by names of whoever put it here."""
+        """Objects that a snapshot saves in addition to hardware, manager and cycle, by name."""
         self.made_parameters: list[str] = []
-        """Those that its spawn has set, and that its end takes away."""
+        """Parameters that its spawn has set; its deletion removes them."""
         self.warnings: list[str] = []
-        """What was wrong with its spawn: its place, or what it has and cannot use there."""
+        """Problems of its spawn: its place, or parts of the model that have no effect."""
 
     @property
     def kind(self) -> str:
-        """What it is: `robot`, `model` (without a controller manager), or `static` (a model that does not move)."""
+        """`robot`, `model` (without a controller manager), or `static` (a model that does not move)."""
         if self.is_controlled:
             return "robot"
         moving = any(joint.type != "fixed" for joint in self.paper.joints.values())
         return "model" if moving or not self.paper.is_fixed_to_world else "static"
 
     def check_controlled(self) -> None:
-        """Raises Refused for a model without a controller manager."""
+        """Raise Refused for a model without a controller manager."""
         if not self.is_controlled:
             raise Refused(f"{self.name!r} is a model without a controller manager")
 
@@ -112,25 +111,25 @@ class SpawnedRobot:
 
     @property
     def hardware(self) -> MujocoRobotHW:
-        """The joints as controllers see them. Raises Refused for a model without a controller manager."""
+        """The simulated hardware with the joints. Raises Refused for a model without a controller manager."""
         self._enter()
         return self.parts.hardware
 
     @property
     def manager(self) -> ControllerManager:
-        """The controllers. Raises Refused for a model without them."""
+        """The controller manager. Raises Refused for a model without one."""
         self._enter()
         return self.parts.manager
 
     @property
     def cycle(self) -> ControlCycle:
-        """Its part of each cycle of the world. Raises Refused for a model without one."""
+        """The robot's part of each cycle. Raises Refused for a model without one."""
         self._enter()
         return self.parts.cycle
 
     @property
     def emergency_stop(self) -> bool:
-        """True: efforts and velocities are 0, positions are held. Controllers go on; its end starts them anew."""
+        """True: efforts and velocities are 0, positions are held. Controllers go on; its end restarts them."""
         return self.is_controlled and self.parts.cycle.emergency_stop
 
     @emergency_stop.setter
@@ -142,13 +141,13 @@ class SpawnedRobot:
             stop()
 
     def look(self) -> None:
-        """Read the joints outside of a cycle: after the world was changed, and before the first cycle."""
+        """Read the joints outside of a cycle: after a change of the world, and before the first cycle."""
         self.cycle.look(self.node.now_ns())
 
     def reset(self, time_ns: int) -> None:
-        """As it was spawned. Controllers stay loaded and running; each is stopped and started again.
+        """Reset to the state at spawn. Controllers stay loaded and running; each is stopped and started again.
 
-        The hardware comes first, since a controller's set point is what it measures when it starts.
+        The hardware comes first, since a starting controller takes its set point from the measured state.
         """
         for reset in self.on_reset:
             reset()
@@ -165,21 +164,21 @@ class SpawnedRobot:
 
 
 class ParsedRobot(NamedTuple):
-    """A robot that was read and not spawned yet: its full namespace, what it is on paper, and its URDF."""
+    """A parsed robot that is not spawned yet: its full namespace, its description, and its URDF."""
 
     name: str
     namespace: str
     paper: Robot
     xml: str
     note: str
-    """Where its lines were written, and its meshes found."""
+    """The origins of its lines, and the places of its meshes."""
     caller: int
-    """The session id of the process that asks for it, 0 when nobody knows."""
+    """The session id of the process that requests it, 0 when it is unknown."""
     is_controlled: bool
 
 
 class Sources:
-    """Notes of robots' texts (see description.source_note) by the texts' digests: the latest ones, within bounds."""
+    """Notes of robots' texts (see description.source_note) by the texts' digests: the latest ones, up to a limit."""
 
     MOST = 256
     MOST_CHARACTERS = 32 * 1024 * 1024
@@ -189,7 +188,7 @@ class Sources:
         self._characters = 0
 
     def put(self, digest: str, note: str) -> None:
-        """Remember a note; the oldest ones go when there are too many."""
+        """Save a note, and drop the oldest ones above the limits."""
         self._forget(digest)
         self._notes[digest] = note
         self._characters += len(note)
@@ -213,8 +212,8 @@ class Robots:
         self._robots: dict[str, SpawnedRobot] = {}
         self._serials = count(1)
         self.on_spawn: list[Callable[[SpawnedRobot], object]] = []
-        """Called with each robot that is brought up. They register in `SpawnedRobot.taken` what takes back what they
-        did, each thing as soon as it is done: what comes next may fail."""
+        """Called with each new robot. They register their cleanup in `SpawnedRobot.taken`, after each step: a later
+        step may fail."""
         self.sources = Sources()
 
     def __iter__(self) -> Iterator[SpawnedRobot]:
@@ -227,7 +226,7 @@ class Robots:
         return name in self._robots
 
     def names(self) -> list[str]:
-        """In the order of spawning."""
+        """Names of the robots in the order of spawning."""
         return list(self._robots)
 
     def get(self, name: str) -> SpawnedRobot:
@@ -242,18 +241,18 @@ class Robots:
         """Parse, attach, and bring up hardware, controller manager and services: all or nothing.
 
         The namespace is the one given, else the plugin's robotNamespace (an empty one is the root), else `/name`.
-        `hulls` has what its meshes collide as; without it their files are read now.
+        `hulls` holds the collision hulls of its meshes; without it their files are read now.
 
         Raises:
-            BadFile: the URDF is broken (file, line). Refused: the name or the namespace is taken. BadName.
-            SlidectlError: the world or the hardware cannot take it. Nothing is left behind then.
+            BadFile: the URDF is broken (file, line). Refused: the name or the namespace is in use. BadName.
+            SlidectlError: the world or the hardware refuses it. After an error nothing is left behind.
         """
         return self.spawn_read(self.read(xml, name, namespace), pose, hulls)
 
     def read(self, xml: str, name: str, namespace: str | None = None, *, is_model: bool = False) -> ParsedRobot:
-        """A robot that may be spawned as far as one can tell without its meshes. Raises as `spawn`.
+        """Parse a robot, and check all that can be checked without its meshes. Raises as `spawn`.
 
-        One that `is_model` gets no controller manager, unless it has transmissions or the control plugin.
+        With `is_model` it gets no controller manager, unless it has transmissions or the control plugin.
         """
         self._check_name(name)
         urdf, note = source_note.split(xml)
@@ -276,7 +275,7 @@ class Robots:
         return parsed
 
     def spawn_read(self, parsed: ParsedRobot, pose: Pose, hulls: Hulls | None) -> SpawnedRobot:
-        """Spawn what was read, some cycles ago perhaps. Raises as `spawn`: others may have come meanwhile."""
+        """Spawn a parsed robot, maybe some cycles later. Raises as `spawn`: names may have been taken meanwhile."""
         self._check_name(parsed.name)
         self._check_namespace(parsed)
         self._loop.between_cycles("spawn a robot")
@@ -322,7 +321,8 @@ class Robots:
             robot.node.subscribe(plugin.estop_topic, "std_msgs/Bool", take_emergency_stop)
 
     def _hardware(self, robot: SpawnedRobot, sim_type: str) -> MujocoRobotHW:
-        """Raises BadFile: no class of simulated hardware. Refused: a user's class failed. Else as `MujocoRobotHW`."""
+        """The simulated hardware. Raises BadFile: an unsuitable class. Refused: a user's class failed. Else as
+        `MujocoRobotHW`."""
         places = self._world, robot.body, robot.paper, robot.node, robot.namespace
         cls = hardware_types.find(sim_type)
         if cls is None:
@@ -334,16 +334,16 @@ class Robots:
             return cls(*places)
 
     def delete(self, name: str) -> None:
-        """Take all that belongs to the robot out of the world, and stop its controllers. Raises UnknownName.
+        """Remove all of the robot from the world, and stop its controllers. Raises UnknownName.
 
-        What can fail is done first, all or nothing. After that the robot is gone, whatever its controllers and those
-        who listen make of it: their errors are on the log.
+        Steps that can be refused come first, all or nothing. After them the robot is deleted, even if its controllers
+        or subscribers raise: their errors are logged.
         """
         self._loop.between_cycles("delete a robot")
         robot = self.get(name)
         self._world.detach(name)
         try:
-            with ExitStack() as ending:  # what is put on last comes first, and the rest comes whatever fails
+            with ExitStack() as ending:  # calls in reverse order, and all of them even if one fails
                 ending.callback(robot.taken.close)
                 if robot.is_controlled:
                     robot.manager.stop_running(robot.node.now_ns())
@@ -352,12 +352,12 @@ class Robots:
             self._loop.graph.log("error", robot.node.name, text)
 
     def put_joints(self, name: str, joints: Sequence[str], positions: Sequence[float], is_start: bool = False) -> None:
-        """Put joints, each named alone or as `robot::joint`, there, at rest; all or none. With `is_start` resets do so.
+        """Set joints, named `joint` or `robot::joint`, to positions at rest; all or none. `is_start`: resets too.
 
-        One that is commanded by its position stays there until a controller commands another.
+        A joint with a position command stays there until a controller commands another position.
 
         Raises:
-            UnknownName: no such robot or moving joint. Refused: a position that is none, or beyond the joint's limits.
+            UnknownName: no such robot or moving joint. Refused: an invalid position, or one beyond the limits.
         """
         if len(joints) != len(positions):
             raise Refused(f"{len(joints)} joint names but {len(positions)} positions")
@@ -376,15 +376,15 @@ class Robots:
             robot.hardware.stay(asked)
 
     def reset(self) -> None:
-        """All of them and the world are as they were spawned, even if one fails; its error is raised then."""
+        """Reset the world and all robots to their state at spawn, all even if one fails; then raise its error."""
         self.settle_switches()
         self._world.reset()
-        with ExitStack() as resetting:  # what is put on last comes first
+        with ExitStack() as resetting:  # calls in reverse order
             for robot in reversed(tuple(self)):
                 resetting.callback(robot.reset, self._loop.graph.clock.time_ns)
 
     def settle_switches(self) -> None:
-        """The world has come to a stand: what waits for a cycle is finished now."""
+        """Finish all switches that wait for a cycle, because the world has stopped."""
         for robot in self:
             if robot.is_controlled:
                 robot.services.settle()
@@ -394,7 +394,7 @@ class Robots:
         self._tell_loop()
 
     def _tell_loop(self) -> None:
-        """A model costs a cycle nothing but what the world does with it."""
+        """Pass the controlled robots to the loop. Models have no part of the cycle."""
         self._loop.take_robots(tuple(robot for robot in self._robots.values() if robot.is_controlled))
 
     def _check_name(self, name: str) -> None:
@@ -411,7 +411,7 @@ class Robots:
             )
 
     def _check_namespace(self, parsed: ParsedRobot) -> None:
-        """Models have nothing in their namespaces, so they take none."""
+        """Raise Refused when the namespace is in use. Models do not occupy theirs."""
         controlled = [robot for robot in self if robot.is_controlled and parsed.is_controlled]
         owner = next((robot for robot in controlled if robot.namespace == parsed.namespace), None)
         if owner is not None:
@@ -426,7 +426,7 @@ def _put_description(robot: SpawnedRobot, parameters: Parameters) -> None:
     robot.made_parameters.append(name)
 
     def take_back() -> None:
-        """What somebody else has set, the launch of a robot in the root most often, is there again."""
+        """Restore a description set before by other code, usually the launch of a robot in the root."""
         if before is not None and parameters.get(name, None) == robot.xml:
             parameters.set(name, before)
         elif parameters.has(name):
@@ -436,7 +436,7 @@ def _put_description(robot: SpawnedRobot, parameters: Parameters) -> None:
 
 
 def _actuator_states(robot: SpawnedRobot) -> Message:
-    """As sensor_msgs/JointState."""
+    """The actuators as sensor_msgs/JointState."""
     states = robot.hardware.actuator_states()
     return {
         "header": header_of(robot.node.now_ns()),
@@ -460,10 +460,10 @@ def _control_period(plugin: ControlPlugin, step_ns: int, robot: SpawnedRobot) ->
 
 
 def _warn_of_overlaps(robot: SpawnedRobot, world: World) -> None:
-    """Say, and keep in `robot.warnings`, into what it was put: such bodies push each other away, or jam."""
+    """Log and keep in `robot.warnings` the bodies that it overlaps: they push each other away, or jam."""
     try:
         overlaps = world.overlaps(robot.name, STANDING)
-    except EngineError:  # contacts beyond number: the first step says so
+    except EngineError:  # too many contacts: the first step reports it
         return
     others: dict[str | None, list[Overlap]] = {}
     for overlap in overlaps:
@@ -481,7 +481,7 @@ def _put_into(robot: SpawnedRobot) -> str:
 
 
 def _overlap_text(other: str | None, found: list[Overlap]) -> str:
-    """`other` is the robot that it is in; None is the ground."""
+    """A text on the overlap with a robot; `other` None is the ground."""
     pairs = [
         f"{one.link} {'' if other is None else f'in {other}::{one.other} '}{one.depth * 1e3:.0f} mm" for one in found
     ]

@@ -1,7 +1,7 @@
 """The services of simulation_interfaces, ROS's standard for simulators, in the namespace of the node `/slidectl`.
 
-They do what those of `/gazebo` and `/slidectl` do, by other names: an entity is a robot or a model. All of them answer
-with a result, also where something is wrong. docs/names.md lists them, and what of the standard is not here.
+They do the same as those of `/gazebo` and `/slidectl` under other names: an entity is a robot or a model. All of them
+answer with a result, also on errors. docs/names.md lists them, and the parts of the standard that are missing.
 """
 
 from __future__ import annotations
@@ -41,14 +41,14 @@ FEATURES = (
 )
 """Constants of simulation_interfaces/SimulatorFeatures."""
 MOST_SPAWNED = 100
-"""Entities that one request may spawn: the world waits while their files are read."""
+"""The most entities that one request may spawn: the world waits while their files are read."""
 _PACKAGE = "simulation_interfaces"
 _INFO = "entity"
-"""What a robot keeps of itself for these services, in `SpawnedRobot.kept`."""
+"""The key in `SpawnedRobot.kept` of a robot's data for these services."""
 _NOT_ONE = 1e-3
-"""How far from 1 the length of an orientation may be."""
+"""The largest accepted deviation of an orientation's length from 1."""
 _CATEGORIES = {"robot": "CATEGORY_ROBOT", "model": "CATEGORY_OBJECT", "static": "CATEGORY_STATIC_OBJECT"}
-"""By the kinds of robots."""
+"""The constant for each kind of robot."""
 
 
 @cache
@@ -58,7 +58,7 @@ def constant(kind: str, name: str) -> int:
 
 
 class FailedRequest(SlidectlError):
-    """The result is the constant `name` of the message `kind`."""
+    """A request failed; the result is the constant `name` of the message `kind`."""
 
     def __init__(self, name: str, message: str, kind: str = "Result") -> None:
         super().__init__(message)
@@ -66,7 +66,7 @@ class FailedRequest(SlidectlError):
 
 
 class StandardServices:
-    """Those of one simulation."""
+    """The standard services of one simulation."""
 
     def __init__(self, simulation: Simulation) -> None:
         """Advertises all of them."""
@@ -97,13 +97,13 @@ class StandardServices:
             node.advertise_service(name, f"{_PACKAGE}/{kind}", responding(handler, _respond))
         node.advertise_service("get_simulator_features", f"{_PACKAGE}/GetSimulatorFeatures", lambda _: _features())
 
-    # Coming and going
+    # Spawning and deleting
 
     def _spawn(self, request: Message) -> Pending:
         return Pending.attempt(lambda: self._spawn_one(request)).converted(_spawn_result)
 
     def _spawn_one(self, request: Message) -> Pending:
-        """Resolved with the entity's name. All parts of it are spawned, or none."""
+        """Resolved with the entity's name. All its parts are spawned, or none."""
         place = self._place(request["initial_pose"])
         namespace = request["entity_namespace"]
         if namespace and not names.is_legal(names.join("/", namespace)):
@@ -126,7 +126,7 @@ class StandardServices:
         return self._entities.spawn([(one, compose(place, inside)) for one, inside in parsed]).converted(spawned)
 
     def _place(self, stamped: Message) -> Pose:
-        """In the world, of a geometry_msgs/PoseStamped. Raises SpawnFailure, UnknownName."""
+        """The pose in the world of a geometry_msgs/PoseStamped. Raises SpawnFailure, UnknownName."""
         frame = self._entities.frame(stamped["header"]["frame_id"])
         try:
             return compose(frame.pose, _valid_pose(stamped["pose"]))
@@ -134,7 +134,7 @@ class StandardServices:
             raise SpawnFailure("INVALID_POSE", str(error)) from None
 
     def _name(self, wanted: str, request: Message) -> str:
-        """The name to use for the one that is wanted. Raises SpawnFailure."""
+        """The name to use for a requested one. Raises SpawnFailure."""
         may_rename = request["allow_renaming"]
         if not wanted and not may_rename:
             raise SpawnFailure("NAME_INVALID", "the entity has no name, and allow_renaming is false")
@@ -152,7 +152,7 @@ class StandardServices:
         return next(name for name in (f"{wanted}_{number}" for number in count(1)) if name not in self._robots)
 
     def _spawn_several(self, request: Message) -> Pending:
-        """One after the other. Those that can be spawned are, whatever becomes of the others."""
+        """Spawn one after the other. A failed one does not stop the others."""
         requests: list[Message] = request["spawn_requests"]
         if len(requests) > MOST_SPAWNED:
             text = f"{len(requests)} entities, and {MOST_SPAWNED} is the most in one request"
@@ -189,7 +189,7 @@ class StandardServices:
         self._simulation.delete(request["entity"])
         return {}
 
-    # Entities as they are
+    # State of entities
 
     def _names(self, request: Message) -> Message:
         return {"entities": [robot.name for robot in self._matching(request["filters"])]}
@@ -199,7 +199,7 @@ class StandardServices:
         return {"entities": [robot.name for robot in found], "states": [self._state(robot) for robot in found]}
 
     def _matching(self, filters: Message) -> Iterator[SpawnedRobot]:
-        """All filters apply together; an empty one lets everything pass."""
+        """The robots that match all filters; an empty filter matches all."""
         pattern = PosixPattern(filters["filter"]) if filters["filter"] else None
         categories = {one["category"] for one in filters["categories"]}
         tags, mode = set(filters["tags"]["tags"]), filters["tags"]["filter_mode"]
@@ -217,9 +217,9 @@ class StandardServices:
                 yield robot
 
     def _within(self, bounds: Message) -> Callable[[SpawnedRobot], bool]:
-        """Whether a robot's shapes, as the boxes around them, overlap with simulation_interfaces/Bounds of the world.
+        """A test whether the boxes around a robot's shapes overlap with simulation_interfaces/Bounds of the world.
 
-        One without shapes counts as a point. Raises FailedRequest.
+        A robot without shapes is a point. Raises FailedRequest.
         """
         kind = bounds["type"]
         points = np.array([[one["x"], one["y"], one["z"]] for one in bounds["points"]], dtype=float)
@@ -243,7 +243,7 @@ class StandardServices:
         return is_within
 
     def _state(self, robot: SpawnedRobot) -> Message:
-        """simulation_interfaces/EntityState."""
+        """The state as simulation_interfaces/EntityState."""
         frame = self._entities.model_frame(robot.name)
         acceleration = sensing.link_acceleration(self._world, robot.name, robot.paper.root)
         return {
@@ -283,7 +283,7 @@ class StandardServices:
         return {}
 
     def _bounds(self, request: Message) -> Message:
-        """The box around all collision shapes, on the axes of the root link."""
+        """The box around all collision shapes, in the axes of the root link."""
         robot = self._robots.get(request["entity"])
         boxes = sensing.boxes(self._world, robot.name, self._entities.model_frame(robot.name).pose)
         if not len(boxes):
@@ -292,11 +292,11 @@ class StandardServices:
         points = [vector_message(corner) for corner in corners]
         return {"bounds": {"type": constant("Bounds", "TYPE_BOX"), "points": points}}
 
-    # How the world runs
+    # Run state
 
     @property
     def _run_state(self) -> str:
-        """A world that stands at its beginning is stopped; one that stands later is paused."""
+        """The state's name. A world that is paused at time 0 is stopped; later it is paused."""
         if not self._simulation.run.paused:
             return "STATE_PLAYING"
         return "STATE_PAUSED" if self._simulation.cycles else "STATE_STOPPED"
@@ -351,8 +351,7 @@ class StandardServices:
         return {}
 
     def _delete_spawned(self) -> None:
-        """Those that came by these services. What files and other services have brought is the world to which a reset
-        leads back."""
+        """Delete the entities spawned by these services. A reset keeps those from files and other services."""
         for robot in self._robots:
             if _kept(robot).get("is_spawned"):
                 self._simulation.delete(robot.name)
@@ -362,7 +361,7 @@ class StandardServices:
 
 
 def _respond(done: Pending) -> Message:
-    """The fields of the response with its result, or with the one that the error says."""
+    """The fields of the response with its result; on an error only the result for it."""
     if done.error is not None:
         return {"result": _failed(done.error)}
     return {"result": _ok(), **done.result()}
@@ -384,7 +383,7 @@ def _failed(error: SlidectlError) -> Message:
 
 
 def _spawn_result(done: Pending) -> Message:
-    """simulation_interfaces/SpawnResult."""
+    """The answer as simulation_interfaces/SpawnResult."""
     if done.error is None:
         return {"result": _ok(), "entity_name": done.result()}
     if isinstance(done.error, UnknownName):
@@ -395,7 +394,7 @@ def _spawn_result(done: Pending) -> Message:
 
 
 def _nothing_more(done: Pending) -> Message:
-    """Raises what failed."""
+    """An empty response. Raises the call's error."""
     done.result()
     return {}
 
@@ -411,8 +410,8 @@ def _features() -> Message:
 
 
 def _valid_pose(message: Message) -> Pose:
-    """Of geometry_msgs/Pose. Four zeros are no turn, as in messages of ROS 1 that leave them out. Raises Refused."""
-    from slidectl.client.spawning import FARTHEST  # late, as in spawnables
+    """The pose of a geometry_msgs/Pose. Four zeros mean no rotation, as when ROS 1 leaves it out. Raises Refused."""
+    from slidectl.client.spawning import FARTHEST  # late import, as in spawnables
 
     place, turn = message["position"], message["orientation"]
     if not all(abs(value) <= FARTHEST for value in place.values()):
@@ -428,14 +427,14 @@ def _values(message: Message) -> str:
 
 
 def _kept(robot: SpawnedRobot) -> dict[str, Any]:
-    """What a snapshot keeps too."""
+    """The robot's data for these services; snapshots save it."""
     kept = robot.kept.setdefault(_INFO, {})
     assert isinstance(kept, dict)
     return kept
 
 
 def _info(robot: SpawnedRobot) -> Message:
-    """simulation_interfaces/EntityInfo: what was set, else what it is."""
+    """The robot as simulation_interfaces/EntityInfo: what was set, else defaults."""
     kept = _kept(robot)
     tags: Sequence[str] = kept.get("tags", ())
     return {

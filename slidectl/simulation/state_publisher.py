@@ -1,7 +1,7 @@
 """robot_state_publisher of every robot: moving joints on `/tf` at 50 Hz, fixed ones latched on `/tf_static`.
 
-It reads the joints of the world themselves, so it needs no joint_states and shows passive joints too. In a world that
-stands still whoever begins to listen to `/tf` gets the present transforms at once. Its parameters
+It reads the joints from the world directly, so it needs no joint_states and includes passive joints. In a world that
+stands still, a new subscriber of `/tf` gets the present transforms at once. Its parameters
 below `/<ns>/robot_state_publisher`, publish_frequency, tf_prefix and enabled, take effect whenever they are set.
 """
 
@@ -28,16 +28,16 @@ NODE = "robot_state_publisher"
 
 
 class StatePublishers:
-    """Those of all robots of a simulation."""
+    """The state publishers of all robots of a simulation."""
 
     def __init__(self, simulation: Simulation) -> None:
         self._simulation = simulation
         self._publishers: dict[str, StatePublisher] = {}
 
     def bring_up(self, robot: SpawnedRobot) -> None:
-        """Give the robot its own, and a model that stands around robots none.
+        """Create the publisher of a robot; a model without control gets none.
 
-        Two robots with the same links would speak of the same frames: the later one gets a prefix of its own.
+        Two robots with the same links would publish the same frames: the later one gets a prefix of its own.
         """
         if not robot.is_controlled:
             return
@@ -47,7 +47,7 @@ class StatePublishers:
         prefix = ""
         if shares_frames and not tf_prefix(self._simulation, robot):
             prefix = robot.namespace.strip("/") or robot.name
-            chosen = names.join(robot.namespace, f"{NODE}/tf_prefix")  # in a namespace above, it would be others' too
+            chosen = names.join(robot.namespace, f"{NODE}/tf_prefix")  # further up it would apply to other robots too
             parameters.set(chosen, prefix)
             robot.made_parameters.append(chosen)
             robot.taken.callback(lambda: parameters.delete(chosen) if parameters.has(chosen) else None)
@@ -58,10 +58,10 @@ class StatePublishers:
 
 
 class StatePublisher:
-    """One robot's transforms. Frames carry `tf_prefix` if that parameter is found in or above the node's namespace.
+    """One robot's transforms. Frames have `tf_prefix` if that parameter is found in or above the node's namespace.
 
-    `chosen` is a prefix that nobody asked for: with that one all robots still share the frame `world`. The node is out
-    of the graph while its parameter `enabled` is false.
+    `chosen` is a prefix that the user did not request: with it all robots still share the frame `world`. The node is
+    not in the graph while its parameter `enabled` is false.
     """
 
     def __init__(self, simulation: Simulation, robot: SpawnedRobot, chosen: str = "") -> None:
@@ -80,7 +80,7 @@ class StatePublisher:
         robot.taken.callback(simulation.parameters.watch(self._node, self._configure))
 
     def frames(self) -> set[str]:
-        """All frames but the world's."""
+        """All frames except the world's."""
         return {self._frame(link) for link in self._robot.paper.links} - {"world"}
 
     def _silence(self) -> None:
@@ -90,7 +90,7 @@ class StatePublisher:
         self._tf = self._static = None
 
     def _configure(self) -> None:
-        """What the parameters of the node ask for; called whenever one is set or deleted."""
+        """Apply the parameters of the node; called whenever one is set or deleted."""
         simulation = self._simulation
         prefix = tf_prefix(simulation, self._robot) or self._chosen
         has_other_names, self._prefix = prefix != self._prefix, prefix
@@ -132,7 +132,7 @@ class StatePublisher:
         return link if is_shared or not self._prefix else f"{self._prefix}/{link}"
 
     def _pose(self, joint: Joint) -> Pose:
-        """The child in the parent: by the joint's equation, or as the world has it (planar, floating)."""
+        """The pose of the child in the parent: from the joint's position, or from the world (planar, floating)."""
         world, robot = self._simulation.world, self._robot.name
         if joint.name not in world.body(robot).joints:
             return relative(world.link_pose(robot, joint.child), world.link_pose(robot, joint.parent))
@@ -148,7 +148,7 @@ def _origin(joint: Joint) -> Pose:
 
 
 def _displacement(joint: Joint, position: float) -> Pose:
-    """What the joint's position (m or rad) does along or about its axis."""
+    """The displacement by the joint's position (m or rad) along or about its axis."""
     x, y, z = joint.axis
     if joint.type in ("revolute", "continuous"):
         sine = math.sin(position / 2)
@@ -157,7 +157,7 @@ def _displacement(joint: Joint, position: float) -> Pose:
 
 
 def tf_prefix(simulation: Simulation, robot: SpawnedRobot) -> str:
-    """What stands before the robot's frames by the parameter `tf_prefix`, in its namespace or above; may be empty."""
+    """The prefix of the robot's frames: the parameter `tf_prefix` in its namespace or above; may be empty."""
     found = simulation.parameters.search(names.join(robot.namespace, NODE), "tf_prefix")
     value = simulation.parameters.get(found) if found else None
     return value.strip("/") if isinstance(value, str) else ""

@@ -1,4 +1,4 @@
-"""The topic bus: who publishes what to whom, with types, latching and names; and topics at a steady rate.
+"""The topic bus: publishers and subscribers by topic, with types and latching; and topics published periodically.
 
 Delivery is a plain call, in the order of subscription, before `publish` returns. There are no queues here.
 """
@@ -20,14 +20,14 @@ if TYPE_CHECKING:
 
 
 class TypeConflict(Refused):
-    """A topic that exists with another type."""
+    """A topic exists with another type."""
 
     def __init__(self, topic: str, known: str, asked: str, users: list[str]) -> None:
         super().__init__(f"{topic} has the type {known}, not {asked}", f"it is used by: {', '.join(users)}")
 
 
 def hand_on(message: Message, callbacks: Sequence[MessageCallback]) -> None:
-    """Call back all of them, and then raise what the first one said that refused the message."""
+    """Call all callbacks, and then raise the error of the first one that refused the message."""
     refusal: SlidectlError | None = None
     for callback in callbacks:
         try:
@@ -39,13 +39,13 @@ def hand_on(message: Message, callbacks: Sequence[MessageCallback]) -> None:
 
 
 class TopicPublisher:
-    """One publisher of one topic. Ask `wanted` before building a message: nobody may be listening.
+    """One publisher of one topic. Check `wanted` before building a message: there may be no subscriber.
 
-    `sequence` is `header.seq` of the next message; those that nobody wanted count too.
+    `sequence` is `header.seq` of the next message; messages without a subscriber count too.
     """
 
     first: ClassVar[int] = 1
-    """`header.seq` of the first message, as rospy has it (rostopic pub)."""
+    """`header.seq` of the first message, as in rospy (rostopic pub)."""
     __slots__ = ("_on_close", "last", "latch", "node", "sequence", "topic", "wanted")
 
     def __init__(self, topic: Topic, node: str, latch: bool, on_close: Callable[[TopicPublisher], None]) -> None:
@@ -58,10 +58,10 @@ class TopicPublisher:
         self.wanted = False
 
     def publish(self, message: Message) -> None:
-        """Hand a complete message on and number its header. The dict must not be changed afterwards.
+        """Deliver a complete message and number its header. The dict must not be changed afterwards.
 
         Raises:
-            SlidectlError: what the first subscriber said that refused it; all of them have been asked.
+            SlidectlError: the error of the first subscriber that refused it; all of them have been called.
         """
         if self.topic.has_header:
             message["header"]["seq"] = self.sequence
@@ -75,24 +75,24 @@ class TopicPublisher:
         return self.last
 
     def close(self) -> None:
-        """Stop being a publisher; a latched message goes with it."""
+        """Stop publishing; a latched message is dropped."""
         self._on_close(self)
 
 
 class NodePublisher(TopicPublisher):
-    """A publisher inside the simulation: as in ROS it does not hear that a subscriber refused; that one logs it."""
+    """A publisher inside the simulation. As in ROS it gets no error from a subscriber; the subscriber logs it."""
 
-    first = 0  # as roscpp has it
+    first = 0  # as in roscpp
     __slots__ = ()
 
     def publish(self, message: Message) -> None:
-        """Hand a complete message on and number its header. The dict must not be changed afterwards."""
+        """Deliver a complete message and number its header. The dict must not be changed afterwards."""
         with suppress(SlidectlError):
             super().publish(message)
 
 
 class _DemandPublisher(NodePublisher):
-    """Tells when it begins and when it ceases to be wanted."""
+    """Calls `on_demand` when `wanted` changes."""
 
     __slots__ = ("_build_first", "_is_wanted", "_on_demand")
 
@@ -119,12 +119,12 @@ class _DemandPublisher(NodePublisher):
 
 
 class PeriodicTopic:
-    """Publishes what `build` gives, every `period_ns` of simulated time, until `close`. Free while nobody listens.
+    """Publishes the result of `build`, every `period_ns` of simulated time, until `close`; only with subscribers.
 
-    What `build` gives later, and None now, is published by `publish`.
+    When the message comes later, `build` returns None and the message is passed to `publish`.
 
-    The phase is that of multiples of the period, whoever listened before. While `is_still` says that no cycle will come
-    by itself, a new subscriber gets the present message at once, and those that are there when the publisher comes too.
+    Times are multiples of the period, independent of subscribers. While `is_still` returns True (no cycle will come
+    without a request), a new subscriber gets the present message at once, as do present ones of a new publisher.
     """
 
     def __init__(
@@ -157,7 +157,7 @@ class PeriodicTopic:
         self._timer = self._graph.timers.every(self._period_ns, self._publish) if wanted else None
 
     def publish(self, message: Message) -> None:
-        """One that was built since."""
+        """Publish a message that was built later."""
         self._publisher.publish(message)
 
     def _publish(self) -> None:
@@ -180,17 +180,17 @@ class TopicSubscription:
         self._on_close = on_close
 
     def redirect(self, callback: MessageCallback) -> None:
-        """Call back another one from now on."""
+        """Replace the callback."""
         self.callback = callback
         self.topic.update()
 
     def close(self) -> None:
-        """No message is delivered any more."""
+        """End the subscription: no more messages are delivered."""
         self._on_close(self)
 
 
 class Topic:
-    """A name, its type, and those who use it. `callbacks` is a tuple: it may be replaced during a delivery."""
+    """A name, its type, and its users. `callbacks` is a tuple: it may be replaced during a delivery."""
 
     __slots__ = ("callbacks", "has_header", "interceptor", "name", "publishers", "receivers", "subscriptions", "type")
 
@@ -198,7 +198,7 @@ class Topic:
         self.name = name
         self.type = type_name
         self.interceptor = interceptor
-        """Takes the messages in place of the receivers."""
+        """Receives the messages in place of the receivers."""
         self.publishers: list[TopicPublisher] = []
         self.subscriptions: list[TopicSubscription] = []
         self.receivers: tuple[MessageCallback, ...] = ()
@@ -211,8 +211,8 @@ class Topic:
         return _nodes([*self.publishers, *self.subscriptions])
 
     def update(self) -> None:
-        """After somebody came or went."""
-        # A callback that many subscriptions have in common is called once for all of them.
+        """Update the callbacks for the present users."""
+        # A callback that several subscriptions share is called once for all of them.
         self.receivers = tuple(dict.fromkeys(subscription.callback for subscription in self.subscriptions))
         self.callbacks = (self.interceptor,) if self.receivers and self.interceptor is not None else self.receivers
         for publisher in self.publishers:
@@ -220,17 +220,17 @@ class Topic:
 
 
 class Topics:
-    """All topics. One exists as long as somebody publishes or subscribes it."""
+    """All topics. A topic exists as long as it has a publisher or a subscriber."""
 
     def __init__(self) -> None:
         self._topics: dict[str, Topic] = {}
-        # By node: one that goes must not cost a look at all topics, of which a client may have made many.
+        # By node: closing a node must not search all topics, since a client may have created many.
         self._users: dict[str, dict[TopicPublisher | TopicSubscription, None]] = {}
         self._interceptors: dict[str, MessageCallback] = {}
         self.changes = 0
-        """How often a publisher or a subscriber came or went: while it stays, so does `wanted` of every publisher."""
+        """The number of added or removed publishers and subscribers. While it is the same, so is every `wanted`."""
         self.on_change: Callable[[], None] = lambda: None
-        """Called after each of these changes."""
+        """Called after each such change."""
 
     def advertise(
         self,
@@ -240,7 +240,7 @@ class Topics:
         latch: bool = False,
         kind: Callable[..., TopicPublisher] = TopicPublisher,
     ) -> TopicPublisher:
-        """A publisher of `topic`.
+        """Create a publisher of `topic`.
 
         Raises:
             BadName, TypeConflict. UnknownName: no such message type.
@@ -262,8 +262,8 @@ class Topics:
     ) -> TopicSubscription:
         """Call back for each message; latched ones at once. Without a type the topic must exist already.
 
-        Subscriptions may have a callback in common, which is called once for each message; then `latched` is what takes
-        the messages that were latched before, for this subscription alone.
+        Subscriptions may share a callback, which is called once for each message. Then `latched` receives the messages
+        that were latched before, for this subscription alone.
 
         Raises:
             BadName, TypeConflict. UnknownName: no such topic or message type.
@@ -276,12 +276,12 @@ class Topics:
         for publisher in tuple(entry.publishers):
             message = publisher.first_message()
             if message is not None:
-                with suppress(SlidectlError):  # who published it is not there to hear a refusal
+                with suppress(SlidectlError):  # the publisher cannot receive an error any more
                     (latched or callback)(message)
         return subscription
 
     def publish(self, topic: str, type_name: str | None, message: Any, node: str) -> None:
-        """Publish from outside: the message is completed and checked. `node` is a publisher until `close_node`.
+        """Publish for a client: the message is completed and checked. `node` is a publisher until `close_node`.
 
         Raises:
             BadName, BadMessage, TypeConflict. UnknownName: no such topic (when no type is given) or message type.
@@ -295,7 +295,7 @@ class Topics:
         (own or self.advertise(topic, kind, node)).publish(checked)
 
     def intercept(self, topic: str, interceptor: MessageCallback | None) -> None:
-        """Let this take the messages of the topic, but not latched ones for who comes later. None: nobody does."""
+        """Let `interceptor` receive the messages of the topic, except latched ones for later subscribers. None: end."""
         if interceptor is None:
             self._interceptors.pop(topic, None)
         else:
@@ -305,7 +305,7 @@ class Topics:
             self._update(self._topics[topic])
 
     def hand_on(self, topic: str, message: Message) -> None:
-        """Give a message that was intercepted to those who subscribe now. Raises what a subscriber says."""
+        """Deliver an intercepted message to the present subscribers. Raises the error of a subscriber."""
         if topic in self._topics:
             hand_on(message, self._topics[topic].receivers)
 
@@ -318,11 +318,11 @@ class Topics:
         return {name: self._topics[name].type for name in self.names()}
 
     def exists(self, topic: str) -> bool:
-        """True when somebody publishes or subscribes it."""
+        """True when the topic has a publisher or a subscriber."""
         return topic in self._topics
 
     def type_of(self, topic: str) -> str:
-        """Raises UnknownName when nobody uses the topic."""
+        """The type of a topic. Raises UnknownName when it has no user."""
         return self._known(topic).type
 
     def publishers(self, topic: str) -> list[str]:
@@ -346,7 +346,7 @@ class Topics:
         return sorted({user.topic.name for user in self._users.get(node, ()) if isinstance(user, TopicSubscription)})
 
     def close_node(self, node: str) -> None:
-        """A node has gone: all its publishers and subscriptions go too."""
+        """Close all publishers and subscriptions of a node."""
         for user in list(self._users.get(node, ())):
             user.close()
 
@@ -369,7 +369,7 @@ class Topics:
 
     def _forget(self, user: TopicPublisher | TopicSubscription) -> None:
         users, topic = self._users.get(user.node, {}), user.topic
-        if user not in users:  # that has been done before
+        if user not in users:  # it was removed before
             return
         del users[user]
         if not users:

@@ -1,6 +1,7 @@
 """`/slidectl/wait`: answered when a value of a topic has fulfilled a condition long enough, or the time is up.
 
-Judged at every message, in simulated time, and answered in that cycle. Between two messages the last value counts.
+The condition is tested at every message, in simulated time, and answered in that cycle. Between two messages the last
+value is valid.
 """
 
 from __future__ import annotations
@@ -33,14 +34,14 @@ def advertise(graph: Graph) -> None:
 
 
 def _duration(name: str, value: float) -> float:
-    """0 for none. Raises Refused for what no clock can measure."""
+    """The value, 0 (none) or more. Raises Refused for one that no clock can measure."""
     if not -_LONGEST_S < value < _LONGEST_S:
         raise Refused(f"{name} is a number of seconds, not {value:g}")
     return max(value, 0.0)
 
 
 class Condition:
-    """`near` (within the tolerance, its edge included), `above`, `below` (strictly), or `equals` any JSON value."""
+    """`near` (within the tolerance, limits included), `above`, `below` (strictly), or `equals` any JSON value."""
 
     def __init__(self, kind: str, value: str, tolerance: float = 0.0) -> None:
         """
@@ -73,21 +74,21 @@ class Condition:
         return f"{text} ± {_shown(self.tolerance)}" if self.kind == "near" else text
 
     def check_type(self, path: str, type_name: str) -> None:
-        """Raises BadMessage when values of the type can never be compared like this."""
+        """Raise BadMessage when values of the type can never be compared in this way."""
         comparable = type_name not in ("string", "bool") and "/" not in type_name and not type_name.endswith("]")
         if self.kind != "equals" and not comparable:
             reason = f"{path} is {type_name}, and {self.kind} needs a number"
             raise BadMessage(reason, "field", "choose a field or an element")
 
     def distance(self, value: Any) -> float:
-        """How far the value is from fulfilling it, in its unit: 0 or less when it does, inf when beyond compare."""
+        """The distance of the value from the condition, in its unit: at most 0 when met, inf when not comparable."""
         number, wanted = as_number(value), self._number
         if self.kind == "equals" and (number is None or math.isnan(wanted)):
             same = value == self.wanted and isinstance(value, bool) == isinstance(self.wanted, bool)
             return 0.0 if same else math.inf
         if number is None or math.isnan(number):
             return math.inf
-        if self.kind == "equals":  # integers are compared as they are: as floats, large ones would be the same
+        if self.kind == "equals":  # integers are compared as integers: as floats, large ones would be equal
             is_equal = (number if isinstance(value, dict) else value) == self.wanted
             return 0.0 if is_equal else _more_than_0(abs(number - wanted))
         if self.kind == "near":
@@ -96,12 +97,12 @@ class Condition:
 
 
 def _more_than_0(distance: float) -> float:
-    """A limit that does not count itself."""
+    """The distance to a limit that is excluded: never 0."""
     return distance if distance != 0 else 5e-324
 
 
 def _shown(value: Any) -> str:
-    """Short text of a value for messages: numbers with six digits, all else as JSON, cut where it is long."""
+    """Short text of a value for messages: numbers with six digits, others as JSON, cut when long."""
     if isinstance(value, float):
         return f"{value:.6g}"
     text = json.dumps(value)
@@ -121,7 +122,7 @@ def as_number(value: Any) -> float | None:
 
 
 class Wait:
-    """One who waits. `hold` 0: the first message that fulfils the condition is enough; `within` 0: no limit."""
+    """One wait. `hold` 0: the first message that fulfils the condition is enough; `within` 0: no limit."""
 
     def __init__(self, graph: Graph, request: Message) -> None:
         """
@@ -169,7 +170,7 @@ class Wait:
         self._last = value
         if self._closest is _NOTHING or distance < self._least:
             self._closest, self._least = value, distance
-        if not distance <= 0:  # not a number: it does not hold
+        if not distance <= 0:  # also NaN: not fulfilled
             if self._holding is not None:
                 self._holding.cancel()
                 self._holding = None
@@ -179,7 +180,7 @@ class Wait:
             self._holding = self._graph.timers.after(from_seconds(self._hold_s), lambda: self._finish(True))
 
     def _time_is_up(self) -> None:
-        """Holding that is complete at this very time still counts."""
+        """Finish: it also succeeds when holding is complete at this very time."""
         self._finish(self._holding is not None and self._holding.due_ns <= self._graph.clock.time_ns)
 
     def _finish(self, success: bool) -> None:

@@ -1,8 +1,8 @@
-"""Makes machine code of the cycle: numba compiles it, LLVM writes an object file. Runs in a process of its own.
+"""Compiles the cycle to machine code: numba compiles it, LLVM writes an object file. Runs in a process of its own.
 
-`python -m slidectl.simulation.compiled.compiler` writes the file that is looked for, into a folder that is there; with
-the name of another file that of the law that is described on its standard input.
-Only here is numba imported.
+`python -m slidectl.simulation.compiled.compiler` writes the object file of the cycle into its folder, which must exist.
+With a file name as argument it writes the object file of the law described on its standard input.
+numba is imported in this module only.
 No fast-math and no fused operations, so that the code computes the same bits as the interpreter.
 """
 
@@ -35,11 +35,11 @@ types: Any = numba.types
 carray: Any = numba.carray  # type: ignore[attr-defined]
 
 _NICENESS = 10
-"""How much the simulations that run meanwhile go first (nice)."""
+"""The niceness of the compiler, so that running simulations have priority."""
 _MOST_LINES = 6
-"""Of what numba says about a law."""
+"""The most lines of numba's error about a law."""
 _ROOM = 1 << 30
-"""Rows that a table may have; no memory is taken for them."""
+"""The declared number of rows of a table; no memory is allocated for them."""
 
 
 def column_type(columns: Columns) -> Any:
@@ -54,7 +54,7 @@ def record_type(names: Sequence[str], kinds: str) -> Any:
 
 
 def register_laws() -> None:
-    """Let compiled functions call the laws, and what of `math` numba does not know."""
+    """Let compiled functions call the laws, and the functions of `math` that numba lacks."""
     fmod_of_c = types.ExternalFunction("fmod", types.float64(types.float64, types.float64))
 
     @overload(math.fmod, strict=False)
@@ -66,8 +66,8 @@ def register_laws() -> None:
 
 
 def compile_cycle() -> bytes:
-    """The object file."""
-    forms = list(enumerate(compiled_forms().values()))  # imports all controllers, and so their laws
+    """The object file of the cycle."""
+    forms = list(enumerate(compiled_forms().values()))  # imports all controllers and their laws
     register_laws()
     step = types.ExternalFunction(guard.STEP, types.int64(*4 * [types.int64]))
 
@@ -92,7 +92,7 @@ def compile_cycle() -> bytes:
     def _put_element(variable: Any, index: Any, value: Any) -> Any:  # noqa: ARG001
         return lambda variable, index, value: put(variable, index, value)
 
-    # numba links what it compiled at once, though it is never called here.
+    # numba links compiled code at once, though it is never called in this process.
     for name in (guard.STEP, guard.UPDATE, guard.GET, guard.PUT):
         llvm.add_symbol(name, ctypes.cast(ctypes.CDLL(None).abort, ctypes.c_void_p).value)
     code = [
@@ -108,7 +108,7 @@ def compile_cycle() -> bytes:
 
 
 def compile_law(content: bytes) -> bytes:
-    """The object file of a user's law, from its description. Indices are checked in it. Raises as `_object_file`."""
+    """The object file of a user's law, from its description; with index checks. Raises as `_object_file`."""
     columns, law, functions = own_laws.rebuild(content)
     compiled_forms()
     register_laws()
@@ -121,7 +121,7 @@ def compile_law(content: bytes) -> bytes:
 
 
 def law_code(law: Callable[..., int], row_type: Any, member_type: Any, name: str, **options: Any) -> str:
-    """What numba makes of the law of a controller with such rows, for `guard.law_entry`."""
+    """LLVM code of the law of a controller with such rows, for `guard.law_entry`."""
     row, member, joint, pid = (
         types.CPointer(numba.from_dtype(record))
         for record in (row_type, member_type, column_type(JOINT), column_type(Pid.columns))
@@ -139,7 +139,7 @@ def law_code(law: Callable[..., int], row_type: Any, member_type: Any, name: str
 
 
 def _made_of(signature: Any, function: Callable[..., Any], name: str, **options: Any) -> str:
-    """The function as code, under that name, without numba's own entry to it."""
+    """LLVM code of the function under that name, without numba's own entry to it."""
     made = numba.cfunc(signature, **options)(function)
     module = llvm.parse_assembly(made.inspect_llvm())
     module.get_function(made.native_name.removeprefix("cfunc.")).name = name
@@ -154,7 +154,7 @@ def _arguments() -> list[Any]:
 
 
 def _on_pointers() -> Callable[..., int]:
-    """`kernel.run` on addresses of tables. One argument after the other: numba wants them written out."""
+    """`kernel.run` on addresses of tables. The source is generated: numba needs each argument written out."""
     names = kernel.CycleTables._fields
     tables = ", ".join(f"carray({name}, room)" for name in names)
     source = (
@@ -172,10 +172,10 @@ def _on_pointers() -> Callable[..., int]:
 
 
 def _object_file(code: list[str], entries: set[str]) -> bytes:
-    """All code as one module in which only the entries can be called from outside.
+    """The object file of all code in one module, in which only the entries can be called from outside.
 
     Raises:
-        Refused: it calls what is not there without numba.
+        Refused: it calls a function that needs numba.
     """
     target = machine()
     module = llvm.parse_assembly(code[0])
@@ -199,13 +199,14 @@ def _object_file(code: list[str], entries: set[str]) -> bytes:
 
 
 def main() -> int:
-    """Several of these at once wait for the first one and find its work done. What goes wrong is in the report."""
+    """Compile, and return the exit code. Concurrent runs wait for the first and use its result. Errors are in the
+    report."""
     os.nice(_NICENESS)
     if len(sys.argv) > 1:
         return _compile_law(object_file.folder() / sys.argv[1])
     try:
         turn = object_file.report().open("a", encoding="utf-8")
-    except OSError:  # the folder has gone: whoever wanted the code has, too
+    except OSError:  # the folder was removed, so the code is not needed any more
         return 1
     with turn:
         fcntl.flock(turn, fcntl.LOCK_EX)
@@ -222,7 +223,7 @@ def main() -> int:
 
 
 def _compile_law(place: Path) -> int:
-    """That which is described on the standard input. What goes wrong is said in a line."""
+    """Compile the law described on the standard input. An error is printed on one line."""
     try:
         object_file.write(place, compile_law(sys.stdin.buffer.read()))
         object_file.tidy()

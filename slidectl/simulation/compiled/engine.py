@@ -1,6 +1,6 @@
-"""Which engine runs the cycles: the interpreter, or machine code as soon as there is some.
+"""Chooses the engine that runs the cycles: the interpreter, or machine code when it is ready.
 
-Compiling happens in a process of its own and is done once for all simulations; loading what it made takes some 50 ms.
+Compiling happens in a process of its own and once for all simulations; loading the result takes some 50 ms.
 The interpreter runs the cycles until then.
 """
 
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 
 ENGINES = ("plain", "compiled", "auto")
 WORTH_COMPILING = 10_000
-"""Cycles in one go for which a simulation that nobody drives begins to compile."""
+"""The number of cycles in one `step` from which on a simulation without a driver starts to compile."""
 
 
 class Engine:
-    """`chosen` is one of ENGINES. `compiled` runs the cycles as machine code, None while the interpreter runs all."""
+    """`chosen` is one of ENGINES. `compiled` runs the cycles as machine code; None while the interpreter runs all."""
 
     def __init__(self, loop: Loop, chosen: str) -> None:
         """Raises UsageError: no such engine. Refused: `compiled` without numba."""
@@ -39,9 +39,9 @@ class Engine:
         self._has_looked = False
         self.compiled: CompiledRunner | None = None
         self.may_load = True
-        """False while a driver has more urgent things to do than to wait for code to be loaded."""
+        """False while a driver has more urgent work than to wait for code to be loaded."""
         self.is_settled = chosen == "plain" or not object_file.is_possible()
-        """True when nothing will change any more."""
+        """True when the engine will not change any more."""
 
     def __str__(self) -> str:
         if self.compiled is not None:
@@ -53,10 +53,10 @@ class Engine:
         return f"{self._chosen}: {'plain so far' if self._compiling is None else 'compiling, plain meanwhile'}"
 
     def advance(self, cycles: int) -> None:
-        """Before so many cycles: load the code if it is there, else see to it that somebody makes it."""
+        """Called before `cycles` cycles: load the code if it exists, else start the compiler if that is worthwhile."""
         is_worth_it = self._loop.driven or cycles >= WORTH_COMPILING
         ended = None if self._compiling is None else self._compiling.poll()
-        # A script that makes a few cycles looks for the code once: each look takes microseconds.
+        # A script that runs a few cycles looks for the code once: each look takes microseconds.
         has_reason = (is_worth_it or not self._has_looked) if self._compiling is None else ended is not None
         if not self.may_load or not has_reason:
             return
@@ -72,8 +72,8 @@ class Engine:
                 self._give_up(refusal.message)
 
     def complete(self) -> None:
-        """Compile, if need be, and load, now, also the laws of users' controllers that run. Raises Refused when that
-        fails."""
+        """Compile, if needed, and load, in this call, including the laws of users' running controllers. Raises Refused
+        when that fails."""
         _check_possible()
         self._trouble = ""
         while self.compiled is None:
@@ -81,7 +81,7 @@ class Engine:
                 code = _begin_to_compile().wait()
                 if not object_file.is_there():
                     raise Refused(_what_failed(code))
-            self._load()  # removes what is damaged
+            self._load()  # removes a damaged file
             if self._trouble:
                 raise Refused(self._trouble)
         self.compiled.look_for_laws(wait=True)
@@ -91,7 +91,7 @@ class Engine:
 
         try:
             code = object_file.load()
-        except FileNotFoundError:  # another version's compiler has just tidied up, or it was damaged
+        except FileNotFoundError:  # another version's compiler has just removed it, or it was damaged
             self._compiling = None
             return
         except (OSError, RuntimeError, ImportError) as error:
@@ -120,7 +120,7 @@ def _what_failed(code: int) -> str:
 
 
 def _begin_to_compile() -> subprocess.Popen[bytes]:
-    """Raises Refused: no place for the result."""
+    """Start the compiler. Raises Refused: the result cannot be stored."""
     try:
         object_file.prepare()
         with object_file.report().open("a", encoding="utf-8") as report:

@@ -1,21 +1,21 @@
-"""What numba cannot say, in LLVM's language: mj_step with its fatal errors caught, and the entries to cycle and laws.
+"""LLVM code that numba cannot express: mj_step with its fatal errors caught, and the entries to cycle and laws.
 
-MuJoCo ends the process on an error unless a hook leaves the step by `longjmp`. The hook is in place during the step
-only. Nothing here is Python but the text.
+MuJoCo ends the process on an error unless a hook leaves the step by `longjmp`. The hook is set during the step only.
+The only Python here generates text.
 """
 
 from collections.abc import Sequence
 
 CYCLE = "slidectl_cycle"
-"""What numba made: where the result goes, where it would tell of an exception (it has none here), and the tables."""
+"""The function from numba. Arguments: address of the result, address of the exception (it raises none), tables."""
 STEP = "slidectl_physics_step"
 UPDATE = "slidectl_update"
 """Calls the law of the controller whose row is at an address."""
 GET, PUT = "slidectl_get", "slidectl_put"
-"""An element of the array that a variable of MuJoCo points to: it moves from step to step."""
+"""Read and write an element of the array that a MuJoCo variable points to; the array moves from step to step."""
 ERROR_TEXT = "slidectl_error_text"
 ENTRY = "slidectl_run"
-"""The cycle with one argument: the address of the addresses of its tables. Returns what the cycle returns."""
+"""The cycle with one argument: the address of the addresses of its tables. Returns the cycle's result."""
 
 CODE = """
 @place = internal global [128 x i64] zeroinitializer, align 16
@@ -95,7 +95,7 @@ def law(number: int) -> str:
 
 
 def entry(tables: int) -> str:
-    """Code of the entry for so many tables."""
+    """Code of the entry for this number of tables."""
     loads = "".join(
         f"  %place{k} = getelementptr ptr, ptr %tables, i64 {k}\n  %table{k} = load ptr, ptr %place{k}\n"
         for k in range(tables)
@@ -114,7 +114,7 @@ define i64 @{ENTRY}(ptr %tables) {{
 
 
 def law_entry(law: str, columns: Sequence[str], raised: int) -> str:
-    """Code of the entry `law`, for a row of a controller with these columns: it calls what numba made, `law` and
+    """Code of the entry `law`, for a controller's row with these columns: it calls numba's function, named `law` plus
     `_body`. An exception makes it return `raised`."""
     loads = "".join(
         f"  %{name}_ = getelementptr i64, ptr %controller, i64 {k}\n  %{name} = load {kind}, ptr %{name}_\n"

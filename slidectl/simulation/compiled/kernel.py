@@ -1,7 +1,7 @@
 """The compiled cycle: what `Loop` and `ControlCycle` do with objects, done with rows, by the same laws.
 
-`run` is compiled by `compiler.py`; `guard.py` has `physics_step` and `update_controller`. It stops wherever the
-interpreter has its turn and goes on from there when it is called again. Nothing here is called by the interpreter.
+`run` is compiled by `compiler.py`; `guard.py` has `physics_step` and `update_controller`. It returns wherever the
+interpreter must continue, and the next call continues from there. The interpreter calls nothing in this file.
 """
 
 from __future__ import annotations
@@ -74,28 +74,28 @@ class CycleTables(NamedTuple):
 
 
 def physics_step(step: int, model: int, data: int, error_hook: int) -> int:
-    """mj_step, with its errors caught: not 0 for one. Machine code; see `guard.py`."""
+    """Run mj_step. Returns 0, or another number after an error of MuJoCo. Machine code; see `guard.py`."""
     raise NotImplementedError
 
 
 def update_controller(controller: int, joints: int, pids: int, time_ns: int, period_s: float) -> int:
-    """The law of the controller whose row is at this address: DONE, PUBLICATION, LEFT or RAISED. Machine code."""
+    """Run the law of the controller whose row is at this address: DONE, PUBLICATION, LEFT or RAISED. Machine code."""
     raise NotImplementedError
 
 
 def element(variable: int, index: int) -> float:
-    """Of the array that the variable at this address points to. Machine code; see `guard.py`."""
+    """An element of the array that the variable at this address points to. Machine code; see `guard.py`."""
     raise NotImplementedError
 
 
 def put_element(variable: int, index: int, value: float) -> None:
-    """Into the array that the variable at this address points to. Machine code; see `guard.py`."""
+    """Set an element of the array that the variable at this address points to. Machine code; see `guard.py`."""
     raise NotImplementedError
 
 
 @law
 def read(robot: Any, tables: CycleTables) -> None:
-    """MujocoRobotHW.read."""
+    """The same as MujocoRobotHW.read."""
     for k in range(robot.first_joint, robot.first_joint + robot.joints):
         joint = tables.joints[k]
         angle_or_length = tables.qpos[joint.qpos]
@@ -106,7 +106,7 @@ def read(robot: Any, tables: CycleTables) -> None:
 
 @law
 def add_outside_efforts(robot: Any, tables: CycleTables) -> None:
-    """The rest of MujocoRobotHW.read, while something pushes from outside."""
+    """The rest of MujocoRobotHW.read, while there are external efforts."""
     for k in range(robot.first_joint, robot.first_joint + robot.joints):
         joint = tables.joints[k]
         joint.effort += tables.outside[joint.dof]
@@ -114,7 +114,7 @@ def add_outside_efforts(robot: Any, tables: CycleTables) -> None:
 
 @law
 def write(robot: Any, period_s: float, tables: CycleTables) -> None:
-    """MujocoRobotHW.write."""
+    """The same as MujocoRobotHW.write."""
     joints, limits, drives, qvel, forces = tables.joints, tables.limits, tables.drives, tables.qvel, tables.forces
     for k in range(robot.first_limit, robot.first_limit + robot.limits):
         enforce(limits[k], joints[limits[k].joint], period_s)
@@ -138,7 +138,7 @@ def write(robot: Any, period_s: float, tables: CycleTables) -> None:
 
 @law
 def motor_step(progress: Any, tables: CycleTables) -> int:
-    """Motors.step; not 0 for an error of MuJoCo."""
+    """The same as Motors.step. Returns 0, or 1 after an error of MuJoCo."""
     motors, qpos, qvel = tables.motors, tables.qpos, tables.qvel
     step_s, references, forces = motors[STEP_S], int(motors[REFERENCES]), int(motors[FORCES])
     last = HEADER + int(motors[COUNT]) * MOTOR
@@ -180,8 +180,8 @@ def motor_step(progress: Any, tables: CycleTables) -> int:
 
 @law
 def is_sane(values: Any, count: int) -> bool:
-    """No value is huge or not a number, as `check_divergence` judges."""
-    for k in range(count):  # noqa: SIM110 - this is what compiles
+    """True when no value is huge or NaN, by the same rule as `check_divergence`."""
+    for k in range(count):  # noqa: SIM110 - numba compiles this form
         if not abs(values[k]) < HUGE:
             return False
     return True
@@ -189,7 +189,7 @@ def is_sane(values: Any, count: int) -> bool:
 
 @law
 def keep(progress: Any, tables: CycleTables) -> None:
-    """History.keep."""
+    """The same as History.keep."""
     history, positions, dofs = tables.history, progress.positions, progress.dofs
     at = FIRST_ROW + int(history[TAKEN] % history[ROWS]) * (1 + positions + 3 * dofs)
     history[TAKEN] += 1.0
@@ -205,7 +205,7 @@ def keep(progress: Any, tables: CycleTables) -> None:
 
 
 def run(progress: Any, tables: CycleTables) -> int:
-    """`progress.left` cycles, or fewer up to a turn of the interpreter. Returns for what it stopped."""
+    """Run `progress.left` cycles, or fewer until the interpreter must continue. Returns the reason of the return."""
     while progress.left > 0:
         if progress.robot == NEW_CYCLE:
             progress.time_ns += progress.step_ns

@@ -1,9 +1,8 @@
-"""Where the machine code of the cycle is kept between runs, and how it is brought into this process: by LLVM, without
-numba.
+"""The stored machine code of the cycle, and its loading into this process: by LLVM, without numba.
 
-A file is good for one version of everything that it was made from; that is in its name. It is machine code, so only a
-whole file that nobody but the user could have written is taken: what a crash of the machine left of one would end the
-process without a word.
+A file is valid for one version of all its sources; a digest of them is in its name. It is machine code, so it is only
+loaded when it is complete and only the user could have written it: a file damaged by a crash of the machine would end
+the process without a message.
 """
 
 from __future__ import annotations
@@ -30,8 +29,8 @@ from slidectl.simulation.compiled import guard
 from slidectl.writing import replace
 
 KEPT, KEPT_LAWS = 8, 64
-"""Files of cycles and of users' laws that stay: those that were used last. Each version of anything that the code is
-made from has its own."""
+"""The number of stored files of cycles and of users' laws: the last used ones. Each version of any source has its own
+file."""
 _SEAL_BYTES = 32
 _SOURCES = (
     "control",
@@ -42,7 +41,7 @@ _SOURCES = (
 
 
 class UnsafeFile(PermissionError):
-    """A file or folder that somebody else could have written."""
+    """A file or folder that another user could have written."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(f"{path} belongs to somebody else, or others may write to it; move it away or chmod go-w it")
@@ -66,18 +65,18 @@ def _compilers() -> tuple[str, ...]:
             versions.append(metadata.version(name))
         except metadata.PackageNotFoundError:
             return ()
-    return tuple(versions) if all(versions) else ()  # no version: what is left of one that was half removed
+    return tuple(versions) if all(versions) else ()  # no version: the rest of a library that was partly removed
 
 
 def folder() -> Path:
-    """Where the code is kept, below XDG_CACHE_HOME or ~/.cache."""
+    """The folder of the code, below XDG_CACHE_HOME or ~/.cache."""
     base = os.environ.get("XDG_CACHE_HOME", "")
     return Path(base if os.path.isabs(base) else os.path.expanduser("~/.cache")) / "slidectl"
 
 
 @functools.cache
 def place() -> Path:
-    """The file of the code for this program on this machine, whether it is there or not."""
+    """The path of the code for this program on this machine; it may not exist."""
     made_from = hashlib.sha256()
     for text in (sys.version, platform.machine(), *_compilers()):
         made_from.update(text.encode())
@@ -90,17 +89,17 @@ def place() -> Path:
 
 
 def law_place(content: bytes) -> Path:
-    """The file of the code of a user's law that is described so, whether it is there or not."""
+    """The path of the code of a user's law with this description; it may not exist."""
     return folder() / f"law-{hashlib.sha256(place().name.encode() + content).hexdigest()[:24]}.o"
 
 
 def report() -> Path:
-    """The file in which a failed compilation says why; whoever compiles has it locked."""
+    """The file with the error of a failed compilation; a running compiler has it locked."""
     return folder() / "compiling.log"
 
 
 def prepare() -> None:
-    """See to it that the folder is there. Raises OSError: it cannot be made; UnsafeFile."""
+    """Create the folder. Raises OSError: it cannot be created; UnsafeFile."""
     if not folder().is_absolute():
         raise FileNotFoundError("there is no home folder, and XDG_CACHE_HOME names none")
     folder().mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -108,12 +107,12 @@ def prepare() -> None:
 
 
 def start_compiler(*law: str, source: int | IO[bytes], report: IO[Any]) -> subprocess.Popen[bytes]:
-    """The compiler, as a process of its own that outlives this one: of the cycle, or of the law whose file is named so.
+    """Start the compiler as a process that outlives this one: for the cycle, or for the law with this file name.
 
-    `source` is its standard input; what it says goes into the report. The folder is there: see `prepare`.
+    `source` is its standard input; its errors go to `report`. The folder must exist: see `prepare`.
     """
     return subprocess.Popen(
-        # -P: a file of the user's that is called like a library must not be taken for it.
+        # -P: a user's file with the name of a library must not be imported instead of it.
         [sys.executable, "-P", "-m", "slidectl.simulation.compiled.compiler", *law],
         stdin=source,
         stdout=subprocess.DEVNULL,
@@ -129,14 +128,14 @@ def is_there() -> bool:
 
 
 def write(path: Path, content: bytes) -> None:
-    """Put code in its place, at once or not at all. Raises OSError, also when the folder has gone meanwhile."""
+    """Write code to its file, whole or not at all. Raises OSError, also when the folder was removed meanwhile."""
     replace(path, hashlib.sha256(content).digest() + content, 0o600)
 
 
 def tidy() -> None:
-    """Throw away what was not used for longest, and drafts of those who ended before they were done.
+    """Delete the files that were not used for longest, and unfinished files of compilers that ended early.
 
-    For whoever has the report locked; others may read meanwhile, and find a file gone.
+    The caller must hold the lock of the report. Others may read meanwhile, and find a file missing.
     """
     for draft in folder().glob("*.o.*"):
         draft.unlink(missing_ok=True)
@@ -147,11 +146,11 @@ def tidy() -> None:
 
 
 def _read(path: Path) -> bytes:
-    """The code; it counts as used now. Raises OSError: not there, or damaged, which removes it; UnsafeFile."""
+    """The code; its time of use is updated. Raises OSError: missing, or damaged and then removed; UnsafeFile."""
     with open(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC), "rb") as file:
         _check_ours(path, os.fstat(file.fileno()))
         _check_ours(path.parent, path.parent.stat())
-        with suppress(OSError):  # a file system that can only be read
+        with suppress(OSError):  # a read-only file system
             os.utime(path)
         seal, content = file.read(_SEAL_BYTES), file.read()
     if seal != hashlib.sha256(content).digest():
@@ -166,7 +165,7 @@ def _check_ours(path: Path, found: os.stat_result) -> None:
 
 
 def machine() -> Any:
-    """LLVM's idea of any processor of this kind: without the fused operations that newer ones have."""
+    """LLVM's generic processor of this architecture: without the fused operations of newer ones."""
     import llvmlite.binding as llvm
 
     llvm.initialize_native_target()
@@ -176,31 +175,31 @@ def machine() -> Any:
 
 
 class Cycle(NamedTuple):
-    """The loaded code: the cycle as a function of the address of addresses, and the text of the error that ended it."""
+    """The loaded code: the cycle as a function of the address of addresses, and the text of MuJoCo's last error."""
 
     run: Callable[[int], int]
     error_text: Callable[[], bytes]
     laws: list[int]
     """The addresses of the code of our forms, in their order."""
     engine: Any
-    """Owns the memory that the code is in."""
+    """Owns the memory of the code."""
 
 
 @functools.cache
 def load() -> Cycle:
-    """Bring the code of the cycle into this process, once. Raises as `loaded`."""
+    """Load the code of the cycle into this process, once. Raises as `loaded`."""
     names = [guard.ENTRY, guard.ERROR_TEXT, *map(guard.law, range(len(compiled_forms())))]
     engine, addresses = loaded(place(), names)
-    # The interpreter's lock is kept: there is one thread, and MuJoCo's warnings come back through Python.
+    # PYFUNCTYPE keeps the interpreter's lock: there is one thread, and MuJoCo's warnings call Python.
     run = ctypes.PYFUNCTYPE(ctypes.c_int64, ctypes.c_void_p)(addresses[0])
     text = ctypes.PYFUNCTYPE(ctypes.c_char_p)(addresses[1])
     return Cycle(run, text, addresses[2:], engine)
 
 
 def loaded(path: Path, names: list[str]) -> tuple[Any, list[int]]:
-    """Bring code into this process: what owns its memory, and the addresses of these functions.
+    """Load code into this process. Returns the owner of its memory, and the addresses of these functions.
 
-    Raises OSError (not there, or not ours), RuntimeError (no good).
+    Raises OSError (missing, or unsafe), RuntimeError (a function is missing).
     """
     import llvmlite.binding as llvm
 

@@ -1,8 +1,8 @@
-"""The code of laws: that of our forms comes with the cycle's; that of a user's is compiled when a robot needs it.
+"""The code of laws: that of our forms is part of the cycle's file; a user's law is compiled when a robot needs it.
 
-A user's law is compiled in a process of its own, from what it consists of: its bytecode, that of the functions that it
-calls, and the constants. So it may come from any file, module or script, and is compiled anew when one of these
-changes. The interpreter runs its controller until then, and for good when it cannot be compiled.
+A user's law is compiled in a process of its own, from its bytecode, that of the functions that it calls, and the
+constants. So it may come from any file, module or script, and is compiled again when one of these changes. The
+interpreter runs its controller until then, and always when the law cannot be compiled.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from slidectl.errors import Refused
 from slidectl.simulation.compiled import guard, object_file
 
 MARSHAL_VERSION = 2
-"""Without references, which depend on what else the process holds: one law has one description."""
+"""The version without references: these depend on other objects of the process, and one law must give one text."""
 _OURS = "slidectl."
 
 
@@ -30,17 +30,17 @@ class LawCode:
     """The addresses of the code of all forms."""
 
     def __init__(self, ours: list[int], tell: Callable[[str], None]) -> None:
-        """`ours` are those of our forms, in their order; `tell` is told why a law cannot be compiled."""
+        """`ours` are the addresses for our forms, in their order; `tell` logs why a law cannot be compiled."""
         self._addresses = dict(zip(compiled_forms().values(), ours, strict=True))
         self._tell = tell
         self._engines: list[Any] = []
-        """They own the memory that code is in."""
+        """The owners of the memory of the code."""
         self.compiling: list[Compilation] = []
         self.changes = 0
-        """Grows whenever a law has got its code."""
+        """Counts the laws whose code was loaded."""
 
     def address(self, form: Compiled) -> int:
-        """Where the code of the form's law is; 0: there is none, and perhaps it will come."""
+        """The address of the code of the form's law; 0: there is none, or not yet."""
         found = self._addresses.get(form)
         if found is None:
             found = self._addresses[form] = 0
@@ -55,7 +55,7 @@ class LawCode:
         return found
 
     def look(self, wait: bool = False) -> None:
-        """Take the code of laws whose compilation has ended."""
+        """Load the code of laws whose compilation has ended."""
         for one in [one for one in self.compiling if wait or one.process.poll() is not None]:
             self.compiling.remove(one)
             try:
@@ -79,7 +79,7 @@ class LawCode:
 
 
 class Compilation(NamedTuple):
-    """The process that compiles a law, and where what it says and makes will be."""
+    """The process that compiles a law, the file of its errors, and the path of the result."""
 
     form: Compiled
     process: subprocess.Popen[bytes]
@@ -96,11 +96,11 @@ def _begin(form: Compiled, content: bytes, place: Path) -> Compilation:
         return Compilation(form, object_file.start_compiler(place.name, source=source, report=report), report, place)
 
 
-# What a law consists of: written here, read in the process of the compiler.
+# The description of a law: written in this process, read in the compiler's.
 
 
 def describe(form: Compiled) -> bytes:
-    """The columns of the form, and the functions of its law. Raises Refused: it uses what cannot be compiled."""
+    """The columns of the form, and the functions of its law. Raises Refused: something in it cannot be compiled."""
     functions: dict[str, Any] = {}
     law = _describe_function(form.update, functions)
     columns = [(list(one.names), one.kinds) for one in (form.row, form.members)]

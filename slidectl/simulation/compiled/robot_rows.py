@@ -1,7 +1,7 @@
-"""One robot's rows in the tables of the compiled cycle: its state goes in, and comes back.
+"""One robot's rows in the tables of the compiled cycle: its state is loaded into them, and unloaded.
 
-While a robot is loaded its rows are the truth, and the objects behind it (handles, PIDs, controllers, its cycle) are
-not looked at. Nothing runs here.
+While a robot is loaded its rows are valid, and the objects (handles, PIDs, controllers, its cycle) are out of date and
+not read. Nothing runs in this module.
 """
 
 from __future__ import annotations
@@ -47,27 +47,27 @@ _PLAIN_OFFSET = 8 * ROBOT.names.index("is_plain")
 
 
 class RobotRows:
-    """The rows of one robot. `is_loaded`: they are the truth."""
+    """The rows of one robot. `is_loaded`: the rows, and not the objects, are valid."""
 
     def __init__(self, robot: SpawnedRobot, number: int, tables: Tables, laws: LawCode) -> None:
-        """Reserve rows for everything that the robot consists of, or one alone that says that it is plain."""
+        """Reserve rows for all parts of the robot, or only one that marks it as plain."""
         self.robot = robot
         self.parts = robot.parts
         self.number = number
         self.running = self.parts.manager.running
         self.is_loaded = False
         self.publications: dict[int, CompiledController] = {}
-        """By the controller's position in the order of updates."""
+        """Controllers that publish, by their position in the order of updates."""
         self.interpreted: dict[int, InterpretedUpdate] = {}
-        """The controllers without a row, by the same position."""
+        """Controllers without a row, by the same position."""
         self._places = robot.body.joints
         self._tables = tables.content
         self._fill: list[Callable[[], None]] = []
-        """Fill the rows of objects that may change while the robot is not loaded."""
+        """Functions that fill the rows of objects which may change while the robot is not loaded."""
         self._give: list[Callable[[], None]] = []
-        """Give objects back what laws change."""
+        """Functions that write back to objects what laws change."""
         self._constant: list[Callable[[], None]] = []
-        """Fill the rows of what never changes."""
+        """Functions that fill the rows of constant objects."""
         self._compiled: list[CompiledController] = []
         self._handles: list[tuple[Any, int]] = []
         """Each handle with the offset of its row."""
@@ -76,33 +76,33 @@ class RobotRows:
         self._is_possible = self._reserve(tables)
 
     def fits(self) -> bool:
-        """Is the robot still as it was when the rows were made, and does it do nothing that rows cannot?"""
+        """True when the rows match the robot, and it needs nothing that rows cannot do."""
         cycle, hardware, manager = self.parts.cycle, self.parts.hardware, self.parts.manager
         special = hardware.estop or cycle.is_stopped or cycle.is_intercepted or manager.switching
         return self._is_possible and not special and not self.is_outdated()
 
     def is_outdated(self) -> bool:
-        """Do other controllers run now than those that have rows, have laws got their code, or has the robot moved in
-        MuJoCo's arrays?"""
+        """True when other controllers run than those with rows, a law has got its code, or the robot's indices in
+        MuJoCo's arrays have changed."""
         have_laws_changed = self._law_changes != self._laws.changes
         are_others = self.parts.manager.running is not self.running or not self._may_compile()
         return have_laws_changed or are_others or self.has_moved()
 
     def _may_compile(self) -> bool:
-        """False when a user's controller that has a row cannot have one."""
+        """False when a user's controller with a row may not be compiled any more."""
         return all(compiled.entry.may_compile for compiled in self._compiled)
 
     def has_moved(self) -> bool:
-        """Has the robot other places in MuJoCo's arrays than its rows say?"""
+        """True when the robot's indices in MuJoCo's arrays are not those of its rows."""
         return self.robot.body.joints is not self._places
 
     def compiled_controllers(self) -> frozenset[str]:
-        """The names of those that have rows."""
+        """The names of controllers that have rows."""
         places = range(len(self.running)) if self._is_possible else ()
         return frozenset(self.running[place].name for place in places if place not in self.interpreted)
 
     def load(self) -> None:
-        """From now on the rows are the truth, unless a user's controller fails in that."""
+        """Make the rows valid, unless a user's controller fails while they are filled."""
         for fill in self._fill:
             fill()
         if not self._may_compile():
@@ -113,7 +113,7 @@ class RobotRows:
         self.is_loaded = True
 
     def unload(self) -> None:
-        """From now on the objects are the truth again. If a Ctrl-C comes in between it is done once more, whole."""
+        """Write the rows back to the objects. If a Ctrl-C interrupts this, the next call does all of it again."""
         if not self.is_loaded:
             return
         for give in self._give:
@@ -123,22 +123,22 @@ class RobotRows:
 
     @property
     def count(self) -> int:
-        """How many rows it has in all tables."""
+        """The number of its rows in all tables."""
         return len(self._fill) + len(self._constant)
 
     def period_s(self) -> float:
-        """The period of the controllers' present update."""
+        """The period of the controllers' present update, s."""
         found: float = _NUMBER.unpack_from(self._tables["robots"], self.number * ROBOT.size + _PERIOD_OFFSET)[0]
         return found
 
     def _mark_plain(self) -> None:
-        """The machine code leaves the robot to the interpreter, and looks at nothing of its controllers."""
+        """Leave the robot to the interpreter: the machine code reads nothing of its controllers."""
         _FLAG.pack_into(self._tables["robots"], self.number * ROBOT.size + _PLAIN_OFFSET, True)
         for compiled in self._compiled:
             compiled.let_go()
 
     def show_joints(self) -> None:
-        """Let the handles be as the rows are, for a controller that has no row."""
+        """Update the handles from the rows, for a controller that has no row."""
         joints = self._tables["joints"]
         for handle, offset in self._handles:
             _show(joints, offset, handle)
@@ -146,7 +146,7 @@ class RobotRows:
     # -- making the rows -------------------------------------------------------------------------------------------
 
     def _reserve(self, tables: Tables) -> bool:
-        """True when the robot can run compiled."""
+        """Reserve all rows. Returns True when the robot can run compiled."""
         starts = [tables.count(name) for name in RANGES]
         limits, drives = self.parts.hardware.limits(), self.parts.hardware.drives
         controllers = [entry.try_to_compile(partial(_compiled, entry, self._laws)) for entry in self.running]
@@ -197,11 +197,11 @@ class RobotRows:
             self.publications[position] = compiled
 
     def _reserve_pid(self, tables: Tables, pid: Pid | None) -> int:
-        """Its row number; 0, which nobody looks at, without one."""
+        """The PID's row number; 0, which is not read, without a PID."""
         return 0 if pid is None else self._reserve_row(tables, "pids", pid)
 
     def _reserve_row(self, tables: Tables, table: str, source: object, *places: float) -> int:
-        """A row for an object; `places` are the columns that no attribute fills. Returns its number."""
+        """Reserve a row for an object; `places` are the columns without an attribute. Returns its number."""
         columns, rows = TABLES[table], tables.content[table]
         number = self.number if table == "robots" else tables.add(table)
         (self._constant if table in CONSTANT else self._fill).append(
@@ -213,7 +213,7 @@ class RobotRows:
 
 
 class InterpretedUpdate:
-    """A controller without a row: it sees all handles of its robot, and the commands of those that it claims count."""
+    """A controller without a row. It reads all handles of its robot; its commands are taken from those it claims."""
 
     __slots__ = ("_claimed", "_joints", "rows", "update")
 
@@ -224,24 +224,24 @@ class InterpretedUpdate:
         self._claimed = [(handle, offset + _COMMAND_OFFSET) for handle, offset in claimed]
 
     def take_commands(self) -> None:
-        """Let the rows be as the controller left the handles."""
+        """Copy the commands from the claimed handles to their rows."""
         for handle, offset in self._claimed:
             _NUMBER.pack_into(self._joints, offset, handle.command)
 
 
 def _show(joints: bytearray, offset: int, handle: Any) -> None:
-    """Let a handle be as its row is."""
+    """Update a handle from its row."""
     handle.position, handle.velocity, handle.effort, command = _JOINT_STATE.unpack_from(joints, offset)
     handle.command = command
 
 
 def _is_compiled(drive: Drive) -> bool:
-    """A PID that publishes each step does so in the interpreter; so do drives of several commands."""
+    """False for drives that need the interpreter: with a PID that publishes each step, or with several commands."""
     return type(drive) is Drive and (drive.pid is None or drive.pid.observer is None)
 
 
 class CompiledController:
-    """A controller that runs compiled, and its rows, in memory of their own that stays where it is."""
+    """A controller that runs compiled, and its rows, in memory of their own with a fixed address."""
 
     def __init__(self, entry: LoadedController, form: Compiled, law: int, parts: Parts) -> None:
         """`law` is the address of the law's code."""
@@ -254,25 +254,25 @@ class CompiledController:
         self._row = bytearray(form.row.size)
         self._members = bytearray(form.members.size * len(parts.members))
         self._numbers = memoryview(b"")
-        """Kept while its address is in use: what is looked at so cannot change its size."""
+        """Held while its address is in use: the memory of a held view cannot change its size."""
         self._places: list[tuple[int, int]] = []
-        """Row numbers of PID and joint: those of the controller, then those of each member."""
+        """Row numbers of PID and joint: of the controller, then of each member."""
         self._shown: list[tuple[JointStateHandle, int]] = []
 
     def make_rows(self, joints: dict[int, int], reserve_pid: Callable[[Pid | None], int]) -> None:
-        """Find the joints' rows, by the identity of their handles, and reserve those of the PIDs."""
+        """Find the joints' rows, by the identity of their handles, and reserve rows for the PIDs."""
         own = Member(None, self.parts.joint, self.parts.pid)
         for _, joint, pid in (own, *self.parts.members):
             self._places.append((reserve_pid(pid), 0 if joint is None else joints[id(joint)]))
         self._shown = [(handle, joints[id(handle)] * JOINT.size) for handle in self.parts.shown]
 
     def fill(self, controllers: bytearray, number: int) -> None:
-        """Write its rows and members' rows, and in the table of controllers where these are."""
+        """Write its row and its members' rows, and their addresses into the table of controllers."""
         own, *others = self._places
         self._form.row.fill(self._row, 0, self.controller, *own, self._is_wanted)
         for k, (member, places) in enumerate(zip(self.parts.members, others, strict=True)):
             self._form.members.fill(self._members, k, member.source, *places)
-        parts = self.controller.parts()  # its numbers may be others by now
+        parts = self.controller.parts()  # its numbers may be another object now
         self._numbers = memoryview(array("d") if parts is None or parts.numbers is None else parts.numbers)
         numbers = self._numbers
         if (numbers.format, numbers.ndim, numbers.c_contiguous, numbers.readonly) != ("d", 1, True, False):
@@ -281,11 +281,11 @@ class CompiledController:
         CONTROLLER.fill(controllers, number, None, self._law, *memory, address_of(self._numbers), len(self._numbers))
 
     def let_go(self) -> None:
-        """The address of its numbers is no longer in use."""
+        """Release the numbers: their address is no longer in use."""
         self._numbers.release()
 
     def give(self) -> None:
-        """Let the controller and its members be as the rows are."""
+        """Write the rows back to the controller and its members."""
         self._form.row.give(self._row, 0, self.controller)
         if self._form.members.changing:
             for k, member in enumerate(self.parts.members):
@@ -296,21 +296,21 @@ class CompiledController:
         return any(publisher.wanted for publisher in self.parts.publishers)
 
     def update_wanted(self) -> None:
-        """Put into the row whether somebody listens."""
+        """Write into the row whether a publisher has a subscriber."""
         _FLAG.pack_into(self._row, self._form.row.size - _FLAG.size, self._is_wanted)
 
     def show(self, joints: bytearray) -> None:
-        """Let the controller and its joints' handles be as they are in the rows, as far as `publish` looks at them."""
+        """Update the controller and its joints' handles from the rows, as far as `publish` reads them."""
         self.give()
         for handle, offset in self._shown:
             _show(joints, offset, handle)
 
 
 def _compiled(entry: LoadedController, laws: LawCode) -> CompiledController | None:
-    """The controller, when it runs compiled: not while a PID of it publishes each step.
+    """The controller, if it can run compiled: for example not while a PID of it publishes each step.
 
-    A class or an instance that has an `update`, a `publish` or a column of its own, say as a property, means it: what
-    its parent declares does not hold for it.
+    A subclass or an instance may override `update`, `publish` or a column, for example as a property. Then the compiled
+    form of its parent is not valid for it.
     """
     controller = entry.controller
     form = controller.compiled

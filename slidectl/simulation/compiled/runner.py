@@ -1,8 +1,8 @@
 """The runner of compiled cycles: it calls the machine code, and does what that leaves to the interpreter.
 
-The machine code returns for a robot or a controller that has no rows, for a publication, and for a step that MuJoCo
-cannot make alone (each is a turn of the interpreter); then it goes on from there. Robots stay in the tables as long as
-nobody looks at them.
+The machine code returns (each return is a turn of the interpreter) for a robot or a controller without rows, for a
+publication, and for a step that mj_step alone cannot make; then it continues from there. Robots stay in the tables
+until other code reads them.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ if TYPE_CHECKING:
 
 
 _FEW_ROWS = 1000
-"""Rows that nobody uses and that are not worth beginning again."""
+"""With up to this number of unused rows it is not worth making all tables again."""
 
 _FIRST_LOOK = 16
-"""Cycles before the driver is asked for the first time whether there is enough."""
+"""Cycles before `enough` is called for the first time."""
 
 
 class CompiledRunner(Runner):
-    """The cycles of a loop's robots, by `code`."""
+    """Runs the cycles of a loop's robots with the machine code `code`."""
 
     def __init__(self, loop: Loop, code: Cycle) -> None:
         self._loop = loop
@@ -51,32 +51,32 @@ class CompiledRunner(Runner):
         self._laws = LawCode(code.laws, partial(loop.graph.log, "warn", WORLD_NODE))
         self._robots: Sequence[SpawnedRobot] = ()
         self._rows: list[RobotRows] = []
-        """In the order of the robots."""
+        """The rows of all robots, in their order."""
         self._rows_of: dict[SpawnedRobot, RobotRows] = {}
         self._is_new = True
-        """Robots have come, or the world was rebuilt, since all had their rows."""
+        """True after robots were added or the world was rebuilt, until all have their rows."""
         self._given_back: list[RobotRows] = []
-        """Of robots that are not loaded, until they are again."""
+        """Rows of robots that are not loaded, until they are loaded again."""
         self._left_over = 0
-        """Rows that nobody uses any more."""
+        """The number of unused rows."""
         self._acting: InterpretedUpdate | None = None
-        """The controller without a row that has its turn."""
+        """The controller without a row that runs now."""
         self._topic_changes = -1
         self._addresses = array("Q")
         self._step: Callable[[], None] | None = None
-        """What made a step of the physics when that was last looked at."""
+        """The function `World.step` at the last check."""
 
-    # -- who has the state -----------------------------------------------------------------------------------------
+    # -- loading and unloading robots ------------------------------------------------------------------------------
 
     def take_robots(self, robots: Sequence[SpawnedRobot]) -> None:
-        """These are the robots now: those that were there and more behind them, or others."""
+        """Replace the robots: by the same ones with more at the end, or by others."""
         if robots[: len(self._rows)] != self._robots[: len(self._rows)]:
             self._begin_again()
         self._robots = robots
         self._is_new = True
 
     def follow_world(self) -> None:
-        """The world was rebuilt: robots that it placed elsewhere are given back."""
+        """Follow a rebuilt world: unload robots whose indices in it have changed."""
         for rows in self._rows:
             if rows.has_moved():
                 self._unload(rows)
@@ -91,7 +91,7 @@ class CompiledRunner(Runner):
         self._given_back.clear()
 
     def give_back(self, robot: SpawnedRobot) -> None:
-        """Somebody is about to look at the robot, or to change it."""
+        """Bring the robot's objects up to date, before other code reads or changes them."""
         rows = self._rows_of.get(robot)
         if rows is not None:
             self._unload(rows)
@@ -102,7 +102,7 @@ class CompiledRunner(Runner):
         return frozenset() if rows is None or rows.is_outdated() else rows.compiled_controllers()
 
     def give_back_all(self) -> None:
-        """All robots are as if the interpreter had run their cycles."""
+        """Bring the objects of all robots up to date."""
         for rows in self._rows:
             self._unload(rows)
 
@@ -114,9 +114,9 @@ class CompiledRunner(Runner):
             rows.unload()
 
     def look_for_laws(self, wait: bool = False) -> None:
-        """Take the code of users' laws that has been compiled meanwhile, or `wait` for all of it."""
+        """Load the code of users' laws that has been compiled meanwhile; with `wait`, wait for all of it."""
         if wait:
-            self._prepare()  # names the laws
+            self._prepare()  # requests the code of the laws
         changes = self._laws.changes
         self._laws.look(wait)
         if self._laws.changes != changes:
@@ -133,7 +133,7 @@ class CompiledRunner(Runner):
             self._look_for_listeners()
 
     def _make_rows(self) -> None:
-        """Rows for robots that have come, and other rows for those that are not what they were."""
+        """Make rows for new robots, and new rows for robots that have changed."""
         if self._left_over > _FEW_ROWS + self._tables.rows // 2:
             self._begin_again()
         outdated = [rows for rows in self._given_back if rows.is_outdated()]
@@ -149,7 +149,7 @@ class CompiledRunner(Runner):
         self._is_new = False
 
     def _find_memory(self) -> None:
-        """Where all tables and arrays lie, for the machine code."""
+        """Set the addresses of all tables and arrays for the machine code."""
         memory, progress = self._world.memory(), self._progress
         progress.robots = len(self._rows)
         progress.model, progress.data = memory.model, memory.data
@@ -161,14 +161,14 @@ class CompiledRunner(Runner):
         self._addresses = array("Q", [ctypes.addressof(progress), *addresses.values(), *arrays])
 
     def _look_for_listeners(self) -> None:
-        """Which publishers are wanted now?"""
+        """Update which publishers have subscribers."""
         self._topic_changes = self._graph.topics.changes
         for rows in self._rows:
             for publication in rows.publications.values():
                 publication.update_wanted()
 
     def _look_outside(self) -> None:
-        """Who makes the steps, and whether there are efforts besides those of the hardware."""
+        """Update which function makes the steps, and whether there are external efforts."""
         self._step = self._world.step
         self._progress.step = self._step_address if self._world.steps_alone else 0
         self._progress.has_outside = self._world.loads.has_efforts
@@ -176,11 +176,11 @@ class CompiledRunner(Runner):
     # -- the cycles ------------------------------------------------------------------------------------------------
 
     def run(self, count: int) -> int:
-        """At most `count` cycles, up to and with the first after which a timer is due, or the physics diverged."""
+        """Run at most `count` cycles, up to and with the first after which a timer is due, or the physics diverged."""
         loop, world, clock, progress = self._loop, self._world, self._graph.clock, self._progress
         before = clock.cycles
         progress.time_ns, progress.step_ns, progress.cycles = clock.time_ns, loop.step_ns, before
-        # At real time this is called for every cycle, with cold caches: what has not changed is not looked at again.
+        # At real time this is called for every cycle, with cold caches: state is read again only after a change.
         if self._laws.compiling:
             self.look_for_laws()
         if self._is_new or self._given_back or self._topic_changes != self._graph.topics.changes:
@@ -197,19 +197,19 @@ class CompiledRunner(Runner):
             loop.in_cycle = False
             clock.time_ns = progress.time_ns
             clock.cycles = progress.cycles
-            if progress.robot != NEW_CYCLE:  # an error ended a cycle half-way
+            if progress.robot != NEW_CYCLE:  # an error ended the cycle early
                 clock.cycles += 1
                 self.give_back_all()
                 progress.robot, progress.controller = NEW_CYCLE, 0
         done = clock.cycles - before
         if clock.time_ns >= self._graph.timers.next_ns:
-            if not loop.driven:  # a script's own timers look at what the script holds
+            if not loop.driven:  # a script's own timers read the objects that the script holds
                 self.give_back_all()
             self._graph.timers.fire()
         return done
 
     def _run_until_enough(self, end: int, enough: Callable[[], bool]) -> None:
-        """Few cycles, then ever more: who asks after each costs as much as a cycle."""
+        """Run few cycles, then twice as many between calls of `enough`: a call costs as much as a cycle."""
         progress, timers = self._progress, self._graph.timers
         some = _FIRST_LOOK
         while True:
@@ -221,7 +221,7 @@ class CompiledRunner(Runner):
             some *= 2
 
     def _run_turns(self, end: int) -> None:
-        """Call the machine code, and take the turns that it leaves to the interpreter, up to the last cycle for now."""
+        """Call the machine code and do its interpreter turns, until the last cycle, a due timer or a check."""
         progress, code = self._progress, self._code.run
         world, clock, timers, topics = self._world, self._graph.clock, self._graph.timers, self._graph.topics
         while True:
@@ -231,22 +231,22 @@ class CompiledRunner(Runner):
             to_check = turn == turns.DIVERGED
             if turn != turns.DONE and not to_check:
                 self._take_turn(turn)
-                if self._is_new:  # a switch has given a robot other motors
+                if self._is_new:  # a switch may have changed the robot's motors
                     self._find_memory()
-                if world.step is not self._step:  # somebody has begun to push from outside, or to watch the steps
+                if world.step is not self._step:  # external efforts or an observer of the steps were added
                     self._look_outside()
                 if topics.changes != self._topic_changes:
                     self._look_for_listeners()
                 if turn != turns.STEP_IN_PYTHON:  # in the middle of a cycle
                     continue
-                # The machine code looks for divergence when it makes the step itself.
+                # The machine code checks for divergence only when it makes the step itself.
                 to_check = progress.cycles % CHECK_EVERY == 0
             if to_check or progress.cycles >= end or progress.time_ns >= timers.next_ns:
                 break
 
     def _allow(self, end: int) -> None:
-        """Say how many cycles may come before the interpreter must look again: those up to `end`, and up to and with
-        the one after which a timer is due, but at least one. While /clock has listeners each cycle begins here."""
+        """Set how many cycles may run before the interpreter must check again: those up to `end`, and up to and with
+        the one after which a timer is due, at least one. While /clock has subscribers each cycle begins here."""
         progress, graph = self._progress, self._graph
         is_between_cycles = progress.robot == NEW_CYCLE
         if graph.clock_topic.publisher.wanted:
@@ -255,7 +255,7 @@ class CompiledRunner(Runner):
                 self._begin_cycle()
             return
         until_timer = -(-(graph.timers.next_ns - progress.time_ns) // progress.step_ns)
-        if not is_between_cycles:  # the time is already that of the cycle that goes on
+        if not is_between_cycles:  # the time is already that of the running cycle
             until_timer += 1
         progress.left = max(1, min(end - progress.cycles, until_timer))
 
@@ -299,7 +299,7 @@ class CompiledRunner(Runner):
         self._look_outside()
 
     def _run_robot(self, rows: RobotRows) -> None:
-        """The whole cycle of a robot that is not loaded; afterwards it is, when that is possible."""
+        """Run the whole cycle of a robot that is not loaded; afterwards load it, when that is possible."""
         rows.parts.cycle.run(self._progress.time_ns)
         self._progress.robot += 1
         if rows.fits():
@@ -325,7 +325,7 @@ class CompiledRunner(Runner):
             interpreted.take_commands()
 
     def _try(self, rows: RobotRows, position: int, action: Callable[[int, float], None]) -> None:
-        """Act for one controller. If that fails, or somebody looks at the robot, the interpreter ends its cycle."""
+        """Call the action of one controller. If it fails, or unloads the robot, the interpreter ends the cycle."""
         failure: Exception | None = None
         try:
             action(self._progress.time_ns, rows.period_s())
@@ -338,7 +338,7 @@ class CompiledRunner(Runner):
             self._end_in_python(rows, position + 1, failure)
 
     def _end_in_python(self, rows: RobotRows, done: int, failure: Exception | None = None) -> None:
-        """The interpreter ends the robot's cycle, in which so many controllers had their turn."""
+        """End the robot's cycle in the interpreter; `done` of its controllers have already run in it."""
         self._unload(rows)
         time_ns = self._progress.time_ns
         rows.parts.manager.finish_update(done, time_ns, rows.period_s(), failure)

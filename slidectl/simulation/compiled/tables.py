@@ -1,7 +1,7 @@
-"""The tables of the compiled cycle: their columns and their memory, and the numbers by which it tells how far it is.
+"""The tables of the compiled cycle: their columns and memory, and the record of its progress.
 
-PIDs, limits and drives declare their own columns beside their laws; here are those of the cycle itself. The rows of
-controllers are in memory of their own. Nothing runs here.
+PIDs, limits and drives declare their own columns next to their laws; this module has those of the cycle itself. The
+rows of controllers are in memory of their own. Nothing runs in this module.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ JOINT = Columns(
     whole="qpos dof turns is_pushed",
 )
 """`qpos` and `dof` are indices into MuJoCo's arrays, `turns` is true for angles; the bounds are Gazebo's.
-`is_pushed`: the command is the effort, else a drive makes one of it."""
+`is_pushed`: the command is the effort; otherwise a drive computes the effort from it."""
 
 ROBOT = Columns(
     changing="last_update_ns last_write_ns period_ns write_period_ns period_s write_period_s",
@@ -29,7 +29,7 @@ ROBOT = Columns(
     whole="last_update_ns last_write_ns period_ns write_period_ns control_period_ns "
     "is_plain first_joint joints first_controller controllers first_limit limits first_drive drives",
 )
-"""A ControlCycle, and where the robot's rows are in the other tables. `is_plain`: the interpreter has the robot."""
+"""A ControlCycle, and the robot's ranges of rows in the other tables. `is_plain`: the interpreter runs the robot."""
 
 _PLACES = "law row members count numbers size"
 CONTROLLER = Columns(places=_PLACES, whole=_PLACES)
@@ -38,7 +38,7 @@ CONTROLLER = Columns(places=_PLACES, whole=_PLACES)
 CONTROLLER_SIZE = CONTROLLER.size
 
 INTERPRETED = 0
-"""The law of a controller that runs in the interpreter."""
+"""The address of the law of a controller that runs in the interpreter."""
 
 TABLES: dict[str, Columns] = {
     "robots": ROBOT,
@@ -50,19 +50,19 @@ TABLES: dict[str, Columns] = {
 }
 """All tables, in the order of `kernel.CycleTables`; MuJoCo's arrays follow."""
 CONSTANT = {"drives"}
-"""Tables of what never changes while it exists."""
+"""Tables whose objects never change."""
 RANGES = ("joints", "controllers", "limits", "drives")
-"""Tables of which each robot has a range of rows, as ROBOT has it."""
+"""Tables in which each robot has a range of rows; the ranges are in ROBOT."""
 
 DONE, PUBLICATION, LEFT, RAISED, ROBOT_IN_PYTHON, CONTROLLER_IN_PYTHON, STEP_IN_PYTHON, DIVERGED, FAILED = range(9)
-"""What the compiled cycle returns for: all cycles are done, the interpreter has its turn, or there is trouble. The
-first four are what a law returned: nothing, PUBLISH, LEAVE, or an exception."""
+"""Return values of the compiled cycle: all cycles are done, the interpreter has its turn, or an error. The first four
+are results of a law: nothing, PUBLISH, LEAVE, or an exception."""
 
 NEW_CYCLE = -1
 
 
 class Progress(ctypes.Structure):
-    """How far the cycles are: `robot` and `controller` have the next turn, in the cycle at `time_ns`."""
+    """The progress of the cycles: `robot` and `controller` come next, in the cycle at `time_ns`."""
 
     time_ns: int
     step_ns: int
@@ -75,7 +75,7 @@ class Progress(ctypes.Structure):
     dofs: int
     has_outside: int
     step: int
-    """Address of mj_step; 0: somebody else makes the steps."""
+    """Address of mj_step; 0: the interpreter makes the steps."""
     model: int
     data: int
     error_hook: int
@@ -90,23 +90,23 @@ Progress._fields_ = [(name, ctypes.c_int64) for name in Progress.__annotations__
 
 
 class Tables:
-    """The memory of all rows. It grows at its end: rows keep their numbers, and a table may move when it grows."""
+    """The memory of all rows. It grows at its end: rows keep their numbers, but a growing table may move."""
 
     def __init__(self) -> None:
         self.content = {name: bytearray(columns.size) for name, columns in TABLES.items()}
         self._counts = dict.fromkeys(TABLES, 0)
 
     def count(self, table: str) -> int:
-        """Rows so far."""
+        """The number of rows of a table."""
         return self._counts[table]
 
     @property
     def rows(self) -> int:
-        """Rows of all tables."""
+        """The number of rows of all tables."""
         return sum(self._counts.values())
 
     def add(self, table: str) -> int:
-        """One more row; its number. Its table may lie elsewhere afterwards."""
+        """Add a row. Returns its number. The table's address may change."""
         number = self._counts[table]
         self._counts[table] += 1
         if number > 0:
@@ -114,10 +114,10 @@ class Tables:
         return number
 
     def addresses(self) -> dict[str, int]:
-        """Where each table lies, in order; they stay there until a row is added."""
+        """The address of each table, in order; valid until a row is added."""
         return {name: address_of(table) for name, table in self.content.items()}
 
 
 def address_of(memory: Any) -> int:
-    """Where a writable buffer lies; 0 when it is empty."""
+    """The address of a writable buffer; 0 when it is empty."""
     return ctypes.addressof(ctypes.c_char.from_buffer(memory)) if len(memory) else 0
