@@ -19,8 +19,8 @@ import numpy as np
 from slidectl import measures, names
 from slidectl.errors import UnknownName, UsageError, listing
 from slidectl.fault_kinds import QUANTITIES
-from slidectl.field_path import select
 from slidectl.measures import Array, Measured, NoMeasure
+from slidectl.msgs.field_path import select
 from slidectl.msgs.schema import Schema, from_typedefs
 
 if TYPE_CHECKING:

@@ -115,7 +115,7 @@ def _show_progress(
     from rich.console import Console
     from rich.text import Text  # brackets of a field's path are no styles
 
-    from slidectl.field_path import select
+    from slidectl.msgs.field_path import select
 
     client, selection = ctx.client, select(schema.fields, schema.root, request["field"])
     kind, target, within = request["condition"], json.loads(request["value"]), request["within"]

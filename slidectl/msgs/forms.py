@@ -9,8 +9,8 @@ import re
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
-from slidectl.field_path import byte_values
-from slidectl.msgs.schema import BYTES, FLOATS, INTEGER_RANGES, TIMES, Schema
+from slidectl.msgs.field_path import byte_values
+from slidectl.msgs.schema import BYTES, CODES, FLOATS, INTEGER_RANGES, TIMES, Schema
 
 Printer = Callable[[Any], str]
 
@@ -73,7 +73,7 @@ class YamlForm:
         if depth == 1 and type_name == "string":
             lines = [f"- {text}" for text in value] if all(map(is_plain, value)) else _dumped(value).splitlines()
             return "".join([f"\n{indent}{line}" for line in lines]) or "[]"
-        if depth == 1 and (type_name in FLOATS or type_name in INTEGER_RANGES or type_name == "bool"):
+        if depth == 1 and type_name in CODES:
             elements = byte_values(value) if type_name in BYTES else value
             return f"[{', '.join([self._single(element, type_name, '', True) for element in elements])}]"
         inner = indent + "  "

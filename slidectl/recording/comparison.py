@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 from slidectl import writing
 from slidectl.errors import BadFile, Refused, UsageError, cut, listing
-from slidectl.field_path import NoElement, Selection, select
+from slidectl.msgs.field_path import NoElement, Selection, select
 from slidectl.recording.recording_files import COMPRESSIONS, Record, RecordedTopic, Recording, opened, topic_and_field
 
 LEFT_OUT = ("/rosout",)

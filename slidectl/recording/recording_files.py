@@ -22,7 +22,7 @@ from typing import Any, BinaryIO, NamedTuple
 
 from slidectl import names
 from slidectl.errors import BadFile, Refused, SlidectlError, UnknownName, UsageError
-from slidectl.field_path import Selection, select
+from slidectl.msgs.field_path import Selection, select
 from slidectl.msgs.schema import Schema
 from slidectl.recording.codec import BadDefinition, Codec
 

@@ -15,7 +15,7 @@ from urllib.parse import quote
 from slidectl import msgs
 from slidectl.client import Client
 from slidectl.errors import Refused, SlidectlError
-from slidectl.field_path import select
+from slidectl.msgs.field_path import select
 from slidectl.names import cut_from_field
 from slidectl.recording.comparison import TABLE, GoldenTable
 from slidectl.scenarios.case_run import FAILED, CaseResult
