@@ -23,7 +23,7 @@ from slidectl.errors import MessageRefused, Refused, UsageError
 if TYPE_CHECKING:
     from slidectl.cli.detached import Background
     from slidectl.recording.playback import DueMessage
-    from slidectl.recording.recording_files import RecordedTopic
+    from slidectl.recording.records import RecordedTopic
 
 _SECOND = 10**9
 _AHEAD, _AHEAD_BYTES = 1000, 4 * 1024 * 1024
