@@ -17,10 +17,10 @@ from slidectl.cli import completion, output
 from slidectl.cli.commands import command, finite, simulated_seconds
 from slidectl.cli.context import Context
 from slidectl.cli.echo import predicate
-from slidectl.cli.topic_streams import PUBLISHERS, Event, Stream, Target, look_up, nanoseconds
+from slidectl.cli.topic_streams import PUBLISHERS, Event, Stream, Target, look_up
 from slidectl.client.rate_meter import RateMeter
 from slidectl.errors import NoDaemon, Refused, TimedOut
-from slidectl.msgs.schema import Schema
+from slidectl.msgs.schema import Schema, nanoseconds
 from slidectl.msgs.serialization import packer
 
 Record = dict[str, Any]

@@ -37,6 +37,11 @@ TIMES = {
 """The parts of a time and of a duration."""
 
 
+def nanoseconds(time: Mapping[str, int]) -> int:
+    """A time or a duration, as messages have it, in nanoseconds."""
+    return time["secs"] * 10**9 + time["nsecs"]
+
+
 def _range(code: str) -> tuple[int, int]:
     count = 1 << 8 * calcsize(f"<{code}")
     return (0, count - 1) if code.isupper() else (-count // 2, count // 2 - 1)

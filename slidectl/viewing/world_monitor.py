@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from slidectl import msgs, names
 from slidectl.client.rate_meter import RateMeter
 from slidectl.errors import Refused
+from slidectl.msgs.schema import nanoseconds
 from slidectl.viewing.graph_drawing import read_graph
 
 if TYPE_CHECKING:
@@ -133,9 +134,9 @@ class FollowedTopic:
         self.subscription = client.subscribe(topic, throttle_rate=throttle_ms, take=self._take, wait=False)
 
     def _take(self, published: Record) -> None:
-        self.message, time = published["msg"], published["time"]
+        self.message = published["msg"]
         count = self.message["header"]["seq"] if self._is_counted else None
-        self._meter.take(time["secs"] * 10**9 + time["nsecs"], count)
+        self._meter.take(nanoseconds(published["time"]), count)
         self._looks = 0
 
     def rate(self, now_ns: int) -> float | None:
