@@ -19,9 +19,9 @@ import numpy as np
 from slidectl import measures, names
 from slidectl.errors import UnknownName, UsageError, listing
 from slidectl.fault_kinds import QUANTITIES
-from slidectl.field_path import select
 from slidectl.measures import Array, Measured, NoMeasure
-from slidectl.msgs.schema import Schema, from_typedefs
+from slidectl.msgs.field_path import select
+from slidectl.msgs.schema import Schema, from_typedefs, nanoseconds
 
 if TYPE_CHECKING:
     from slidectl.client import Client
@@ -315,8 +315,7 @@ def _of_topic(
     samples = _Samples(found["name"], from_typedefs(found["typedefs"]), found["field"], set_point)
 
     def take(published: dict[str, Any]) -> None:
-        time = published["time"]
-        samples.take(time["secs"] * _SECOND + time["nsecs"], published["msg"])
+        samples.take(nanoseconds(published["time"]), published["msg"])
 
     sleep = client.call_async("/slidectl/sleep", {"duration": duration}) if duration else ""
     with client.subscribe(found["name"], queue_length=_LONGEST_QUEUE, take=take) as subscription:

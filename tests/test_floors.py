@@ -13,7 +13,7 @@ from pathlib import Path
 PACKAGE = Path(__file__).parent.parent / "slidectl"
 
 FLOORS = {
-    "errors": 0, "names": 0, "expressions": 0, "fault_kinds": 0, "field_path": 0, "file_reads": 0, "paths": 0,
+    "errors": 0, "names": 0, "expressions": 0, "fault_kinds": 0, "file_reads": 0, "paths": 0,
     "logfile": 1, "processes": 1,
     "rotations": 0, "web_access": 0, "writing": 0, "msgs": 0, "measures": 1,
     "description": 1, "control": 1, "client": 1, "recording": 1,
@@ -30,7 +30,7 @@ FLOORS = {
 SAME_FLOOR = {
     ("client", "description"),
     ("control", "description"),
-    *(("msgs", room) for room in ("expressions", "field_path", "names")),
+    *(("msgs", room) for room in ("expressions", "names")),
     *((room, "errors") for room in FLOORS if not FLOORS[room]),
 }
 
@@ -41,7 +41,6 @@ FORBIDDEN = {
     "names": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "expressions": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "fault_kinds": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
-    "field_path": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "file_reads": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "paths": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "rotations": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
@@ -73,7 +72,6 @@ CLI_MAY_TAKE = {
     "names",
     "expressions",
     "fault_kinds",
-    "field_path",
     "file_reads",
     "logfile",
     "paths",

@@ -19,7 +19,8 @@ from slidectl.errors import Refused, UsageError
 
 if TYPE_CHECKING:
     from slidectl.recording.flat_rows import Rows
-    from slidectl.recording.recording_files import Record, Recording
+    from slidectl.recording.recording_files import Recording
+    from slidectl.recording.records import Record
 
 _SECOND = 10**9
 

@@ -11,11 +11,11 @@ import click
 from slidectl.cli import completion, output
 from slidectl.cli.commands import command, simulated_seconds
 from slidectl.cli.context import Context
-from slidectl.cli.topic_streams import PUBLISHERS, Event, Stream, Target, look_up, nanoseconds
+from slidectl.cli.topic_streams import PUBLISHERS, Event, Stream, Target, look_up
 from slidectl.errors import TimedOut, UsageError
-from slidectl.field_path import Selection, select
+from slidectl.msgs.field_path import Selection, select
 from slidectl.msgs.forms import CsvForm, YamlForm
-from slidectl.msgs.schema import Schema
+from slidectl.msgs.schema import Schema, nanoseconds
 
 _CLEAR = "\033[2J\033[;H"
 

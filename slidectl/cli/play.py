@@ -17,13 +17,14 @@ from slidectl.cli import completion, output
 from slidectl.cli.bag import open_recording
 from slidectl.cli.commands import command, finite, positive_seconds
 from slidectl.cli.context import Context
-from slidectl.cli.topic_streams import CLOCK, nanoseconds, paused, way_on
+from slidectl.cli.topic_streams import CLOCK, paused, way_on
 from slidectl.errors import MessageRefused, Refused, UsageError
+from slidectl.msgs.schema import nanoseconds
 
 if TYPE_CHECKING:
     from slidectl.cli.detached import Background
     from slidectl.recording.playback import DueMessage
-    from slidectl.recording.recording_files import RecordedTopic
+    from slidectl.recording.records import RecordedTopic
 
 _SECOND = 10**9
 _AHEAD, _AHEAD_BYTES = 1000, 4 * 1024 * 1024

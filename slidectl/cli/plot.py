@@ -18,8 +18,9 @@ from slidectl.cli import completion, output
 from slidectl.cli.bag import open_recording
 from slidectl.cli.commands import command, pixel_size, simulated_seconds, wait_for_world_s
 from slidectl.cli.context import Context
-from slidectl.cli.topic_streams import nanoseconds, paused, way_on
+from slidectl.cli.topic_streams import paused, way_on
 from slidectl.errors import EXIT_INTERRUPTED, NoDaemon, Refused, TimedOut, UsageError
+from slidectl.msgs.schema import nanoseconds
 from slidectl.viewing import plot_fields, plots
 from slidectl.viewing.plot_fields import TopicCurves
 from slidectl.viewing.plots import Curve, Plot

@@ -17,8 +17,8 @@ from slidectl.cli import completion, output
 from slidectl.cli.commands import command, finite
 from slidectl.cli.context import Context
 from slidectl.cli.terminal_progress import status_line
-from slidectl.cli.topic_streams import nanoseconds
 from slidectl.errors import MessageRefused, NoDaemon, Refused, SlidectlError, UnknownName, UsageError
+from slidectl.msgs.schema import nanoseconds
 
 if TYPE_CHECKING:
     from slidectl.client import Subscription

@@ -15,7 +15,7 @@ from slidectl.cli.pub import pub
 from slidectl.cli.topic_measure import bw, delay, hz
 from slidectl.cli.topic_streams import PUBLISHERS, SUBSCRIBERS, look_up, usage_of_topic, usage_of_topics, users_of
 from slidectl.errors import UsageError
-from slidectl.field_path import select
+from slidectl.msgs.field_path import select
 
 
 @group(examples=["slidectl topic list -v", "slidectl topic info joint_states", "slidectl topic hz joint_states"])

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Sequence
-from itertools import pairwise
+from collections.abc import Callable, Sequence, Sized
 from time import monotonic, monotonic_ns
 from typing import Any
 
@@ -18,9 +17,10 @@ from slidectl.cli import completion, output
 from slidectl.cli.commands import command, finite, simulated_seconds
 from slidectl.cli.context import Context
 from slidectl.cli.echo import predicate
-from slidectl.cli.topic_streams import PUBLISHERS, Event, Stream, Target, look_up, nanoseconds
+from slidectl.cli.topic_streams import PUBLISHERS, Event, Stream, Target, look_up
+from slidectl.client.rate_meter import RateMeter
 from slidectl.errors import NoDaemon, Refused, TimedOut
-from slidectl.msgs.schema import Schema
+from slidectl.msgs.schema import Schema, nanoseconds
 from slidectl.msgs.serialization import packer
 
 Record = dict[str, Any]
@@ -38,22 +38,16 @@ _LARGEST_WINDOW = 10_000_000
 class Meter:
     """Figures of the last `window` messages of a topic. `take` gets a message with its simulated arrival time."""
 
-    def __init__(self, topic: str, window: int) -> None:
+    _window: Sized
+
+    def __init__(self, topic: str) -> None:
         self.topic = topic
         self.total = self.new = 0
         """Messages in all, and since the last report."""
-        self._window: deque[tuple[float, float]] = deque(maxlen=window)
-        """A time and a number of each message. When the clock jumps back, the window is cleared."""
 
-    def take(self, event: Event) -> None:
-        raise NotImplementedError
-
-    def _count(self, time: float, number: float = 0.0) -> None:
+    def take(self, event: Event) -> None:  # noqa: ARG002
         self.total += 1
         self.new += 1
-        if self._window and time < self._window[-1][0]:
-            self._window.clear()
-        self._window.append((time, number))
 
     def record(self) -> Record:
         """The figures by name; a figure that is not known yet is None."""
@@ -63,7 +57,7 @@ class Meter:
         raise NotImplementedError
 
 
-class RateMeter(Meter):
+class IntervalMeter(Meter):
     """Intervals between messages; a silent topic keeps its rate.
 
     `time_ns` returns a message's time, `keep` whether it counts.
@@ -76,19 +70,21 @@ class RateMeter(Meter):
         time_ns: Callable[[Event], int],
         keep: Callable[[dict[str, Any]], bool] = lambda _: True,
     ) -> None:
-        super().__init__(topic, window)
+        super().__init__(topic)
+        self._window: RateMeter = RateMeter(window)
         self._time_ns = time_ns
         self._keep = keep
 
     def take(self, event: Event) -> None:
         if self._keep(event.message):
-            self._count(self._time_ns(event))
+            super().take(event)
+            self._window.take(self._time_ns(event))
 
     def _figures(self) -> Record:
         """`rate` in Hz (None when all messages came at one time), and statistics of the intervals in s."""
-        spread = spread_of([(after - before) / 1e9 for (before, _), (after, _) in pairwise(self._window)])
-        mean = spread.pop("mean")
-        return {"rate": 1.0 / mean if mean else None, **spread}
+        spread = spread_of(self._window.intervals)
+        del spread["mean"]
+        return {"rate": self._window.rate, **spread}
 
 
 class SizeMeter(Meter):
@@ -97,12 +93,18 @@ class SizeMeter(Meter):
     def __init__(
         self, topic: str, window: int, size: Callable[[dict[str, Any]], int], now: Callable[[], float]
     ) -> None:
-        super().__init__(topic, window)
+        super().__init__(topic)
+        self._window: deque[tuple[float, int]] = deque(maxlen=window)
+        """When each message came, and its bytes. A clock that jumps back starts it anew."""
         self._size = size
         self._now = now
 
     def take(self, event: Event) -> None:
-        self._count(self._now(), self._size(event.message))
+        super().take(event)
+        now = self._now()
+        if self._window and now < self._window[-1][0]:
+            self._window.clear()
+        self._window.append((now, self._size(event.message)))
 
     def _figures(self) -> Record:
         """`rate` in bytes a second, and statistics of the sizes in bytes."""
@@ -115,12 +117,17 @@ class SizeMeter(Meter):
 class DelayMeter(Meter):
     """Simulated time from a message's stamp to its arrival."""
 
+    def __init__(self, topic: str, window: int) -> None:
+        super().__init__(topic)
+        self._window: deque[float] = deque(maxlen=window)
+
     def take(self, event: Event) -> None:
-        self._count(0.0, (event.time_ns - nanoseconds(event.message["header"]["stamp"])) / 1e9)
+        super().take(event)
+        self._window.append((event.time_ns - nanoseconds(event.message["header"]["stamp"])) / 1e9)
 
     def _figures(self) -> Record:
         """`delay`, the mean, and the other statistics, in s."""
-        spread = spread_of([number for _, number in self._window])
+        spread = spread_of(self._window)
         return {"delay": spread.pop("mean"), **spread}
 
 
@@ -254,7 +261,7 @@ def rates(
     condition: str | None,
     wall_time: bool,
     sim_seconds: float | None = None,
-) -> tuple[Stream, list[RateMeter]]:
+) -> tuple[Stream, list[IntervalMeter]]:
     """The stream and the meters for the rates of topics, one meter for each.
 
     A message's time is its header's stamp, else its simulated arrival; with `wall_time` the computer's clock.
@@ -269,7 +276,7 @@ def rates(
         return lambda event: event.time_ns
 
     meters = [
-        RateMeter(topic, window, time_of(schema), predicate(condition, schema)) for topic, schema in schemas.items()
+        IntervalMeter(topic, window, time_of(schema), predicate(condition, schema)) for topic, schema in schemas.items()
     ]
     clock = not wall_time and not all(schema.has_header for schema in schemas.values())
     return Stream(ctx, list(schemas), with_clock=clock, sim_seconds=sim_seconds), meters

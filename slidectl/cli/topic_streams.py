@@ -12,7 +12,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from slidectl.cli.output import check_reader
-from slidectl.msgs.schema import Schema, Typedefs, from_typedefs
+from slidectl.msgs.schema import Schema, Typedefs, from_typedefs, nanoseconds
 
 if TYPE_CHECKING:
     from slidectl.cli.context import Context
@@ -183,11 +183,6 @@ def way_on(status: dict[str, Any]) -> str:
     if status["trouble"]:
         return "slidectl sim reset, then slidectl sim resume"
     return "slidectl sim resume, or slidectl sim step"
-
-
-def nanoseconds(time: dict[str, int]) -> int:
-    """A time message in nanoseconds."""
-    return time["secs"] * 10**9 + time["nsecs"]
 
 
 # --- text -----------------------------------------------------------------------------------------------------------

@@ -12,9 +12,9 @@ import click
 from slidectl.cli import completion, output, robots
 from slidectl.cli.commands import command, finite, simulated_seconds, wait_for_world_s
 from slidectl.cli.context import Context
-from slidectl.cli.topic_streams import PUBLISHERS, look_up, nanoseconds, paused, way_on
+from slidectl.cli.topic_streams import PUBLISHERS, look_up, paused, way_on
 from slidectl.errors import Refused, SlidectlError, TimedOut, UsageError
-from slidectl.msgs.schema import Schema
+from slidectl.msgs.schema import Schema, nanoseconds
 
 _LOOK_EVERY_S = 0.2
 
@@ -115,7 +115,7 @@ def _show_progress(
     from rich.console import Console
     from rich.text import Text  # rich must not read brackets in a field's path as styles
 
-    from slidectl.field_path import select
+    from slidectl.msgs.field_path import select
 
     client, selection = ctx.client, select(schema.fields, schema.root, request["field"])
     kind, target, within = request["condition"], json.loads(request["value"]), request["within"]

@@ -58,8 +58,3 @@ def to_stamp(ns: int) -> dict[str, int]:
 def header_of(ns: int, frame: str = "") -> dict[str, Any]:
     """std_msgs/Header of a message of that time. Its publisher numbers it."""
     return {"seq": 0, "stamp": to_stamp(ns), "frame_id": frame}
-
-
-def from_stamp(stamp: dict[str, int]) -> int:
-    """Nanoseconds of a time or duration on a message."""
-    return stamp["secs"] * NANOSECONDS + stamp["nsecs"]

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any
 import slidectl
 from slidectl import msgs, names
 from slidectl.client.lines import LONGEST_LINE, BadLine, check_size, decode, encode
-from slidectl.control.duration import from_stamp
 from slidectl.control.node_handle import Reasons
 from slidectl.daemon.outbox import Feed, Publications, Reader
 from slidectl.errors import AmbiguousName, NoDescriptors, Refused, SlidectlError, UsageError, listing
+from slidectl.msgs.schema import nanoseconds
 from slidectl.simulation.clock import Timer
 from slidectl.simulation.graph import Graph
 from slidectl.simulation.pending import Pending
@@ -209,7 +209,7 @@ class Session:
             self._publish_now(message)
             return
         topic = _name(message, "topic")
-        due_ns, now_ns = _nanoseconds(at), self._graph.clock.time_ns
+        due_ns, now_ns = _checked_nanoseconds(at), self._graph.clock.time_ns
         if due_ns <= now_ns:
             self._publish_now(message, is_late=due_ns < now_ns)
             return
@@ -450,12 +450,12 @@ def _number(message: Message, key: str) -> float:
     return value
 
 
-def _nanoseconds(time: Any) -> int:
+def _checked_nanoseconds(time: Any) -> int:
     """A message time in ns. Raises UsageError."""
     parts = [time.get(part) for part in ("secs", "nsecs")] if isinstance(time, dict) else [None]
     if not all(isinstance(part, int) and 0 <= part < 2**32 for part in parts):
         raise UsageError(f"'at' is a time, {{secs, nsecs}}, not {_shortened(time)}")
-    return from_stamp(time)
+    return nanoseconds(time)
 
 
 def _shortened(value: Any) -> str:

@@ -25,7 +25,6 @@ Checker = Callable[[Any], Any]
 _FLOAT32 = Struct("=f")
 _FLOAT32_MAX = 3.4028234663852886e38
 _NS = 1_000_000_000
-_SECONDS_RANGE = {"time": INTEGER_RANGES["uint32"], "duration": INTEGER_RANGES["int32"]}
 _DEFAULTS: dict[str, Any] = {**dict.fromkeys(INTEGER_RANGES, 0), **dict.fromkeys(FLOATS, 0.0), "bool": False}
 _DEFAULTS["string"] = ""
 _BYTES_WANTED = "base64 text or a list of integers from 0 to 255"
@@ -180,7 +179,7 @@ def _message_checker(type_name: str) -> Checker:
 def _checker_and_default(field: Field) -> tuple[Checker, Callable[[], Any]]:
     """How the field is checked, and what makes the value of one that is not given."""
     element = checker_of(field.type)
-    is_single_value = field.type in PRIMITIVES - TIMES
+    is_single_value = field.type in PRIMITIVES - TIMES.keys()
     make_one = partial(_DEFAULTS.get, field.type) if is_single_value else partial(element, {})
     if field.array == SCALAR:
         return element, make_one
@@ -291,7 +290,7 @@ def _check_string(value: Any) -> str:
 
 def _time_checker(type_name: str) -> Checker:
     """The checker of `time` or `duration`: {"secs", "nsecs"}, brought to 0 <= nsecs < 10^9 as ROS does."""
-    lowest, highest = _SECONDS_RANGE[type_name]
+    lowest, highest = INTEGER_RANGES[TIMES[type_name][0].type]
     integer = _integer_checker("int64")
 
     def check_time(value: Any) -> dict[str, int]:

@@ -9,8 +9,8 @@ import re
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
-from slidectl.field_path import byte_values
-from slidectl.msgs.schema import BYTES, FLOATS, INTEGER_RANGES, TIMES, Schema
+from slidectl.msgs.field_path import byte_values
+from slidectl.msgs.schema import BYTES, CODES, FLOATS, INTEGER_RANGES, TIMES, Schema, nanoseconds
 
 Printer = Callable[[Any], str]
 
@@ -73,7 +73,7 @@ class YamlForm:
         if depth == 1 and type_name == "string":
             lines = [f"- {text}" for text in value] if all(map(is_plain, value)) else _dumped(value).splitlines()
             return "".join([f"\n{indent}{line}" for line in lines]) or "[]"
-        if depth == 1 and (type_name in FLOATS or type_name in INTEGER_RANGES or type_name == "bool"):
+        if depth == 1 and type_name in CODES:
             elements = byte_values(value) if type_name in BYTES else value
             return f"[{', '.join([self._single(element, type_name, '', True) for element in elements])}]"
         inner = indent + "  "
@@ -108,7 +108,7 @@ class YamlForm:
     def _time(self, value: dict[str, int], type_name: str, indent: str) -> str:
         secs, nsecs = value["secs"], value["nsecs"]
         if self.offset_ns and type_name == "time":
-            secs, nsecs = divmod(secs * 10**9 + nsecs - self.offset_ns, 10**9)
+            secs, nsecs = divmod(nanoseconds(value) - self.offset_ns, 10**9)
         padded = "%9d" if self._width is None else self._integer
         return f"\n{indent}secs: {self._integer % secs}\n{indent}nsecs: {padded % nsecs}"
 
@@ -169,8 +169,7 @@ class CsvForm:
         if type_name in FLOATS:
             return "nan" if value is None else repr(float(value))
         if type_name in TIMES:
-            nanoseconds = value["secs"] * 10**9 + value["nsecs"]
-            return str(nanoseconds - self.offset_ns if type_name == "time" else nanoseconds)
+            return str(nanoseconds(value) - (self.offset_ns if type_name == "time" else 0))
         if type_name == "bool":
             return "1" if value else "0"
         text = str(value)

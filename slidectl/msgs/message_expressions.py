@@ -15,14 +15,15 @@ from typing import Any
 
 from slidectl.errors import Refused, UnknownName, UsageError, closest
 from slidectl.expressions import FUNCTIONS, MATH, evaluate, parsed
-from slidectl.field_path import byte_values
+from slidectl.msgs.field_path import byte_values
 from slidectl.msgs.schema import BYTES, FLOATS, INTEGER_RANGES, TIMES, Field, Schema
 
 _LONGEST = 4000
 _MOST_STEPS = 10_000_000
 """More than a launch file may take: every element of an array of the message counts as one."""
 _NOT_FINITE = re.compile(r"\s*[-+]?(nan|inf)\s*\Z", re.IGNORECASE)
-_TIME_PARTS = ("secs", "nsecs", "to_sec", "to_nsec")
+_TIMES = {name: (*parts, Field("to_sec", ""), Field("to_nsec", "")) for name, parts in TIMES.items()}
+"""What a time has here: its parts, and the functions of rospy."""
 
 
 class _Record:
@@ -102,7 +103,7 @@ class Filter:
             return owner
         if isinstance(node, ast.Subscript):
             return Field(owner.name, owner.type)
-        fields = self._schema.fields(owner.type) or [Field(n, "int32") for n in _TIME_PARTS if owner.type in TIMES]
+        fields = self._schema.fields(owner.type) or _TIMES.get(owner.type)
         if not fields or owner.array >= 0:
             return None  # a method of a text or of a list
         for field in fields:

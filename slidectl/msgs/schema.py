@@ -6,22 +6,10 @@ Plain records and tables: nothing here reads a definition.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from struct import calcsize
 from typing import Any, NamedTuple
 
 SCALAR = -1
-
-INTEGER_RANGES = {
-    **{f"int{bits}": (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) for bits in (8, 16, 32, 64)},
-    **{f"uint{bits}": (0, 2**bits - 1) for bits in (8, 16, 32, 64)},
-    "byte": (-128, 127),
-    "char": (0, 255),
-}
-"""ROS 1's integers with their lowest and highest value. `byte` is an int8 and `char` an uint8 there."""
-FLOATS = frozenset({"float32", "float64"})
-TIMES = frozenset({"time", "duration"})
-BYTES = frozenset({"uint8", "char"})
-"""Arrays of these are base64 text in a message, as on the wire."""
-PRIMITIVES = frozenset(INTEGER_RANGES) | FLOATS | TIMES | {"bool", "string"}
 
 
 class Field(NamedTuple):
@@ -35,6 +23,36 @@ class Field(NamedTuple):
     def type_text(self) -> str:
         """The type as a definition writes it: `float64`, `float64[]`, `float64[9]`."""
         return self.type + ("" if self.array == SCALAR else f"[{self.array or ''}]")
+
+
+CODES = {
+    "bool": "?", "int8": "b", "byte": "b", "uint8": "B", "char": "B", "int16": "h", "uint16": "H", "int32": "i",
+    "uint32": "I", "int64": "q", "uint64": "Q", "float32": "f", "float64": "d",
+}  # fmt: skip
+"""ROS 1's numbers with their codes of `struct`, little-endian. `byte` is an int8 and `char` an uint8 there."""
+TIMES = {
+    "time": (Field("secs", "uint32"), Field("nsecs", "uint32")),
+    "duration": (Field("secs", "int32"), Field("nsecs", "int32")),
+}
+"""The parts of a time and of a duration."""
+
+
+def nanoseconds(time: Mapping[str, int]) -> int:
+    """A time or a duration, as messages have it, in nanoseconds."""
+    return time["secs"] * 10**9 + time["nsecs"]
+
+
+def _range(code: str) -> tuple[int, int]:
+    count = 1 << 8 * calcsize(f"<{code}")
+    return (0, count - 1) if code.isupper() else (-count // 2, count // 2 - 1)
+
+
+FLOATS = frozenset(kind for kind, code in CODES.items() if code in "fd")
+INTEGER_RANGES = {kind: _range(code) for kind, code in CODES.items() if code not in "fd?"}
+"""The lowest and the highest value."""
+BYTES = frozenset(kind for kind, code in CODES.items() if code == "B")
+"""Arrays of these are base64 text in a message, as on the wire."""
+PRIMITIVES = frozenset({*CODES, *TIMES, "string"})
 
 
 FieldsOf = Callable[[str], Sequence[Field]]

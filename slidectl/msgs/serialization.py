@@ -11,14 +11,10 @@ from collections.abc import Callable
 from struct import Struct, pack, unpack_from
 from typing import Any
 
-from slidectl.msgs.schema import BYTES, FLOATS, SCALAR, TIMES, Field, FieldsOf
+from slidectl.msgs.schema import BYTES, CODES, FLOATS, SCALAR, TIMES, Field, FieldsOf
 
 Message = dict[str, Any]
 
-_CODES = {
-    "bool": "?", "int8": "b", "byte": "b", "uint8": "B", "char": "B", "int16": "h", "uint16": "H", "int32": "i",
-    "uint32": "I", "int64": "q", "uint64": "Q", "float32": "f", "float64": "d",
-}  # fmt: skip
 _MOST_LINES = 20_000
 """Of one function: types that nest others many times over could make it grow without end."""
 
@@ -105,7 +101,7 @@ class _Packer(_Source):
         self._values.append(value)
 
     def _fields(self, type_name: str, message: str) -> None:
-        for field in self._fields_of(type_name):
+        for field in TIMES.get(type_name) or self._fields_of(type_name):
             value = f"{message}[{field.name!r}]"
             if field.array == SCALAR:
                 self._one(field.type, value)
@@ -114,9 +110,9 @@ class _Packer(_Source):
 
     def _one(self, kind: str, value: str) -> None:
         if kind in FLOATS:
-            self._number(_CODES[kind], f"nan if (f := {value}) is None else f")
-        elif kind in _CODES:
-            self._number(_CODES[kind], value)
+            self._number(CODES[kind], f"nan if (f := {value}) is None else f")
+        elif kind in CODES:
+            self._number(CODES[kind], value)
         elif kind == "string":
             text = self._name()
             self._line(f"{text} = {value}.encode()")
@@ -126,11 +122,7 @@ class _Packer(_Source):
         else:
             inner = self._name()
             self._line(f"{inner} = {value}")
-            if kind in TIMES:
-                self._number("I" if kind == "time" else "i", f"{inner}['secs']")
-                self._number("I" if kind == "time" else "i", f"{inner}['nsecs']")
-            else:
-                self._fields(kind, inner)
+            self._fields(kind, inner)
 
     def _list(self, field: Field, value: str) -> None:
         values = self._name()
@@ -142,9 +134,9 @@ class _Packer(_Source):
         self._flush()
         if field.type in BYTES:
             self._line(f"add({values})")
-        elif field.type in _CODES:
+        elif field.type in CODES:
             given = f"numbers({values})" if field.type in FLOATS else values
-            self._line(f"add(pack('<%d{_CODES[field.type]}' % len({values}), *{given}))")
+            self._line(f"add(pack('<%d{CODES[field.type]}' % len({values}), *{given}))")
         else:
             element = self._name()
             self._line(f"for {element} in {values}:")
@@ -188,20 +180,17 @@ class _Unpacker(_Source):
     def _fields(self, type_name: str) -> str:
         """An expression for the message; what it needs is read by the lines before."""
         parts = []
-        for field in self._fields_of(type_name):
+        for field in TIMES.get(type_name) or self._fields_of(type_name):
             value = self._one(field.type) if field.array == SCALAR else self._list(field)
             parts.append(f"{field.name!r}: {value}")
         return "{" + ", ".join(parts) + "}"
 
     def _one(self, kind: str) -> str:
-        if kind in _CODES:
-            return self._number(_CODES[kind])
+        if kind in CODES:
+            return self._number(CODES[kind])
         if kind == "string":
             piece = self._piece(self._number("I"))
             return f"{piece}.decode('utf-8', 'replace')"
-        if kind in TIMES:
-            secs, nsecs = (self._number("I" if kind == "time" else "i") for _ in range(2))
-            return f"{{'secs': {secs}, 'nsecs': {nsecs}}}"
         return self._fields(kind)
 
     def _piece(self, length: str) -> str:
@@ -222,9 +211,9 @@ class _Unpacker(_Source):
         self._line(f"left -= {count}")
         self._line("if left < 0: raise ValueError(f'more than {most} values')")
         values = self._name()
-        if field.type in _CODES:
-            width = Struct("<" + _CODES[field.type]).size
-            self._line(f"{values} = list(unpack_from('<%d{_CODES[field.type]}' % {count}, data, p))")
+        if field.type in CODES:
+            width = Struct("<" + CODES[field.type]).size
+            self._line(f"{values} = list(unpack_from('<%d{CODES[field.type]}' % {count}, data, p))")
             self._line(f"p += {width} * {count}")
         else:
             self._line(f"{values} = []")

@@ -128,7 +128,7 @@ class Motors:
         self._rows = np.count_nonzero(data.eq_active) + np.searchsorted(frictional, self._dofs)
         self.table = np.zeros(HEADER + len(motors) * MOTOR)
         if motors:
-            variables = [data._address + place for place in mujoco_library.constraint_variables()]
+            variables = [mujoco_library.struct_address(data) + place for place in mujoco_library.constraint_variables()]
             stages = [mujoco_library.address_of(stage) for stage in _STAGES]
             self.table[:HEADER] = len(self._dofs), model.opt.timestep, *variables, *stages
             columns = (self._dofs, self._coordinates, self._rows, self._bounds_of_dofs, self._weights)

@@ -62,6 +62,11 @@ def prepare() -> None:
         ctypes.c_void_p.in_dll(library, "mjcb_time").value = None
 
 
+def struct_address(struct: mujoco.MjModel | mujoco.MjData) -> int:
+    """Where a model or its state lies in memory. MuJoCo's Python layer tells it in `_address` alone."""
+    return int(struct._address)
+
+
 def address_of(function: str) -> int:
     """Where a function of MuJoCo's is, for code that calls it without Python; 0 when the library is not found."""
     library = _library()
@@ -87,7 +92,7 @@ def constraint_variables() -> tuple[int, int]:
     for _ in range(2):
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
-        found.append([_find(array.ctypes.data, data._address) for array in (data.efc_aref, data.efc_force)])
+        found.append([_find(array.ctypes.data, struct_address(data)) for array in (data.efc_aref, data.efc_force)])
     references, forces = found[0]
     return (references, forces) if found[0] == found[1] else (0, 0)
 

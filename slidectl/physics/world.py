@@ -289,7 +289,8 @@ class World:
         loads, motors = self.loads, self.loads.motors
         state = (data.qpos, data.qvel, data.qfrc_applied, loads.efforts)
         arrays = (*state, motors.velocities, motors.table, model.dof_frictionloss, model.dof_invweight0)
-        return Memory(model._address, data._address, model.nq, model.nv, [array.ctypes.data for array in arrays])
+        addresses = mujoco_library.struct_address(model), mujoco_library.struct_address(data)
+        return Memory(*addresses, model.nq, model.nv, [array.ctypes.data for array in arrays])
 
     def check(self) -> None:
         """Raises Diverged when a robot's state is not finite or huge. A few microseconds: meant for once per slice."""

@@ -18,8 +18,9 @@ from typing import Any, NamedTuple
 
 from slidectl import writing
 from slidectl.errors import BadFile, Refused, UsageError, cut, listing
-from slidectl.field_path import NoElement, Selection, select
-from slidectl.recording.recording_files import COMPRESSIONS, Record, RecordedTopic, Recording, opened, topic_and_field
+from slidectl.msgs.field_path import NoElement, Selection, select
+from slidectl.recording.recording_files import COMPRESSIONS, Recording, opened, topic_and_field
+from slidectl.recording.records import Record, RecordedTopic
 
 LEFT_OUT = ("/rosout",)
 """Topics that are not compared unless a field of them is asked for."""

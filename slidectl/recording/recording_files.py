@@ -7,7 +7,6 @@ left has no index then; it is read from the beginning to where it ends, and says
 from __future__ import annotations
 
 import fcntl
-import io
 import math
 import os
 import struct
@@ -15,16 +14,17 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, BinaryIO
 
 from slidectl import names
 from slidectl.errors import BadFile, Refused, SlidectlError, UnknownName, UsageError
-from slidectl.field_path import Selection, select
+from slidectl.msgs.field_path import Selection, select
 from slidectl.msgs.schema import Schema
 from slidectl.recording.codec import BadDefinition, Codec
+from slidectl.recording.records import Record, RecordedTopic
 
 COMPRESSIONS = {".bag": ("none", "bz2", "lz4"), ".mcap": ("none", "lz4", "zstd")}
 EVERY_CYCLE = "/clock|/gazebo/(link|model)_states"
@@ -36,8 +36,6 @@ _LOOK_AT_SIZE = 64
 """Messages between two looks at the file's size."""
 _BAG_MAGIC = b"#ROSBAG V2.0\n"
 _MCAP_MAGIC = b"\x89MCAP0\r\n"
-_NO_TIME_NS = 1
-"""What stands in a bag for the time 0, which rosbag does not take."""
 
 
 class NoMcap(Refused):
@@ -61,28 +59,6 @@ class BadRecording(BadFile):
 
 class NotARecording(BadRecording):
     """A file of another kind."""
-
-
-@dataclass(frozen=True)
-class RecordedTopic:
-    """One topic of a recording. Two are the same when they were written by the same publisher."""
-
-    number: int
-    topic: str
-    type: str
-    definition: str = field(repr=False)
-    md5: str
-    latching: bool = False
-    callerid: str = ""
-    """The node that published, where the recording says so."""
-
-
-class Record(NamedTuple):
-    """One message of a recording: its bytes, and the time in ns at which it was recorded."""
-
-    channel: RecordedTopic
-    time_ns: int
-    raw: bytes
 
 
 @dataclass
@@ -184,21 +160,10 @@ def refuse_existing(path: Path) -> None:
 class _BagWriter(RecordingWriter):
     def __init__(self, path: Path, compression: str) -> None:
         super().__init__(path)
-        from rosbags.rosbag1 import Writer
+        from slidectl.recording.rosbags_adapter import ChunkWriter
 
-        self._writer = Writer(path)
-        self._writer.chunk_threshold = CHUNK
-        if compression != "none":
-            self._writer.set_compression(Writer.CompressionFormat[compression.upper()])
-        if compression == "lz4":  # the frames that the real rosbag understands are not those of the library
-            from lz4 import frame
-
-            self._writer.compressor = lambda chunk: frame.compress(
-                chunk, 0, block_linked=False, content_checksum=True, store_size=False
-            )
-        self._writer.open()
-        assert self._writer.bio is not None
-        self.file = self._writer.bio
+        self._writer = ChunkWriter(path, compression, CHUNK)
+        self.file = self._writer.file
 
     def add(self, topic: str, codec: Codec, latching: bool, callerid: str = "") -> Any:
         kind, node = codec.type.replace("/", "/msg/"), callerid or None
@@ -207,21 +172,10 @@ class _BagWriter(RecordingWriter):
         )
 
     def write(self, topic: Any, time_ns: int, raw: bytes) -> None:
-        before = len(self._writer.chunks)
-        self._writer.write(topic, time_ns or _NO_TIME_NS, raw)
-        if len(self._writer.chunks) > before:
-            self._forget_index()
+        self._writer.write(topic, time_ns, raw)
 
     def flush(self) -> None:
-        self._writer.write_chunk(self._writer.chunks[-1])
-        self._forget_index()
-        self.file.flush()
-
-    def _forget_index(self) -> None:
-        """Of a chunk that is in the file the library wants no more than how many messages each topic has in it."""
-        for chunk in self._writer.chunks[-2:-1]:
-            for number, entries in chunk.connections.items():
-                chunk.connections[number] = range(len(entries))  # type: ignore[assignment]
+        self._writer.flush()
 
     def close(self) -> None:
         try:
@@ -494,21 +448,16 @@ def opened(path: Path) -> Recording:
 
 
 def _open_bag(path: Path, file: BinaryIO) -> Recording:
-    from rosbags.rosbag1 import reader
+    from slidectl.recording.rosbags_adapter import index_and_chunks
 
-    header = reader.Header.read(file, reader.RecordType.BAGHEADER)
-    index = header.get_uint64("index_pos")
+    index, chunks = index_and_chunks(file)
     size = os.fstat(file.fileno()).st_size
-    if 0 < index < size or (index == size and not header.get_uint32("chunk_count")):
+    if 0 < index < size or (index == size and not chunks):
         try:
             return _BagRecording(path, file)
         except Exception:  # the library raises many classes
             return _CutBag(path, file, "its index is damaged")
     return _CutBag(path, file, "it was not closed" if not index else "it is cut off")
-
-
-def _bag_time(time_ns: int) -> int:
-    return 0 if time_ns == _NO_TIME_NS else time_ns
 
 
 class _BagRecording(Recording):
@@ -530,29 +479,28 @@ class _BagRecording(Recording):
         by_id = {channel.number: channel for channel in self.channels if topics is None or channel.topic in topics}
         if not by_id:
             return
+        from slidectl.recording.rosbags_adapter import bag_time
+
         with _library_errors_as_bad_recording(self.path):
             for connection, time_ns, raw in self._reader.messages([self._connections[number] for number in by_id]):
-                yield Record(by_id[connection.id], _bag_time(time_ns), raw)
+                yield Record(by_id[connection.id], bag_time(time_ns), raw)
 
     def summary(self) -> Summary:
+        from slidectl.recording.rosbags_adapter import bag_time, chunks_and_compression
+
         reader = self._reader
         counts = Counter(dict.fromkeys(self.topics, 0))
         for connection in reader.connections:
             counts[connection.topic] += connection.msgcount
-        chunks = [chunk for chunk in reader.chunk_infos if chunk.connection_counts]
-        begin = min((_bag_time(chunk.start_time) for chunk in chunks), default=None)
-        end = max((chunk.end_time - 1 for chunk in chunks), default=None)
-        return Summary(begin, end, counts, self._compression(), len(reader.chunk_infos))
-
-    def _compression(self) -> str:
-        from rosbags.rosbag1 import reader
-
-        names = {function: name for name, function in reader.decompressors.items()}
-        return next((names[chunk.decompressor] for chunk in self._reader.chunks.values()), "none")
+        begin, end = (bag_time(reader.start_time), reader.end_time - 1) if counts.total() else (None, None)
+        chunks, compression = chunks_and_compression(reader)
+        return Summary(begin, end, counts, compression, chunks)
 
     def close(self) -> None:
+        from rosbags.rosbag1 import ReaderError
+
         super().close()
-        if self._reader.bio is not None:
+        with suppress(ReaderError):  # it was closed before
             self._reader.close()
 
 
@@ -597,37 +545,15 @@ class _Scanned(Recording):
 
 class _CutBag(_Scanned):
     def _scan(self) -> Iterator[Record]:
-        from rosbags.rosbag1 import reader
+        from slidectl.recording.rosbags_adapter import chunks
 
-        kinds = reader.RecordType
         self.chunks = 0
         self._file.seek(len(_BAG_MAGIC))
         with suppress(Exception):  # where the file is cut off, or what follows is no record
-            while True:
-                header = reader.Header.read(self._file)
-                data = reader.read_bytes(self._file, reader.read_uint32(self._file))
-                if header.get_uint8("op") == kinds.CHUNK:
-                    self.compression = header.get_string("compression")
-                    inside = io.BytesIO(reader.decompressors[self.compression](data))
-                    self.chunks += 1
-                    yield from self._inside(inside, len(inside.getbuffer()))
-
-    def _inside(self, chunk: io.BytesIO, size: int) -> Iterator[Record]:
-        from rosbags.rosbag1 import reader
-
-        while chunk.tell() < size:
-            header = reader.Header.read(chunk)
-            number = header.get_uint32("conn")
-            data = reader.read_bytes(chunk, reader.read_uint32(chunk))
-            if header.get_uint8("op") == reader.RecordType.MSGDATA:
-                yield Record(self._known[number], _bag_time(header.get_time("time")), data)
-            elif number not in self._known:
-                about = reader.Header.read(io.BytesIO(struct.pack("<L", len(data)) + data))
-                latching = about.get("latching", b"0") == b"1"
-                kind, text, md5 = (about.get_string(name) for name in ("type", "message_definition", "md5sum"))
-                callerid = about.get("callerid", b"").decode("utf-8", "replace")
-                topic = header.get_string("topic")
-                self._known[number] = RecordedTopic(number, topic, kind, text, md5, latching, callerid)
+            for compression, records in chunks(self._file, self._known):
+                self.compression = compression
+                self.chunks += 1
+                yield from records
 
 
 class _McapRecording(_Scanned):

@@ -15,7 +15,8 @@ from urllib.parse import quote
 from slidectl import msgs
 from slidectl.client import Client
 from slidectl.errors import Refused, SlidectlError
-from slidectl.field_path import select
+from slidectl.msgs.field_path import select
+from slidectl.msgs.schema import nanoseconds
 from slidectl.names import cut_from_field
 from slidectl.recording.comparison import TABLE, GoldenTable
 from slidectl.scenarios.case_run import FAILED, CaseResult
@@ -54,8 +55,7 @@ class RecordedFields:
         return any(topic == name or topic.endswith(f"/{name}") for name in self._names)
 
     def _take(self, published: dict[str, Any]) -> None:
-        time = published["time"]
-        self._records.append((published["topic"], time["secs"] * 10**9 + time["nsecs"], published["msg"]))
+        self._records.append((published["topic"], nanoseconds(published["time"]), published["msg"]))
 
     def table(self) -> GoldenTable:
         """What had come at the last look. Raises UnknownName, AmbiguousName, Refused."""

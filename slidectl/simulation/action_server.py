@@ -7,8 +7,9 @@ decides whether the goal is accepted and how it ends. It knows topics and simula
 from __future__ import annotations
 
 from slidectl import msgs
-from slidectl.control.duration import NANOSECONDS, from_stamp, header_of, to_stamp
+from slidectl.control.duration import NANOSECONDS, header_of, to_stamp
 from slidectl.control.node_handle import GoalCallback, GoalStatus, Message, NodeHandle
+from slidectl.msgs.schema import nanoseconds
 
 STATUS_PERIOD_NS = NANOSECONDS // 5
 KEPT_NS = 5 * NANOSECONDS
@@ -24,7 +25,7 @@ class ActionGoal:
 
     def __init__(self, server: ActionServer, goal_id: Message, goal: Message) -> None:
         self.id: str = goal_id["id"]
-        self.stamp_ns = from_stamp(goal_id["stamp"])
+        self.stamp_ns = nanoseconds(goal_id["stamp"])
         self.goal = goal
         self.state = GoalStatus.PENDING
         self.text = ""
@@ -168,7 +169,7 @@ class ActionServer:
     def _take_cancel(self, message: Message) -> None:
         """Cancel the goal of this id and all up to this stamp; without both, all. An id may arrive before its goal."""
         self._look_at_clock()
-        wanted, stamp_ns = message["id"], from_stamp(message["stamp"])
+        wanted, stamp_ns = message["id"], nanoseconds(message["stamp"])
         is_known = False
         for goal in list(self._goals):
             is_known = is_known or goal.id == wanted

@@ -10,9 +10,10 @@ import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from slidectl.control.duration import from_stamp, header_of
+from slidectl.control.duration import header_of
 from slidectl.control.node_handle import Message
 from slidectl.errors import Refused
+from slidectl.msgs.schema import nanoseconds
 from slidectl.rotations import IDENTITY, Pose, Vector, add, compose, cross, from_rpy, rotate, subtract
 from slidectl.simulation.clock import EACH_STEP_NS
 from slidectl.simulation.entities import WORLD_FRAMES
@@ -237,7 +238,7 @@ class GazeboServices:
 
     def _span(self, request: Message) -> tuple[int, int]:
         """Start and duration in ns. A start in the past means now; a negative duration lasts until it is cleared."""
-        return max(from_stamp(request["start_time"]), self._simulation.time_ns), from_stamp(request["duration"])
+        return max(nanoseconds(request["start_time"]), self._simulation.time_ns), nanoseconds(request["duration"])
 
     def _clear_joint(self, request: Message) -> None:
         self._world.clear_joint_forces(*self._entities.find("joint", request["joint_name"]))

@@ -16,9 +16,10 @@ from typing import TYPE_CHECKING
 from slidectl.control import registry
 from slidectl.control.controller_interface import State
 from slidectl.control.controller_manager import STRICT
-from slidectl.control.duration import from_stamp, to_seconds
+from slidectl.control.duration import to_seconds
 from slidectl.control.node_handle import Message, Reasons
 from slidectl.errors import Reason, Refused, SlidectlError
+from slidectl.msgs.schema import nanoseconds
 from slidectl.simulation.clock import Timer
 from slidectl.simulation.pending import Pending
 
@@ -174,7 +175,7 @@ class ManagerServices:
             "stop_controllers": request["deactivate_controllers"],
             "strictness": request["strictness"],
             "start_asap": request["activate_asap"],
-            "timeout": to_seconds(from_stamp(request["timeout"])),
+            "timeout": to_seconds(nanoseconds(request["timeout"])),
         }
         reasons = self._node.reasons
         return self._take(self._start_switch, asked).converted(

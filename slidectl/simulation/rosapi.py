@@ -116,12 +116,12 @@ def typedefs(type_name: str) -> list[Message]:
 
 
 def _typedefs(type_name: str, seen: set[str]) -> Iterator[Message]:
-    """The type definitions; times are types of their own in rosapi."""
+    """The type definitions; times are types of their own in rosapi, which says int32 of the parts of both."""
     if type_name in seen:
         return
     seen.add(type_name)
     is_time = type_name in TIMES
-    fields = [msgs.Field(name, "int32") for name in ("secs", "nsecs")] if is_time else msgs.fields(type_name)
+    fields = TIMES["duration"] if is_time else msgs.fields(type_name)
     constants = [] if is_time else sorted(msgs.constants(type_name))
     example = msgs.default(type_name)
     yield {

@@ -14,7 +14,7 @@ from slidectl import msgs
 from slidectl.control.duration import from_seconds
 from slidectl.control.node_handle import Message
 from slidectl.errors import BadMessage, Refused, UnknownName
-from slidectl.field_path import NoElement, select
+from slidectl.msgs.field_path import NoElement, select
 from slidectl.names import OWN_NODE
 from slidectl.simulation.clock import Timer
 from slidectl.simulation.graph import Graph

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 from slidectl import names
 from slidectl.errors import AmbiguousName, BadFile, Refused, UnknownName, UsageError, listing
 from slidectl.fault_kinds import QUANTITIES
-from slidectl.field_path import NoElement, Selection, select
+from slidectl.msgs.field_path import NoElement, Selection, select
 from slidectl.msgs.schema import PRIMITIVES, TIMES, Schema, from_typedefs
 from slidectl.traces import JOINT_UNITS, number
 from slidectl.viewing.plots import Curve

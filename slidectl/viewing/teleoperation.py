@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from slidectl import names
 from slidectl.errors import Refused
+from slidectl.msgs.schema import nanoseconds
 
 if TYPE_CHECKING:
     from slidectl.client import Client
@@ -124,11 +125,11 @@ It stops when the key is let go; any other key stops it at once."""
             self._set_point = joint.get("position")
 
     def _take(self, published: Message) -> None:
-        if self._set_point is None and _nanoseconds(published["time"]) > self._time_ns:
+        if self._set_point is None and nanoseconds(published["time"]) > self._time_ns:
             self._set_point = float(published["msg"]["set_point"])
 
     def _now_ns(self) -> int:
-        return _nanoseconds(self._client.call("/rosapi/get_time")["time"])
+        return nanoseconds(self._client.call("/rosapi/get_time")["time"])
 
     def stop(self) -> None:
         self._direction = 0
@@ -170,10 +171,6 @@ def _joints(client: Client) -> dict[str, tuple[Message, Message]]:
         for joint in robot["joints"]
         if joint["position"] is not None
     }
-
-
-def _nanoseconds(time: Message) -> int:
-    return int(time["secs"]) * 10**9 + int(time["nsecs"])
 
 
 def _controller_of(client: Client, robot: Message, joint: str) -> tuple[str, str]:

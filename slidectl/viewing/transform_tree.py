@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 from slidectl import names
 from slidectl.errors import AmbiguousName, Refused, UnknownName
+from slidectl.msgs.schema import nanoseconds
 from slidectl.rotations import IDENTITY, Quaternion, Vector, conjugate, multiply, normalized
 
 MOVING, STATIC = "/tf", "/tf_static"
@@ -54,7 +55,7 @@ class Frames:
         for stamped in message["transforms"]:
             header = stamped["header"]
             child = _plain(stamped["child_frame_id"])
-            time_ns = header["stamp"]["secs"] * 10**9 + header["stamp"]["nsecs"]
+            time_ns = nanoseconds(header["stamp"])
             self.edges[child] = Edge(_plain(header["frame_id"]), _pose(stamped["transform"]), time_ns, is_static)
 
     @property

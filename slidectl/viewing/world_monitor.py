@@ -6,12 +6,13 @@ It asks a daemon again and again, and keeps what came last. Rates are in simulat
 from __future__ import annotations
 
 import os
-from collections import deque
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from slidectl import msgs, names
+from slidectl.client.rate_meter import RateMeter
 from slidectl.errors import Refused
+from slidectl.msgs.schema import nanoseconds
 from slidectl.viewing.graph_drawing import read_graph
 
 if TYPE_CHECKING:
@@ -126,24 +127,17 @@ class FollowedTopic:
         """`is_counted`: it has a header."""
         self.message: Record = {}
         """Empty before the first."""
-        self._counts: deque[tuple[int, int]] = deque()
-        """The count of messages, and the simulated time in ns."""
+        self._meter = RateMeter(span_ns=_RATE_WINDOW_NS)
         self._is_counted = is_counted
         self._looks = 0
         """How often the rate was asked for since the last message."""
         self.subscription = client.subscribe(topic, throttle_rate=throttle_ms, take=self._take, wait=False)
 
     def _take(self, published: Record) -> None:
-        self.message, time = published["msg"], published["time"]
-        time_ns = time["secs"] * 10**9 + time["nsecs"]
-        last, last_ns = self._counts[-1] if self._counts else (-1, 0)
-        count = self.message["header"]["seq"] if self._is_counted else last + 1
-        if time_ns < last_ns or count < last:  # a reset, or another publisher with a count of its own
-            self._counts.clear()
-        self._counts.append((count, time_ns))
+        self.message = published["msg"]
+        count = self.message["header"]["seq"] if self._is_counted else None
+        self._meter.take(nanoseconds(published["time"]), count)
         self._looks = 0
-        while len(self._counts) > 2 and time_ns - self._counts[0][1] > _RATE_WINDOW_NS:
-            self._counts.popleft()
 
     def rate(self, now_ns: int) -> float | None:
         """In Hz, of the last seconds, or of the last two messages; None before it can be told.
@@ -152,13 +146,7 @@ class FollowedTopic:
         fast worlds much simulated time.
         """
         self._looks += 1
-        if not self._counts:
-            return None
-        (first, begin_ns), (last, end_ns) = self._counts[0], self._counts[-1]
-        interval_ns = end_ns - self._counts[-2][1] if len(self._counts) > 1 else 0
-        if self._looks > 2 and now_ns - end_ns > max(_RATE_WINDOW_NS, 2 * interval_ns):
-            return 0.0
-        return (last - first) * 1e9 / (end_ns - begin_ns) if end_ns > begin_ns else None
+        return 0.0 if self._looks > 2 and self._meter.is_silent(now_ns) else self._meter.rate
 
 
 def _controller(space: str, listed: Record) -> Record:

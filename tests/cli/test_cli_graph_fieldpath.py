@@ -6,7 +6,7 @@ import pytest
 from cli_graph_types import schema
 
 from slidectl.errors import UnknownName, UsageError
-from slidectl.field_path import NoElement, Selection, select
+from slidectl.msgs.field_path import NoElement, Selection, select
 from slidectl.msgs.schema import Schema
 
 JOINT_STATE = schema("sensor_msgs/JointState")

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from slidectl import msgs
-from slidectl.field_path import select
+from slidectl.msgs.field_path import select
 from slidectl.msgs.forms import CsvForm, YamlForm, quoted
 from slidectl.msgs.schema import from_typedefs
 

@@ -8,7 +8,7 @@ from cli_graph_types import schema
 from slidectl import msgs
 from slidectl.cli.topic_measure import (
     DelayMeter,
-    RateMeter,
+    IntervalMeter,
     Record,
     SizeMeter,
     delays_text,
@@ -21,7 +21,7 @@ from slidectl.msgs.serialization import packer
 
 
 def rates(times_ms: list[int], window: int = 1000) -> Record:
-    meter = RateMeter("/t", window, lambda event: event.time_ns)
+    meter = IntervalMeter("/t", window, lambda event: event.time_ns)
     for time_ms in times_ms:
         meter.take(Event("/t", {}, time_ms * 10**6))
     return meter.record()

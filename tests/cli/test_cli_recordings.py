@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import csv
+import inspect
 import itertools
 import json
 import shutil
 import signal
 import subprocess
+import zlib
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,7 +19,7 @@ import pytest
 from command_line import CommandLine
 from daemon_fixture import running_daemon
 from mcap.writer import Writer as McapWriter
-from rosbags.rosbag1 import Writer
+from rosbags.rosbag1 import Reader, Writer, reader, writer
 from rosbags.typesys import Stores, get_typestore
 from waiting import eventually
 
@@ -497,3 +499,17 @@ def test_the_real_rosbag_reads_what_is_recorded_and_its_files_are_read(slider: C
         subprocess.run([str(ROSBAG), "filter", path, theirs, keep], capture_output=True, check=True)
         assert messages(theirs) == [one for one in messages(path) if one[0] == STATES]
         theirs.unlink()
+
+
+INSIDES = (
+    reader.RecordType, reader.Header, reader.read_uint32, reader.read_bytes, reader.Chunk, reader.ChunkInfo,
+    Reader.__init__, Reader.open, Reader.close, Reader.read_chunk, Reader.read_chunk_info, Reader.messages,
+    writer.WriteChunk, Writer.__init__, Writer.set_compression, Writer.open, Writer.write, Writer.write_chunk,
+    Writer.close, Writer.abort,
+)  # fmt: skip
+
+
+def test_the_insides_of_rosbags_are_those_that_the_adapter_was_written_for() -> None:
+    """After an update: read what has changed in them beside recording/rosbags_adapter.py, then take the new number."""
+    assert zlib.crc32("".join(map(inspect.getsource, INSIDES)).encode()) == 4179125369
+    assert set(reader.decompressors) == {"none", "bz2", "lz4"}

@@ -152,6 +152,7 @@ def test_a_misfit_is_explained_in_genpys_words(kind: str, values: list[Any], tex
     assert text in str(caught.value)
 
 
+NO_TEXT = "must be of type bytes or an ascii string"
 WRONG = [
     ("std_msgs/UInt8", -1, "field data must be unsigned integer type"),
     ("std_msgs/UInt64", 2**64, "field data exceeds specified width [uint64]"),
@@ -160,6 +161,9 @@ WRONG = [
     ("std_msgs/Char", -1, "field data must be unsigned integer type"),
     ("std_msgs/Float32", True, "field data must be float type"),
     ("std_msgs/Bool", "on", "field data is not a bool"),
+    ("std_msgs/Header", {"stamp": {"secs": "1"}}, "field stamp.secs must be an integer type"),
+    ("std_msgs/Header", {"stamp": {"secs": 2**32 - 1}, "frame_id": 5}, f"field frame_id {NO_TEXT}"),
+    ("std_msgs/Header", {"stamp": {"nsecs": -1}, "frame_id": 5}, f"field frame_id {NO_TEXT}"),
 ]
 
 

@@ -10,7 +10,7 @@ import pytest
 from cli_ros_world import SlideWorld, slide_world
 
 from slidectl.cli.ros import rostopic
-from slidectl.cli.topic_measure import RateMeter, Record
+from slidectl.cli.topic_measure import IntervalMeter, Record
 from slidectl.cli.topic_streams import Event
 
 MS = 1_000_000
@@ -126,7 +126,7 @@ def test_an_unknown_topic_is_waited_for_with_a_warning(slide: SlideWorld) -> Non
 
 
 def record(topic: str, intervals_ms: list[float]) -> Record:
-    meter = RateMeter(topic, 100, lambda event: event.time_ns)
+    meter = IntervalMeter(topic, 100, lambda event: event.time_ns)
     at_ns = 0
     for interval in [0.0, *intervals_ms]:
         at_ns += round(interval * MS)

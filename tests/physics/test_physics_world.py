@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ from physics_robots import AT_ORIGIN, arm, at, block, box_inertial, one_joint, t
 from slidectl.description.robot import Joint, Link
 from slidectl.errors import Refused, UnknownName
 from slidectl.physics import World
+from slidectl.physics.mujoco_library import address_of, struct_address
 
 
 def test_a_free_robot_falls_to_the_ground_and_rests_there() -> None:
@@ -177,3 +179,11 @@ def _sizes(world: World) -> tuple[int, ...]:
 
 def _resident_pages() -> int:
     return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+
+
+def test_the_addresses_of_model_and_data_are_those_that_the_library_steps() -> None:
+    world = World()
+    world.attach(block(), "block", AT_ORIGIN)
+    step = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)(address_of("mj_step"))
+    step(struct_address(world.model), struct_address(world.data))
+    assert world.data.time == world.model.opt.timestep

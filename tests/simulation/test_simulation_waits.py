@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from slidectl.errors import BadMessage, Refused, UnknownName
-from slidectl.field_path import NoElement
+from slidectl.msgs.field_path import NoElement
 from slidectl.simulation import waits
 from slidectl.simulation.graph import Graph
 from slidectl.simulation.pending import Pending

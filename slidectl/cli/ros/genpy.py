@@ -172,7 +172,9 @@ def _plain(prefix: str) -> str:
 
 def _paired(schema: Schema, type_name: str, given: Any, prefix: str) -> Iterator[tuple[Field, Any]]:
     """Yield each field that has a value, with the value. Raises Misfit."""
-    fields = [Field(n, "int32", -1) for n in ("secs", "nsecs")] if type_name in TIMES else schema.fields(type_name)
+    # The parts of a time are whole numbers of any size: what is too large for one may be carried over to the other.
+    parts = [part._replace(type="int64") for part in TIMES.get(type_name, ())]
+    fields = parts or schema.fields(type_name)
     names = [field.name for field in fields]
     if isinstance(given, Mapping):
         for name, value in given.items():
@@ -197,9 +199,7 @@ def _trouble(type_name: str, value: Any) -> str | None:
         return None if isinstance(value, bool) or value in (0, 1) else "is not a bool"
     if type_name not in INTEGER_RANGES:
         return None if isinstance(value, str) else "must be of type bytes or an ascii string"
-    unsigned = type_name.startswith("uint") or type_name == "char"
-    if not whole or (unsigned and value < 0):
-        return "must be unsigned integer type" if unsigned else "must be an integer type"
-    bits = int(type_name.lstrip("uint") or 8) if "int" in type_name else 8
-    limit = 2**bits if unsigned else 2 ** (bits - 1)
-    return None if -limit <= value < limit else f"exceeds specified width [{type_name}]"
+    lowest, highest = INTEGER_RANGES[type_name]
+    if not whole or value < 0 == lowest:
+        return "must be an integer type" if lowest else "must be unsigned integer type"
+    return None if lowest <= value <= highest else f"exceeds specified width [{type_name}]"

@@ -91,7 +91,7 @@ def type_of(ctx: Context, argv: Sequence[str]) -> None:
         found = look_up(ctx, full, None)
         if not found.field:
             return output.write(found.type)
-        from slidectl.field_path import select
+        from slidectl.msgs.field_path import select
 
         selected = select(found.schema.fields, found.schema.root, found.field)
     except UnknownName:

@@ -18,7 +18,7 @@ from typing import Any, ClassVar, NamedTuple
 from slidectl.control import params, segments
 from slidectl.control.angular_distance import shortest_angular_distance
 from slidectl.control.controller_interface import Compiled, Member, Parts, State
-from slidectl.control.duration import NANOSECONDS, from_seconds, from_stamp, header_of, nearest_ns, to_seconds, to_stamp
+from slidectl.control.duration import NANOSECONDS, from_seconds, header_of, nearest_ns, to_seconds, to_stamp
 from slidectl.control.goals import MONITOR_RATE, ActionController, MonitoredGoal, period_of
 from slidectl.control.hardware_interface import (
     EffortJointInterface,
@@ -55,6 +55,7 @@ from slidectl.control.segments import (
     sample,
 )
 from slidectl.errors import MessageRefused, Refused
+from slidectl.msgs.schema import nanoseconds
 
 SUCCESSFUL, INVALID_GOAL, INVALID_JOINTS, PATH_TOLERANCE_VIOLATED, GOAL_TOLERANCE_VIOLATED = 0, -1, -2, -4, -5
 """Error codes of control_msgs/FollowJointTrajectoryResult."""
@@ -554,7 +555,7 @@ class JointTrajectoryController(ActionController[Any]):
     def _query_state(self, request: Message) -> Message:
         if self.state is not State.RUNNING:
             raise Refused("Can't sample trajectory. Controller is not running.")
-        offset_ns = _duration(from_stamp(request["time"]) - self.time_ns)
+        offset_ns = _duration(nanoseconds(request["time"]) - self.time_ns)
         time_s = to_seconds(_time(self.uptime_ns + offset_ns))
         if any(time_s < rows[0, START] for rows in self._trajectory):
             raise Refused("Requested sample time precedes trajectory start time.")
@@ -610,10 +611,10 @@ class JointTrajectoryController(ActionController[Any]):
             self._hold(goal_number)
             return
         next_ns, next_uptime_ns = self.time_ns + self.period_ns, self.uptime_ns + self.period_ns
-        offsets_ns = [from_stamp(point["time_from_start"]) for point in points]
+        offsets_ns = [nanoseconds(point["time_from_start"]) for point in points]
         if any(one >= other for one, other in pairwise(offsets_ns)):
             raise Refused("Trajectory message contains waypoints that are not strictly increasing in time.")
-        start_ns = from_stamp(message["header"]["stamp"]) or next_ns
+        start_ns = nanoseconds(message["header"]["stamp"]) or next_ns
         start_uptime_ns = _time(next_uptime_ns + _duration(start_ns - next_ns))
         order = self._order_of(message["joint_names"])
         if order is None:
@@ -658,7 +659,7 @@ class JointTrajectoryController(ActionController[Any]):
                 f"Dropping all {len(offsets_ns)} trajectory point(s), as they occur before the current time.\n"
                 f"Last point is {late_s:f}s in the past."
             )
-        is_usual = first == 1 and offsets_ns[0] == 0 and from_stamp(message["header"]["stamp"]) == 0
+        is_usual = first == 1 and offsets_ns[0] == 0 and nanoseconds(message["header"]["stamp"]) == 0
         if first > 0 and not is_usual:
             self._node.log(
                 "warn",
@@ -670,7 +671,7 @@ class JointTrajectoryController(ActionController[Any]):
 
     def _goal_tolerances(self, goal: Message) -> list[SegmentTolerances]:
         """The default ones of each joint with those that a goal has of its own."""
-        time_ns = from_stamp(goal["goal_time_tolerance"])
+        time_ns = nanoseconds(goal["goal_time_tolerance"])
         found = []
         for name, (path, end, goal_time_s) in zip(self._names, self._tolerances, strict=True):
             for message in goal["path_tolerance"]:

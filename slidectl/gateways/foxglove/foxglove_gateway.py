@@ -53,7 +53,7 @@ from slidectl.gateways.foxglove.robot_assets import RobotAssets
 from slidectl.gateways.gateway import Gateway, is_reading
 from slidectl.gateways.ros1.ros1_types import Ros1Type, ros1_type
 from slidectl.gateways.websocket_listener import ListenerOptions, WebSocketListener
-from slidectl.msgs.schema import SCALAR, TIMES
+from slidectl.msgs.schema import SCALAR, TIMES, nanoseconds
 from slidectl.paths import InstancePaths
 
 Message = dict[str, Any]
@@ -244,7 +244,7 @@ class FoxgloveGateway(Gateway):
                 await self._watch.subscribe("/clock", "rosgraph_msgs/Clock", self._take_clock, 1, _CLOCK_EVERY_MS)
 
     def _take_clock(self, published: Message) -> None:
-        frame = time_frame(_nanoseconds(published["msg"]["clock"]))
+        frame = time_frame(nanoseconds(published["msg"]["clock"]))
         for app in self._apps:
             app.send_time(frame)
 
@@ -300,7 +300,7 @@ class FoxgloveGateway(Gateway):
         """Tell it the time, which stands in a paused world."""
         with suppress(SlidectlError):
             now = await self._there().call("/rosapi/get_time")
-            app.send_time(time_frame(_nanoseconds(now["time"])))
+            app.send_time(time_frame(nanoseconds(now["time"])))
             await self._follow_clock()
 
     def _forget(self, app: AppConnection) -> None:
@@ -366,7 +366,7 @@ class FoxgloveGateway(Gateway):
 
     def _take(self, channel: AppChannel, published: Message) -> None:
         if (payload := self._packed(channel, published["msg"])) is not None:
-            time_ns = _nanoseconds(published["time"])
+            time_ns = nanoseconds(published["time"])
             for app, subscription in channel.apps.items():
                 app.send_message(message_frame(subscription, time_ns, payload))
             channel.new.clear()
@@ -384,7 +384,7 @@ class FoxgloveGateway(Gateway):
 
     def _take_latched(self, channel: AppChannel, published: Message) -> None:
         if published.get("latch") and (payload := self._packed(channel, published["msg"])) is not None:
-            time_ns = _nanoseconds(published["time"])
+            time_ns = nanoseconds(published["time"])
             for app in channel.new:
                 app.send_message(message_frame(channel.apps[app], time_ns, payload))
             channel.new.clear()
@@ -573,10 +573,6 @@ class FoxgloveGateway(Gateway):
                 app.send(asset_frame(request, await asyncio.to_thread(self._assets.read, uri)))
             except SlidectlError as error:
                 app.send(no_asset_frame(request, str(error)))
-
-
-def _nanoseconds(time: Message) -> int:
-    return int(time["secs"]) * 10**9 + int(time["nsecs"])
 
 
 def _pack(kind: Ros1Type, message: Message) -> bytes:

@@ -21,16 +21,13 @@ from slidectl import msgs
 from slidectl.client.lines import decode
 from slidectl.errors import UsageError
 from slidectl.gateways.ros1.ros1_types import ros1_type
-from slidectl.msgs.schema import BYTES, FLOATS, PRIMITIVES, SCALAR, Field
+from slidectl.msgs.schema import BYTES, CODES, FLOATS, PRIMITIVES, SCALAR, Field
 
 COMPRESSIONS = ("none", "png", "cbor", "cbor-raw")
 """The later one wins where a browser subscribes a topic twice."""
 SMALLEST_FRAGMENT = 256
-_TYPED_ARRAYS = {
-    "uint16": (69, "H"), "uint32": (70, "I"), "uint64": (71, "Q"), "byte": (72, "b"), "int8": (72, "b"),
-    "int16": (77, "h"), "int32": (78, "i"), "int64": (79, "q"), "float32": (85, "f"), "float64": (86, "d"),
-}  # fmt: skip
-"""Tags of typed arrays, little-endian (RFC 8746), and how struct calls the type; CBOR has bytes of its own."""
+_ARRAY_TAGS = {"H": 69, "I": 70, "Q": 71, "b": 72, "h": 77, "i": 78, "q": 79, "f": 85, "d": 86}
+"""Tags of typed arrays, little-endian (RFC 8746), by `struct`'s code of a number; CBOR has bytes of its own."""
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _HEADER = Struct(">IIBBBBB")
 _RGB, _BITS = 2, 8
@@ -106,11 +103,11 @@ def _field_converter(field: Field) -> Convert:
         return _converter(field.type)
     if field.type in BYTES:
         return a2b_base64
-    if field.type in _TYPED_ARRAYS:
-        tag, letter = _TYPED_ARRAYS[field.type]
-        convert = _converter(field.type)
-        return lambda values: cbor2.CBORTag(tag, pack(f"<{len(values)}{letter}", *map(convert, values)))
     each = _converter(field.type)
+    code = CODES.get(field.type)
+    if code in _ARRAY_TAGS:
+        tag = _ARRAY_TAGS[code]
+        return lambda values: cbor2.CBORTag(tag, pack(f"<{len(values)}{code}", *map(each, values)))
     return lambda values: [each(value) for value in values]
 
 

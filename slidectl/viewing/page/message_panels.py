@@ -19,7 +19,7 @@ from slidectl.errors import NoDaemon, Refused, SlidectlError, UsageError, cut
 from slidectl.msgs.fill import Time, field_paths, fill
 from slidectl.msgs.forms import YamlForm
 from slidectl.msgs.message_expressions import Numbers
-from slidectl.msgs.schema import FLOATS, SCALAR, Field, Schema, from_typedefs
+from slidectl.msgs.schema import FLOATS, SCALAR, Field, Schema, from_typedefs, nanoseconds
 from slidectl.values import read
 from slidectl.viewing.page.page import SCROLLED, Page, Panel, WorldState, offer
 
@@ -156,8 +156,7 @@ class FormPanel(Panel):
 
 
 def _now_ns(client: Client) -> int:
-    now = client.call("/rosapi/get_time")["time"]
-    return int(now["secs"] * _SECOND + now["nsecs"])
+    return nanoseconds(client.call("/rosapi/get_time")["time"])
 
 
 def _parts(time_ns: int) -> Time:

@@ -13,6 +13,7 @@ from viser import ClientHandle, GuiApi, GuiFolderHandle, GuiHtmlHandle, GuiUplot
 
 from slidectl.client import Client, Subscription
 from slidectl.errors import NoDaemon, Refused, SlidectlError, UsageError, cut
+from slidectl.msgs.schema import nanoseconds
 from slidectl.viewing import plot_fields
 from slidectl.viewing.page.page import Page, Panel, WorldState
 from slidectl.viewing.plot_fields import TopicCurves
@@ -202,13 +203,13 @@ class _LivePlot:
         """It is called while anybody waits for an answer, whom errors do not concern."""
         if field in self._troubles:
             return
-        time = published["time"]
+        time_ns = nanoseconds(published["time"])
         try:
-            plot_fields.take(every, published["topic"], time["secs"] * 10**9 + time["nsecs"], published["msg"])
+            plot_fields.take(every, published["topic"], time_ns, published["msg"])
         except SlidectlError as error:
             self._troubles[field] = str(error)
             return
-        self._end = time["secs"] + 1e-9 * time["nsecs"]
+        self._end = 1e-9 * time_ns
         self._taken += 1
         self.is_drawn = self.is_drawn and self.frozen is not None
         if self._taken % _TRIM_EVERY == 0:

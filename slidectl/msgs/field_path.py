@@ -8,23 +8,15 @@ from __future__ import annotations
 
 import re
 from binascii import a2b_base64
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from slidectl.errors import Refused, UnknownName, UsageError
+from slidectl.msgs.schema import BYTES, TIMES, Field, FieldsOf
 
 _LONGEST = 1000
 _STEP = re.compile(r"(\w+)((?:\[[^\]]*\])*)\Z")
 _INTEGER = re.compile(r"\s*-?\d+\s*\Z")
-_TIME_PARTS = {
-    "time": {"secs": ("uint32", -1), "nsecs": ("uint32", -1)},
-    "duration": {"secs": ("int32", -1), "nsecs": ("int32", -1)},
-}
-_BYTES = ("uint8", "char")
-
-
-Fields = Callable[[str], Iterable[tuple[str, str, int]]]
-"""Name, type and array length (-1 for a single value) of the fields of a type; none for a primitive."""
 
 
 class NoElement(Refused):
@@ -70,7 +62,7 @@ def byte_values(value: Any) -> list[int]:
     return list(a2b_base64(value)) if isinstance(value, str) else list(value)
 
 
-def select(fields_of: Fields, root: str, text: str) -> Selection:
+def select(fields_of: FieldsOf, root: str, text: str) -> Selection:
     """What the path `text` (may be empty) selects in messages of the type `root`.
 
     Raises:
@@ -85,14 +77,13 @@ def select(fields_of: Fields, root: str, text: str) -> Selection:
             reason = "']' is missing" if "[" in part and "]" not in part else "write name, name[0] or name[1:3]"
             raise UsageError(f"{part!r} is not a field: {reason}")
         name, indices = match[1], [_index(inside, part) for inside in re.findall(r"\[([^\]]*)\]", match[2])]
-        owner, here, array = here, *_field(fields_of, here, name)
-        is_list = array >= 0
+        owner, field = here, _field(fields_of, here, name)
+        here, is_list = field.type, field.array >= 0
         for index, inside in zip(indices, re.findall(r"\[[^\]]*\]", match[2]), strict=True):
             if not is_list:
-                kind = here + ("" if array < 0 else f"[{array or ''}]")
-                raise UsageError(f"{name!r} of {owner} is {kind}, which has no element {name}{inside}")
+                raise UsageError(f"{name!r} of {owner} is {field.type_text}, which has no element {name}{inside}")
             is_list = isinstance(index, slice)
-        steps.append(PathStep(owner, name, array >= 0 and here in _BYTES, indices, is_list))
+        steps.append(PathStep(owner, name, field.array >= 0 and here in BYTES, indices, is_list))
         depth += is_list
     return Selection(here, depth, steps)
 
@@ -107,9 +98,8 @@ def _index(text: str, part: str) -> int | slice:
     return int(text) if len(values) == 1 else slice(*values)
 
 
-def _field(fields_of: Fields, owner: str, name: str) -> tuple[str, int]:
-    """The type and the array length of a field."""
-    known = _TIME_PARTS.get(owner) or {field: (kind, array) for field, kind, array in fields_of(owner)}
+def _field(fields_of: FieldsOf, owner: str, name: str) -> Field:
+    known = {field.name: field for field in TIMES.get(owner) or fields_of(owner)}
     if not known:
         raise UsageError(f"{owner} has no fields, so there is no {name!r} in it")
     if name not in known:

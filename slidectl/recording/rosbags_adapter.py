@@ -1,0 +1,108 @@
+"""All that touches the insides of the rosbags library, for what its `Reader` and `Writer` do not offer.
+
+* A recorder that is killed loses no more than a chunk: `write_chunk` puts the open one into the file, and
+  `chunk_threshold` bounds it. `bio`, the file itself, is locked while it is written.
+* A long recording needs little memory: `write_chunk` leaves the index of a chunk that is in the file in `connections`.
+* The real rosbag understands no lz4 frames as the library makes them: `compressor` makes others.
+* A bag that was cut off has no index, and `Reader` refuses it: `Header` and the functions beside it read its records.
+* `chunk_infos`, `chunks` and `decompressors` tell how many chunks a bag has, and how they are compressed.
+
+pyproject.toml names the versions for which this holds, and a test compares these parts with those that were read.
+"""
+
+from __future__ import annotations
+
+import io
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from rosbags.rosbag1 import Reader, Writer, reader
+
+from slidectl.recording.records import Record, RecordedTopic
+
+_NO_TIME_NS = 1
+"""What stands in a bag for the time 0, which rosbag does not take."""
+
+
+def bag_time(time_ns: int) -> int:
+    """The time that was recorded, for the one that stands in a bag."""
+    return 0 if time_ns == _NO_TIME_NS else time_ns
+
+
+class ChunkWriter(Writer):
+    """A new bag, open, with so many bytes of messages in a chunk. `file` is the file."""
+
+    def __init__(self, path: Path, compression: str, chunk_size: int) -> None:
+        super().__init__(path)
+        self.chunk_threshold = chunk_size
+        if compression != "none":
+            self.set_compression(Writer.CompressionFormat[compression.upper()])
+        if compression == "lz4":
+            from lz4 import frame
+
+            self.compressor = lambda chunk: frame.compress(
+                chunk, 0, block_linked=False, content_checksum=True, store_size=False
+            )
+        self.open()
+        assert self.bio is not None
+        self.file: BinaryIO = self.bio
+
+    def write(self, connection: Any, timestamp: int, data: bytes | memoryview) -> None:
+        super().write(connection, timestamp or _NO_TIME_NS, data)
+
+    def write_chunk(self, chunk: Any) -> None:
+        """Of a chunk that is in the file the library wants no more than how many messages each topic has in it."""
+        super().write_chunk(chunk)
+        for number, entries in chunk.connections.items():
+            chunk.connections[number] = range(len(entries))
+
+    def flush(self) -> None:
+        """Put all messages so far into the file."""
+        self.write_chunk(self.chunks[-1])
+        self.file.flush()
+
+
+def index_and_chunks(file: BinaryIO) -> tuple[int, int]:
+    """Where the bag says that its index begins, 0 when it was not closed; and how many chunks it has then."""
+    header = reader.Header.read(file, reader.RecordType.BAGHEADER)
+    return header.get_uint64("index_pos"), header.get_uint32("chunk_count")
+
+
+def chunks_and_compression(bag: Reader) -> tuple[int, str]:
+    """How many chunks an open bag has, and how they are compressed."""
+    names = {function: name for name, function in reader.decompressors.items()}
+    return len(bag.chunk_infos), next((names[chunk.decompressor] for chunk in bag.chunks.values()), "none")
+
+
+def chunks(file: BinaryIO, known: dict[int, RecordedTopic]) -> Iterator[tuple[str, Iterator[Record]]]:
+    """The compression and the messages of each chunk, from where the file stands; new topics are put into `known`.
+
+    Any exception ends it: the file does, or is damaged there.
+    """
+    while True:
+        header, data = _record(file)
+        if header.get_uint8("op") == reader.RecordType.CHUNK:
+            compression = header.get_string("compression")
+            yield compression, _messages(reader.decompressors[compression](data), known)
+
+
+def _messages(data: bytes, known: dict[int, RecordedTopic]) -> Iterator[Record]:
+    chunk = io.BytesIO(data)
+    while chunk.tell() < len(data):
+        header, content = _record(chunk)
+        number = header.get_uint32("conn")
+        if header.get_uint8("op") == reader.RecordType.MSGDATA:
+            yield Record(known[number], bag_time(header.get_time("time")), content)
+        elif number not in known:
+            about = reader.Header.read(io.BytesIO(struct.pack("<L", len(content)) + content))
+            latching = about.get("latching", b"0") == b"1"
+            kind, text, md5 = (about.get_string(name) for name in ("type", "message_definition", "md5sum"))
+            callerid = about.get("callerid", b"").decode("utf-8", "replace")
+            known[number] = RecordedTopic(number, header.get_string("topic"), kind, text, md5, latching, callerid)
+
+
+def _record(file: BinaryIO) -> tuple[Any, bytes]:
+    header = reader.Header.read(file)
+    return header, reader.read_bytes(file, reader.read_uint32(file))
