@@ -1,4 +1,4 @@
-"""What a launch stands on: the signals that end it, a loop over descriptors and timers, and child processes.
+"""What a launch stands on: the signals that end it, the event loop with its timers, and child processes.
 
 Each child process has a session, and so a process group, of its own: what ends a node reaches all that it started.
 One thread, the main one, since signals are heard there. Knows nothing of launch files.
@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import os
 import sched
-import selectors
 import signal
 import subprocess
 import sys
@@ -18,6 +17,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import TYPE_CHECKING, Any
+
+from slidectl.event_loop import READ, EventLoop
 
 if TYPE_CHECKING:
     from slidectl.client import Client
@@ -103,29 +104,20 @@ class Interrupts:
             self._hook(unraisable)
 
 
-class Watch:
-    """A loop: descriptors to read, and things to do later. `turn` waits until something happens and does it."""
+class Watch(EventLoop):
+    """The event loop of a launch: with timers, and clients to listen to."""
 
     def __init__(self) -> None:
-        self._selector = selectors.DefaultSelector()
+        super().__init__()
         self._timers = sched.scheduler(time.monotonic)
-
-    def add(self, descriptor: int, action: Action) -> None:
-        """Do it whenever the descriptor is readable."""
-        self._selector.register(descriptor, selectors.EVENT_READ, action)
-
-    def remove(self, descriptor: int) -> None:
-        """Look at it no more. One that is not looked at is no error."""
-        if descriptor in self._selector.get_map():
-            self._selector.unregister(descriptor)
 
     def listen(self, client: Client, action: Action) -> None:
         """Do it whenever something has come for the client."""
-        self.add(client.fileno(), action)
+        self.watch(client.fileno(), READ, lambda _: action())
 
     def ignore(self, client: Client) -> None:
         """Look no more whether something has come for it."""
-        self.remove(client.fileno())
+        self.forget(client.fileno())
 
     def later(self, seconds: float, action: Action) -> None:
         """Do it once, after so many seconds."""
@@ -135,9 +127,7 @@ class Watch:
         """Wait for something, at most so long, and do all that there is to do."""
         due_s = self._timers.run(blocking=False)
         waits = [max(0.0, seconds) for seconds in (most_s, due_s) if seconds is not None]
-        for key, _ in self._selector.select(min(waits, default=None)):
-            if key.fd in self._selector.get_map():  # an earlier action may have removed it
-                key.data()
+        self.poll(min(waits, default=None))
         self._timers.run(blocking=False)
 
 
@@ -160,7 +150,7 @@ class WorldWatch(Watch):
 
     def turn(self, most_s: float | None = None) -> None:
         super().turn(0.0)
-        waits = [most_s, self._timers.run(blocking=False), _LOOK_EVERY_S if self._selector.get_map() else None]
+        waits = [most_s, self._timers.run(blocking=False), _LOOK_EVERY_S if self._handlers else None]
         next(self._client.events(min((wait_s for wait_s in waits if wait_s is not None), default=math.inf)), None)
         super().turn(0.0)
 
@@ -179,14 +169,14 @@ class Child:
     def __init__(
         self,
         arguments: Sequence[str],
-        watch: Watch,
+        loop: EventLoop,
         on_line: Callable[[str, str], None],
         on_end: Callable[[int], None],
         cwd: str | None = None,
         environment: Mapping[str, str] | None = None,
         stdout: int = subprocess.PIPE,
     ) -> None:
-        self._watch = watch
+        self._loop = loop
         self._on_line = on_line
         self._on_end = on_end
         self._rest = {"stdout": b"", "stderr": b""}
@@ -209,8 +199,8 @@ class Child:
         }
         for name, descriptor in self._pipes.items():
             os.set_blocking(descriptor, False)
-            watch.add(descriptor, lambda name=name: self._take(name))  # type: ignore[misc]
-        watch.add(self._descriptor, self._ended)
+            loop.watch(descriptor, READ, lambda _, name=name: self._take(name))  # type: ignore[misc]
+        loop.watch(self._descriptor, READ, lambda _: self._ended())
 
     def _take(self, name: str, is_last: bool = False) -> None:
         """Read what is there, at most what a pipe holds; with `is_last` a line without an end, too."""
@@ -219,7 +209,7 @@ class Child:
         except BlockingIOError:
             data = None
         if data == b"":
-            self._watch.remove(self._pipes.pop(name))
+            self._loop.forget(self._pipes.pop(name))
         *lines, rest = (self._rest[name] + (data or b"")).split(b"\n")
         if rest and (is_last or data == b"" or len(rest) > _LONGEST_LINE):
             lines, rest = [*lines, rest], b""
@@ -235,7 +225,7 @@ class Child:
             self._take(name, is_last=True)
         # The descriptor is watched up to here, so that the end is noticed later when a signal cuts this short.
         self.code = result.si_status if result.si_code == os.CLD_EXITED else -result.si_status
-        self._watch.remove(self._descriptor)
+        self._loop.forget(self._descriptor)
         self._on_end(self.code)
 
     def signal(self, number: int) -> None:
@@ -247,7 +237,7 @@ class Child:
         """End whatever is left of it, and forget it."""
         self.signal(signal.SIGKILL)
         for descriptor in (self._descriptor, *self._pipes.values()):
-            self._watch.remove(descriptor)
+            self._loop.forget(descriptor)
         self._pipes.clear()
         with self._process:  # waits for it, and closes its pipes
             os.close(self._descriptor)

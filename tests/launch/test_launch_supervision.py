@@ -8,6 +8,7 @@ import time
 
 import pytest
 
+from slidectl.event_loop import READ
 from slidectl.launch.supervision import Child, Interrupted, Interrupts, Watch, run
 
 DEADLINE_S = 30.0
@@ -29,23 +30,23 @@ def test_timers_fire_in_the_order_of_their_times() -> None:
     assert fired == ["first", "second"]
 
 
-def test_a_readable_descriptor_is_told_until_it_is_removed() -> None:
+def test_a_readable_descriptor_is_told_until_it_is_forgotten() -> None:
     watch = Watch()
     read, write = os.pipe()
     heard: list[bytes] = []
-    watch.add(read, lambda: heard.append(os.read(read, 1)))
+    watch.watch(read, READ, lambda _: heard.append(os.read(read, 1)))
     os.write(write, b"ab")
     until(watch, lambda: heard == [b"a", b"b"])
     os.write(write, b"c")
-    watch.remove(read)
-    watch.remove(read)
+    watch.forget(read)
+    watch.forget(read)
     watch.turn(0.0)
     assert heard == [b"a", b"b"]
     os.close(read)
     os.close(write)
 
 
-def test_one_action_may_remove_what_another_waits_for() -> None:
+def test_one_action_may_forget_what_another_waits_for() -> None:
     watch = Watch()
     ends = [os.pipe() for _ in range(2)]
     heard: list[int] = []
@@ -53,10 +54,10 @@ def test_one_action_may_remove_what_another_waits_for() -> None:
     def take(index: int) -> None:
         heard.append(index)
         for read, _ in ends:
-            watch.remove(read)
+            watch.forget(read)
 
     for index, (read, write) in enumerate(ends):
-        watch.add(read, lambda index=index: take(index))  # type: ignore[misc]
+        watch.watch(read, READ, lambda _, index=index: take(index))  # type: ignore[misc]
         os.write(write, b"x")
     watch.turn(1.0)
     assert len(heard) == 1

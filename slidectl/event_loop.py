@@ -1,6 +1,7 @@
 """The event loop: sockets, one deadline, and work that is done a piece at a time. Redis's `ae` is the model.
 
-Waits in microseconds, which asyncio and epoll's own wait (whole milliseconds) cannot. Knows nothing of what it serves.
+Serves the daemon, launches and the workers of a test run, and knows nothing of them. Waits in microseconds, which
+asyncio and epoll's own wait (whole milliseconds) cannot.
 """
 
 from __future__ import annotations
