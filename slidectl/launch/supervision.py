@@ -11,10 +11,9 @@ import os
 import sched
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
@@ -42,15 +41,14 @@ class Interrupted(BaseException):
 
 
 class Interrupts:
-    """The handler of SIGNALS, from entering to leaving: the first is raised as Interrupted, later ones are only noted.
+    """The handler of SIGNALS, from entering to leaving: it notes their numbers in `received`, where a loop looks.
 
-    `received` has the numbers of all.
+    In a `raised` block the first one is raised as Interrupted as well, for work that looks nowhere.
     """
 
     def __init__(self) -> None:
         self.received: list[int] = []
-        self._held = 0
-        self._raised = False
+        self._raises = False
         self._previous: dict[int, Any] = {}
 
     def __enter__(self) -> Interrupts:
@@ -60,28 +58,34 @@ class Interrupts:
             for number in SIGNALS:
                 if number not in ignored:
                     self._previous[number] = signal.signal(number, self._take)
-        self._hook, sys.unraisablehook = sys.unraisablehook, self._unraisable
         return self
 
     def __exit__(self, *_: object) -> None:
         for number, handler in self._previous.items():
             signal.signal(number, handler)
-        sys.unraisablehook = self._hook
 
     @contextmanager
-    def held(self) -> Iterator[None]:
-        """Inside, signals are only noted; at the end of the outermost block one that came is raised."""
-        self._held += 1
+    def raised(self, is_raised: bool = True) -> Iterator[None]:
+        """Inside, the first signal is raised at once, and one that came before is raised at the beginning."""
+        before, self._raises = self._raises, is_raised
         try:
+            self.check()
             yield
         finally:
-            self._held -= 1
-        if self.received and not self._held and not self._raised:
-            self._raise()
+            self._raises = before
+        self.check()
 
-    def hold_for_good(self) -> None:
-        """From now on signals are only noted."""
-        self._held += 1_000_000
+    def held(self) -> AbstractContextManager[None]:
+        """Inside a `raised` block, for what must be done whole: a signal that comes is raised at the end."""
+        return self.raised(False)
+
+    def check(self) -> None:
+        """Raise Interrupted where signals are raised and one has come.
+
+        A loop asks at each turn: what is raised in a finalizer does not leave it.
+        """
+        if self._raises and self.received:
+            raise Interrupted(self.received[0])
 
     def ignore(self) -> None:
         """For a process that is about to leave: signals mean nothing any more, after `__exit__` too."""
@@ -91,17 +95,8 @@ class Interrupts:
 
     def _take(self, number: int, _frame: FrameType | None) -> None:
         self.received.append(number)
-        if not self._held and not self._raised:
-            self._raise()
-
-    def _raise(self) -> None:
-        self._raised = True
-        raise Interrupted(self.received[0])
-
-    def _unraisable(self, unraisable: sys.UnraisableHookArgs) -> None:
-        """What is raised in a finalizer is lost: who waits looks at `received`, and nothing is printed about it."""
-        if unraisable.exc_type is not Interrupted:
-            self._hook(unraisable)
+        if len(self.received) == 1:  # what the first one ends is not cut short by a second
+            self.check()
 
 
 class Watch(EventLoop):
