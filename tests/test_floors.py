@@ -15,7 +15,7 @@ PACKAGE = Path(__file__).parent.parent / "slidectl"
 FLOORS = {
     "errors": 0, "names": 0, "expressions": 0, "fault_kinds": 0, "file_reads": 0, "paths": 0,
     "logfile": 1, "processes": 1,
-    "rotations": 0, "web_access": 0, "writing": 0, "msgs": 0, "measures": 1,
+    "event_loop": 0, "rotations": 0, "web_access": 0, "writing": 0, "msgs": 0, "measures": 1,
     "description": 1, "control": 1, "client": 1, "recording": 1,
     "physics": 2, "launch": 2, "traces": 2, "values": 2,
     "simulation": 3, "check": 3,
@@ -38,6 +38,7 @@ FORBIDDEN = {
     "errors": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "logfile": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "processes": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
+    "event_loop": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "names": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "expressions": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "fault_kinds": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},

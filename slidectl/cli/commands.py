@@ -202,7 +202,11 @@ class Command(_Shared):
         return looks_like_number(token)
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Parse the arguments with click's parser, in the unambiguous order of `_ordered`."""
+        """Parse the arguments with click's parser, in the unambiguous order of `_ordered`.
+
+        click has no setting for values that begin with a dash beside options that are refused when they are unknown,
+        and none for options with as many values as are there.
+        """
         return super().parse_args(ctx, self._ordered(list(args), ctx) if ctx.allow_interspersed_args else args)
 
     def _ordered(self, rest: list[str], ctx: click.Context) -> list[str]:

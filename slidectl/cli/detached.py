@@ -54,14 +54,11 @@ class Background:
 
         sys.stdout.flush()
         sys.stderr.flush()
-        held = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+        held = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)  # until the child is alone and the parent passes on
         child = os.fork()
         if child == 0:
             os.close(self._read)
             os.setsid()
-            while signal.sigtimedwait(SIGNALS, 0) is not None:  # the parent got it too, and forwards it
-                pass
-            os.write(self._write, b"a")
             signal.pthread_sigmask(signal.SIG_SETMASK, held)
             return
 
@@ -70,7 +67,6 @@ class Background:
                 os.kill(child, number)
 
         os.close(self._write)
-        os.read(self._read, 1)  # from here on the child is in its own process group
         for number in SIGNALS:
             signal.signal(number, pass_on)
         signal.pthread_sigmask(signal.SIG_SETMASK, held)

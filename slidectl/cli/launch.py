@@ -227,7 +227,7 @@ def _run(
     from slidectl.cli.detached import Background, pid_file
     from slidectl.cli.launch_text import Terminal
     from slidectl.launch.execution import Execution
-    from slidectl.launch.supervision import Interrupted, Interrupts, WorldWatch
+    from slidectl.launch.supervision import Interrupts, WorldWatch
     from slidectl.launch.task import Options, Run
 
     background = None
@@ -245,15 +245,12 @@ def _run(
     options = Options(
         given["output_of_all"], given["required"], given["strict"], given["sigint_timeout"], given["sigterm_timeout"]
     )
-    try:
-        with Interrupts() as interrupts, pid_file(given["pid_file"]):
-            run = Run(plan, packages, Terminal(ctx), options, interrupts, str(paths.folder / "launch"), environment)
-            daemon: DaemonAccess = LaunchDaemon(ctx, child=not given["detach"], wait=given["wait"])
-            if ctx.up is not None:
-                daemon, run.watch = RunningDaemon(ctx), WorldWatch(ctx.client)
-            _drive(ctx, Execution(run, tasks, daemon), title, given["detach"], background)
-    except Interrupted as interrupted:  # before anything was started
-        _interrupted(interrupted.number, was_up=False)
+    with Interrupts() as interrupts, pid_file(given["pid_file"]):
+        run = Run(plan, packages, Terminal(ctx), options, interrupts, str(paths.folder / "launch"), environment)
+        daemon: DaemonAccess = LaunchDaemon(ctx, child=not given["detach"], wait=given["wait"])
+        if ctx.up is not None:
+            daemon, run.watch = RunningDaemon(ctx), WorldWatch(ctx.client)
+        _drive(ctx, Execution(run, tasks, daemon), title, given["detach"], background)
 
 
 def _drive(ctx: Context, execution: Execution, title: str, detach: bool, background: Background | None) -> None:
@@ -262,15 +259,16 @@ def _drive(ctx: Context, execution: Execution, title: str, detach: bool, backgro
 
     leave = False
     try:
-        execution.bring_up()
-        _tell_running(execution, title, detach, background)
-        if ctx.up is not None:
-            ctx.up()
-        if background is not None:
-            background.everything_runs()
-        leave = detach and background is None
-        if not leave:
-            execution.watch()
+        with execution.run.interrupts.raised():
+            execution.bring_up()
+            _tell_running(execution, title, detach, background)
+            if ctx.up is not None:
+                ctx.up()
+            if background is not None:
+                background.everything_runs()
+            leave = detach and background is None
+            if not leave:
+                execution.watch()
     except Interrupted as interrupted:
         _interrupted(interrupted.number, execution.is_up)
         execution.judge()
@@ -281,10 +279,7 @@ def _drive(ctx: Context, execution: Execution, title: str, detach: bool, backgro
         if leave:
             execution.run.client.close()
         else:
-            try:
-                execution.shut_down()
-            except Interrupted:  # it was raised just before shut_down defers interrupts; only one is ever raised
-                execution.shut_down()
+            execution.shut_down()
             if execution.run.interrupts.received:
                 execution.run.interrupts.ignore()  # a further interrupt must not cut off the last messages
 

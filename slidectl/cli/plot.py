@@ -6,7 +6,7 @@ import math
 import shutil
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -109,12 +109,12 @@ def plot(
     if files:
         show(ctx, made(_from_files(ctx, files, wanted, bool(xy))), save, size)
         return
-    from slidectl.launch.supervision import Interrupted, Interrupts
+    from slidectl.launch.supervision import Interrupts
 
     found = plot_fields.of_live(ctx.client, wanted, ctx.namespace)
     length = duration or (None if live else window or _LIVE_S)
     ended: BaseException | None = None
-    with suppress(Interrupted), Interrupts() as interrupts, interrupts.held():
+    with Interrupts() as interrupts:
         try:
             now = (lambda: made(plot_fields.curves_of(found, bool(xy)))) if live else None
             _follow(ctx, found, length, cut, now, lambda: bool(interrupts.received))

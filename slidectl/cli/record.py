@@ -94,7 +94,7 @@ def record(ctx: Context, /, topics: tuple[str, ...], **given: Any) -> None:
     choice, path = _chosen(topics, **given)
     choice.resolve(ctx)
     from slidectl.cli.detached import Background, pid_file
-    from slidectl.launch.supervision import Interrupted, Interrupts
+    from slidectl.launch.supervision import Interrupts
     from slidectl.recording.recording_files import SplitFiles
 
     background = None
@@ -103,7 +103,7 @@ def record(ctx: Context, /, topics: tuple[str, ...], **given: Any) -> None:
         ctx.close()
         background = Background(ctx.paths, "recording")
         background.fork()
-    with suppress(Interrupted), Interrupts() as interrupts, pid_file(given["pid_file"]), interrupts.held():
+    with Interrupts() as interrupts, pid_file(given["pid_file"]):
         out = SplitFiles(
             path, given["compression"], given["duration"], given["size"], given["split"], given["max_splits"],
             given["repeat_latched"], given["force"],

@@ -101,7 +101,7 @@ def video(ctx: Context, /, file: str, seconds: float | None, fps: float, **given
     rate = Fraction(fps).limit_denominator(1001)
     check_video(Path(file), given["size"], rate)
     total = None if seconds is None else max(1, round(Fraction(seconds) * rate))
-    with suppress(Interrupted), Interrupts() as interrupts:
+    with suppress(Interrupted), Interrupts() as interrupts, interrupts.raised():
         view = _view(ctx, given)
         with ExitStack() as leaving:
             advance = leaving.enter_context(_time(ctx, rate))

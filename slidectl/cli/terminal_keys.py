@@ -44,7 +44,7 @@ def terminal_keys() -> Iterator[Callable[[], list[str]]]:
         return [_NAMES.get(key, key.decode(errors="replace")) for key in found]
 
     try:
-        with Interrupts():
+        with Interrupts() as interrupts, interrupts.raised():
             try:
                 tty.setcbreak(descriptor)
                 attributes = termios.tcgetattr(descriptor)

@@ -230,9 +230,9 @@ def _run(
     results: list[CaseResult] = []
     failures = Counter[str]()
     with suppress(Interrupted), Interrupts() as interrupts:
-        warm()
+        with interrupts.raised():
+            warm()
         with (
-            interrupts.held(),
             progress_bar(ctx, len(cases), "cases") as show,
             WorkerPool(runner.run, count, timeout, lambda: bool(interrupts.received)) as pool,
         ):

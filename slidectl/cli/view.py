@@ -68,7 +68,7 @@ def view(ctx: Context, port: int, host: str, token: str | None, read_only: bool,
 
         webbrowser.open(address + (f"?token={guard.word()}" if token else ""))
     try:
-        with suppress(Interrupted), Interrupts() as interrupts:
+        with suppress(Interrupted), Interrupts() as interrupts, interrupts.raised():
             page.run(lambda: bool(interrupts.received))
     finally:
         page.close()

@@ -19,7 +19,6 @@ import slidectl
 from slidectl.control import user_classes
 from slidectl.control.node_handle import Message
 from slidectl.daemon import journal
-from slidectl.daemon.event_loop import READ, EventLoop
 from slidectl.daemon.journal import Journal
 from slidectl.daemon.journal_replay import Replay, other_versions
 from slidectl.daemon.mesh_reader import MeshReader
@@ -30,6 +29,7 @@ from slidectl.daemon.place import Place, TakenOver
 from slidectl.daemon.server import Server
 from slidectl.daemon.time_limit import TimeLimit
 from slidectl.errors import SlidectlError
+from slidectl.event_loop import READ, EventLoop
 from slidectl.logfile import LogFile
 from slidectl.names import OWN_NODE
 from slidectl.paths import shown

@@ -18,9 +18,9 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 
-from slidectl.daemon.event_loop import READ, EventLoop
 from slidectl.description.meshes import BadMesh
 from slidectl.errors import Refused
+from slidectl.event_loop import READ, EventLoop
 from slidectl.physics import hulls
 from slidectl.physics.hulls import Hull, MeshSource
 from slidectl.processes import end_with

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from collections import deque
 
-from slidectl.daemon.event_loop import READ, EventLoop
 from slidectl.description.robot import Camera
 from slidectl.errors import Refused
+from slidectl.event_loop import READ, EventLoop
 from slidectl.physics import World
 from slidectl.physics.rendering import PictureRequest, RenderProcess
 from slidectl.rotations import Pose

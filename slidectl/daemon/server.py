@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Any
 
 from slidectl.client.lines import BadLine, LineBuffer, encode
 from slidectl.client.link import peer
-from slidectl.daemon.event_loop import HANG_UP, ONCE, PEER_CLOSED, READ, WRITE, EventLoop
 from slidectl.daemon.outbox import Outbox, Publications, Reader
 from slidectl.daemon.session import Session
+from slidectl.event_loop import HANG_UP, ONCE, PEER_CLOSED, READ, WRITE, EventLoop
 from slidectl.names import OWN_NODE
 from slidectl.simulation.graph import Graph
 from slidectl.simulation.loop import RunState

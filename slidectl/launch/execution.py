@@ -22,7 +22,6 @@ from slidectl.launch.nodes.gazebo import Gazebo, WorldSettings
 from slidectl.launch.nodes.programs import Process, reason
 from slidectl.launch.nodes.spawn_model import SpawnModel
 from slidectl.launch.plan import LaunchPlan, Leaf, Location, Node, RosparamCommand
-from slidectl.launch.supervision import Interrupted
 from slidectl.launch.task import HOOK_LIMIT_S, Run, StepFailed, Task
 from slidectl.writing import write_whole
 
@@ -239,8 +238,7 @@ class Execution:
 
     def _turn(self, most_s: float | None) -> None:
         """Handle what has arrived, and wait for more. Raises NoDaemon, Interrupted."""
-        if self.run.interrupts.received:  # raised where nobody could hear it: in a finalizer, say
-            raise Interrupted(self.run.interrupts.received[0])
+        self.run.interrupts.check()
         self._take_in()
         self.run.watch.turn(most_s)
         self._take_in()
@@ -300,9 +298,11 @@ class Execution:
     # --- down -----------------------------------------------------------------------------------------------------
 
     def shut_down(self) -> None:
-        """End what was begun, the last first, and the daemon if it was begun here. Signals only hurry it."""
+        """End what was begun, the last first, and the daemon if it was begun here.
+
+        Outside of a block in which signals are raised: they only hurry it.
+        """
         run = self.run
-        run.interrupts.hold_for_good()
         run.console.closing()
         run.failed = run.failed or not self.is_up
         processes = self._processes()

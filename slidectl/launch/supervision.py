@@ -1,4 +1,4 @@
-"""What a launch stands on: the signals that end it, a loop over descriptors and timers, and child processes.
+"""What a launch stands on: the signals that end it, the event loop with its timers, and child processes.
 
 Each child process has a session, and so a process group, of its own: what ends a node reaches all that it started.
 One thread, the main one, since signals are heard there. Knows nothing of launch files.
@@ -9,15 +9,15 @@ from __future__ import annotations
 import math
 import os
 import sched
-import selectors
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from types import FrameType
 from typing import TYPE_CHECKING, Any
+
+from slidectl.event_loop import READ, EventLoop
 
 if TYPE_CHECKING:
     from slidectl.client import Client
@@ -41,15 +41,14 @@ class Interrupted(BaseException):
 
 
 class Interrupts:
-    """The handler of SIGNALS, from entering to leaving: the first is raised as Interrupted, later ones are only noted.
+    """The handler of SIGNALS, from entering to leaving: it notes their numbers in `received`, where a loop looks.
 
-    `received` has the numbers of all.
+    In a `raised` block the first one is raised as Interrupted as well, for work that looks nowhere.
     """
 
     def __init__(self) -> None:
         self.received: list[int] = []
-        self._held = 0
-        self._raised = False
+        self._raises = False
         self._previous: dict[int, Any] = {}
 
     def __enter__(self) -> Interrupts:
@@ -59,28 +58,34 @@ class Interrupts:
             for number in SIGNALS:
                 if number not in ignored:
                     self._previous[number] = signal.signal(number, self._take)
-        self._hook, sys.unraisablehook = sys.unraisablehook, self._unraisable
         return self
 
     def __exit__(self, *_: object) -> None:
         for number, handler in self._previous.items():
             signal.signal(number, handler)
-        sys.unraisablehook = self._hook
 
     @contextmanager
-    def held(self) -> Iterator[None]:
-        """Inside, signals are only noted; at the end of the outermost block one that came is raised."""
-        self._held += 1
+    def raised(self, is_raised: bool = True) -> Iterator[None]:
+        """Inside, the first signal is raised at once, and one that came before is raised at the beginning."""
+        before, self._raises = self._raises, is_raised
         try:
+            self.check()
             yield
         finally:
-            self._held -= 1
-        if self.received and not self._held and not self._raised:
-            self._raise()
+            self._raises = before
+        self.check()
 
-    def hold_for_good(self) -> None:
-        """From now on signals are only noted."""
-        self._held += 1_000_000
+    def held(self) -> AbstractContextManager[None]:
+        """Inside a `raised` block, for what must be done whole: a signal that comes is raised at the end."""
+        return self.raised(False)
+
+    def check(self) -> None:
+        """Raise Interrupted where signals are raised and one has come.
+
+        A loop asks at each turn: what is raised in a finalizer does not leave it.
+        """
+        if self._raises and self.received:
+            raise Interrupted(self.received[0])
 
     def ignore(self) -> None:
         """For a process that is about to leave: signals mean nothing any more, after `__exit__` too."""
@@ -90,42 +95,24 @@ class Interrupts:
 
     def _take(self, number: int, _frame: FrameType | None) -> None:
         self.received.append(number)
-        if not self._held and not self._raised:
-            self._raise()
-
-    def _raise(self) -> None:
-        self._raised = True
-        raise Interrupted(self.received[0])
-
-    def _unraisable(self, unraisable: sys.UnraisableHookArgs) -> None:
-        """What is raised in a finalizer is lost: who waits looks at `received`, and nothing is printed about it."""
-        if unraisable.exc_type is not Interrupted:
-            self._hook(unraisable)
+        if len(self.received) == 1:  # what the first one ends is not cut short by a second
+            self.check()
 
 
-class Watch:
-    """A loop: descriptors to read, and things to do later. `turn` waits until something happens and does it."""
+class Watch(EventLoop):
+    """The event loop of a launch: with timers, and clients to listen to."""
 
     def __init__(self) -> None:
-        self._selector = selectors.DefaultSelector()
+        super().__init__()
         self._timers = sched.scheduler(time.monotonic)
-
-    def add(self, descriptor: int, action: Action) -> None:
-        """Do it whenever the descriptor is readable."""
-        self._selector.register(descriptor, selectors.EVENT_READ, action)
-
-    def remove(self, descriptor: int) -> None:
-        """Look at it no more. One that is not looked at is no error."""
-        if descriptor in self._selector.get_map():
-            self._selector.unregister(descriptor)
 
     def listen(self, client: Client, action: Action) -> None:
         """Do it whenever something has come for the client."""
-        self.add(client.fileno(), action)
+        self.watch(client.fileno(), READ, lambda _: action())
 
     def ignore(self, client: Client) -> None:
         """Look no more whether something has come for it."""
-        self.remove(client.fileno())
+        self.forget(client.fileno())
 
     def later(self, seconds: float, action: Action) -> None:
         """Do it once, after so many seconds."""
@@ -135,9 +122,7 @@ class Watch:
         """Wait for something, at most so long, and do all that there is to do."""
         due_s = self._timers.run(blocking=False)
         waits = [max(0.0, seconds) for seconds in (most_s, due_s) if seconds is not None]
-        for key, _ in self._selector.select(min(waits, default=None)):
-            if key.fd in self._selector.get_map():  # an earlier action may have removed it
-                key.data()
+        self.poll(min(waits, default=None))
         self._timers.run(blocking=False)
 
 
@@ -160,7 +145,7 @@ class WorldWatch(Watch):
 
     def turn(self, most_s: float | None = None) -> None:
         super().turn(0.0)
-        waits = [most_s, self._timers.run(blocking=False), _LOOK_EVERY_S if self._selector.get_map() else None]
+        waits = [most_s, self._timers.run(blocking=False), _LOOK_EVERY_S if self._handlers else None]
         next(self._client.events(min((wait_s for wait_s in waits if wait_s is not None), default=math.inf)), None)
         super().turn(0.0)
 
@@ -179,14 +164,14 @@ class Child:
     def __init__(
         self,
         arguments: Sequence[str],
-        watch: Watch,
+        loop: EventLoop,
         on_line: Callable[[str, str], None],
         on_end: Callable[[int], None],
         cwd: str | None = None,
         environment: Mapping[str, str] | None = None,
         stdout: int = subprocess.PIPE,
     ) -> None:
-        self._watch = watch
+        self._loop = loop
         self._on_line = on_line
         self._on_end = on_end
         self._rest = {"stdout": b"", "stderr": b""}
@@ -209,8 +194,8 @@ class Child:
         }
         for name, descriptor in self._pipes.items():
             os.set_blocking(descriptor, False)
-            watch.add(descriptor, lambda name=name: self._take(name))  # type: ignore[misc]
-        watch.add(self._descriptor, self._ended)
+            loop.watch(descriptor, READ, lambda _, name=name: self._take(name))  # type: ignore[misc]
+        loop.watch(self._descriptor, READ, lambda _: self._ended())
 
     def _take(self, name: str, is_last: bool = False) -> None:
         """Read what is there, at most what a pipe holds; with `is_last` a line without an end, too."""
@@ -219,7 +204,7 @@ class Child:
         except BlockingIOError:
             data = None
         if data == b"":
-            self._watch.remove(self._pipes.pop(name))
+            self._loop.forget(self._pipes.pop(name))
         *lines, rest = (self._rest[name] + (data or b"")).split(b"\n")
         if rest and (is_last or data == b"" or len(rest) > _LONGEST_LINE):
             lines, rest = [*lines, rest], b""
@@ -235,7 +220,7 @@ class Child:
             self._take(name, is_last=True)
         # The descriptor is watched up to here, so that the end is noticed later when a signal cuts this short.
         self.code = result.si_status if result.si_code == os.CLD_EXITED else -result.si_status
-        self._watch.remove(self._descriptor)
+        self._loop.forget(self._descriptor)
         self._on_end(self.code)
 
     def signal(self, number: int) -> None:
@@ -247,7 +232,7 @@ class Child:
         """End whatever is left of it, and forget it."""
         self.signal(signal.SIGKILL)
         for descriptor in (self._descriptor, *self._pipes.values()):
-            self._watch.remove(descriptor)
+            self._loop.forget(descriptor)
         self._pipes.clear()
         with self._process:  # waits for it, and closes its pipes
             os.close(self._descriptor)

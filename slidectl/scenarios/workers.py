@@ -9,7 +9,6 @@ from __future__ import annotations
 import gc
 import json
 import os
-import selectors
 import shutil
 import signal
 import sys
@@ -20,6 +19,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 
+from slidectl.event_loop import READ, EventLoop
 from slidectl.processes import end_with
 from slidectl.scenarios.case_run import ERROR, CaseResult, WallTimeUp
 from slidectl.scenarios.scenario_file import Case
@@ -59,7 +59,9 @@ class WorkerPool:
         self._count = count
         self._timeout = timeout
         self._running: dict[int, _Worker] = {}
-        self._selector = selectors.DefaultSelector()
+        self._loop = EventLoop()
+        self._results: list[CaseResult] = []
+        """Those that have come and are not handed out yet."""
 
     def __enter__(self) -> WorkerPool:
         gc.collect()
@@ -68,7 +70,7 @@ class WorkerPool:
 
     def __exit__(self, *_: object) -> None:
         self.ended()
-        self._selector.close()
+        self._loop.close()
         gc.unfreeze()
 
     def results(self, cases: Sequence[Case]) -> Iterator[CaseResult]:
@@ -101,19 +103,19 @@ class WorkerPool:
         if pid == 0:
             _work(self._run, case, folder, writing, parent)
         os.close(writing)
-        self._running[reading] = _Worker(case, pid, reading, folder, case.timeout or self._timeout)
-        self._selector.register(reading, selectors.EVENT_READ)
+        worker = self._running[pid] = _Worker(case, pid, reading, folder, case.timeout or self._timeout)
+        self._loop.watch(reading, READ, lambda _: self._hear(worker))
+
+    def _hear(self, worker: _Worker) -> None:
+        piece = os.read(worker.pipe, 1 << 16)
+        worker.said.extend(piece)
+        if not piece:
+            self._results.append(self._reap(worker))
 
     def _take(self) -> list[CaseResult]:
         """Wait for something. Returns the results that it brought."""
         wait_s = min([_LONGEST_WAIT_S, *(worker.deadline_s - time.monotonic() for worker in self._running.values())])
-        results = []
-        for key, _ in self._selector.select(max(0.0, wait_s)):
-            worker = self._running[key.fd]
-            piece = os.read(key.fd, 1 << 16)
-            worker.said.extend(piece)
-            if not piece:
-                results.append(self._reap(worker))
+        self._loop.poll(max(0.0, wait_s))
         now_s = time.monotonic()
         for worker in self._running.values():
             if now_s >= worker.deadline_s and worker.told:
@@ -121,12 +123,13 @@ class WorkerPool:
                     os.kill(worker.pid, signal.SIGKILL)
             elif now_s >= worker.deadline_s:
                 _tell(worker, f"not done within {worker.limit_s:g} s of wall time")
+        results, self._results = self._results, []
         return results
 
     def _reap(self, worker: _Worker) -> CaseResult:
-        self._selector.unregister(worker.pipe)
+        self._loop.forget(worker.pipe)
         os.close(worker.pipe)
-        del self._running[worker.pipe]
+        del self._running[worker.pid]
         why = worker.told
         status = os.waitpid(worker.pid, 0)[1]
         shutil.rmtree(worker.folder, ignore_errors=True)

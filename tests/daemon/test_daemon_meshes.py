@@ -14,10 +14,10 @@ from daemon_fixture import Runtime
 from rosbridge_wire import Wire
 
 from slidectl.daemon import mesh_reader
-from slidectl.daemon.event_loop import EventLoop
 from slidectl.daemon.mesh_reader import MeshReader
 from slidectl.description.meshes import BadMesh
 from slidectl.errors import SlidectlError
+from slidectl.event_loop import EventLoop
 from slidectl.physics import hulls
 from slidectl.physics.hulls import Hull, MeshSource
 from slidectl.simulation.pending import Pending

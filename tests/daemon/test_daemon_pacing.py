@@ -8,8 +8,8 @@ from collections.abc import Callable
 
 import pytest
 
-from slidectl.daemon.event_loop import READ, EventLoop
 from slidectl.daemon.pacing import CATCH_UP_SLICE_S, FREE_SLICE_S, MOST_BEHIND_S, Pacer
+from slidectl.event_loop import READ, EventLoop
 from slidectl.simulation.loop import RunState
 
 

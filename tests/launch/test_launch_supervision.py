@@ -8,6 +8,7 @@ import time
 
 import pytest
 
+from slidectl.event_loop import READ
 from slidectl.launch.supervision import Child, Interrupted, Interrupts, Watch, run
 
 DEADLINE_S = 30.0
@@ -29,23 +30,23 @@ def test_timers_fire_in_the_order_of_their_times() -> None:
     assert fired == ["first", "second"]
 
 
-def test_a_readable_descriptor_is_told_until_it_is_removed() -> None:
+def test_a_readable_descriptor_is_told_until_it_is_forgotten() -> None:
     watch = Watch()
     read, write = os.pipe()
     heard: list[bytes] = []
-    watch.add(read, lambda: heard.append(os.read(read, 1)))
+    watch.watch(read, READ, lambda _: heard.append(os.read(read, 1)))
     os.write(write, b"ab")
     until(watch, lambda: heard == [b"a", b"b"])
     os.write(write, b"c")
-    watch.remove(read)
-    watch.remove(read)
+    watch.forget(read)
+    watch.forget(read)
     watch.turn(0.0)
     assert heard == [b"a", b"b"]
     os.close(read)
     os.close(write)
 
 
-def test_one_action_may_remove_what_another_waits_for() -> None:
+def test_one_action_may_forget_what_another_waits_for() -> None:
     watch = Watch()
     ends = [os.pipe() for _ in range(2)]
     heard: list[int] = []
@@ -53,10 +54,10 @@ def test_one_action_may_remove_what_another_waits_for() -> None:
     def take(index: int) -> None:
         heard.append(index)
         for read, _ in ends:
-            watch.remove(read)
+            watch.forget(read)
 
     for index, (read, write) in enumerate(ends):
-        watch.add(read, lambda index=index: take(index))  # type: ignore[misc]
+        watch.watch(read, READ, lambda _, index=index: take(index))  # type: ignore[misc]
         os.write(write, b"x")
     watch.turn(1.0)
     assert len(heard) == 1
@@ -69,27 +70,48 @@ def interrupt() -> None:
     os.kill(os.getpid(), signal.SIGINT)
 
 
-def test_the_first_signal_is_raised_at_once_and_later_ones_are_only_noted() -> None:
+def test_signals_are_only_noted_for_who_looks() -> None:
     with Interrupts() as interrupts:
-        with pytest.raises(Interrupted) as caught:
-            interrupt()
-        assert caught.value.number == signal.SIGINT
         interrupt()
-        assert interrupts.received == [signal.SIGINT, signal.SIGINT]
+        interrupts.check()
+        assert interrupts.received == [signal.SIGINT]
     with pytest.raises(KeyboardInterrupt):
         interrupt()
+
+
+def test_the_first_signal_is_raised_at_once_where_it_is_asked_for_and_later_ones_are_only_noted() -> None:
+    def interrupt_twice() -> None:
+        try:
+            interrupt()
+        finally:
+            interrupt()
+
+    with Interrupts() as interrupts:
+        with pytest.raises(Interrupted) as caught, interrupts.raised():
+            interrupt_twice()
+        assert caught.value.number == signal.SIGINT
+        interrupt()
+        assert interrupts.received == [signal.SIGINT] * 3
+
+
+def test_a_signal_that_came_before_is_raised_at_the_beginning() -> None:
+    with Interrupts() as interrupts:
+        interrupt()
+        with pytest.raises(Interrupted), interrupts.raised():
+            pytest.fail("it is not raised")
 
 
 def test_a_signal_that_comes_while_they_are_held_is_raised_at_the_end_of_the_outermost_block() -> None:
     done: list[str] = []
 
     def work(interrupts: Interrupts) -> None:
-        with interrupts.held():
+        with interrupts.raised():
             with interrupts.held():
-                interrupt()
-                done.append("inner")
-            done.append("outer")
-        done.append("never")
+                with interrupts.held():
+                    interrupt()
+                    done.append("inner")
+                done.append("outer")
+            done.append("never")
 
     with Interrupts() as interrupts:
         with pytest.raises(Interrupted):
@@ -97,22 +119,18 @@ def test_a_signal_that_comes_while_they_are_held_is_raised_at_the_end_of_the_out
         assert done == ["inner", "outer"]
 
 
-def test_signals_are_only_noted_when_they_are_held_for_good() -> None:
-    with Interrupts() as interrupts:
-        interrupts.hold_for_good()
-        interrupt()
-        assert interrupts.received == [signal.SIGINT]
-
-
-def test_a_signal_in_a_finalizer_is_noted_and_nothing_is_printed(capfd: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_a_signal_that_was_lost_in_a_finalizer_is_raised_by_who_looks() -> None:
     class Finalized:
         def __del__(self) -> None:
             interrupt()
 
-    with Interrupts() as interrupts:
+    with Interrupts() as interrupts, interrupts.raised():
         Finalized()
         assert interrupts.received == [signal.SIGINT]
-    assert capfd.readouterr().err == ""
+        with pytest.raises(Interrupted):
+            interrupts.check()
+        interrupts.received.clear()
 
 
 def child(watch: Watch, script: str) -> tuple[Child, list[tuple[str, str]], list[int]]:
@@ -157,7 +175,6 @@ def test_a_program_that_cannot_be_started_is_an_error() -> None:
 
 
 def test_a_command_that_is_left_early_is_ended() -> None:
-    with Interrupts():
-        script = f"kill -INT {os.getpid()}; exec sleep 600"
-        with pytest.raises(Interrupted):
-            run(["bash", "-c", script], dict(os.environ), 1024)
+    script = f"kill -INT {os.getpid()}; exec sleep 600"
+    with Interrupts() as interrupts, pytest.raises(Interrupted), interrupts.raised():
+        run(["bash", "-c", script], dict(os.environ), 1024)

@@ -214,8 +214,9 @@ def _run_node(ctx: Context, package: str, kind: str, words: Sequence[str]) -> No
         run = Run(plan, packages, _OneNode(ctx), Options(), interrupts, folder, environment)
         session = Execution(run, made, daemon)
         try:
-            session.bring_up()
-            session.watch()
+            with interrupts.raised():
+                session.bring_up()
+                session.watch()
         except Interrupted as interrupted:
             if interrupted.number == signal.SIGINT:
                 raise KeyboardInterrupt from None

@@ -1,6 +1,7 @@
 """The event loop: sockets, one deadline, and work that is done a piece at a time. Redis's `ae` is the model.
 
-It waits in microseconds, which asyncio and epoll's own wait (whole milliseconds) cannot. It knows nothing of its users.
+It serves the daemon, launches and the workers of a test run, and knows nothing of them. It waits in microseconds, which
+asyncio and epoll's own wait (whole milliseconds) cannot.
 """
 
 from __future__ import annotations
