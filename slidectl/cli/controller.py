@@ -8,7 +8,7 @@ from __future__ import annotations
 import functools
 import json
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from math import isfinite
 from typing import TYPE_CHECKING, Any
@@ -20,7 +20,7 @@ from slidectl.cli.commands import Variadic, finite, group, simulated_seconds, wa
 from slidectl.cli.context import Context
 from slidectl.cli.param import store
 from slidectl.cli.topic_streams import paused, way_on
-from slidectl.client.client import BEST_EFFORT, STARTED, STRICT, UNLOADED, Manager, claimed_text, each
+from slidectl.client.client import BEST_EFFORT, STARTED, STRICT, UNLOADED, Manager, claimed_text, configured, each
 from slidectl.errors import AmbiguousName, NoDaemon, Refused, TimedOut, UnknownName, UsageError, listing
 from slidectl.names import join, parent, resolve
 
@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
 WAIT_S = 30.0
 _LOOK_AGAIN_S = 0.2
+
+_Owner = tuple[Manager, list[str], dict[str, str]]
 
 Decorator = Callable[[Any], Any]
 
@@ -68,17 +70,20 @@ def _rests(function: Any) -> Any:
 
 
 @contextmanager
-def _changes(ctx: Context, manager: Manager, controllers: Sequence[str]) -> Iterator[dict[str, str]]:
+def _changes(
+    ctx: Context, manager: Manager, controllers: Sequence[str], before: Mapping[str, str]
+) -> Iterator[dict[str, str]]:
     """Print the state of each controller before and after; when the action is refused, only where they differ.
 
-    Yields name -> state before the action.
+    `before` is name -> state. Yields a dict for the states afterwards; they are asked for when it stays empty.
     """
-    before, refused = manager.states(), None
+    after: dict[str, str] = {}
+    refused = None
     try:
-        yield before
+        yield after
     except Refused as error:
         refused = error
-    after = manager.states()
+    after = after or manager.states()
     for name in dict.fromkeys(controllers):
         was, state = before.get(name, UNLOADED), after.get(name, UNLOADED)
         if refused is None or was != state:
@@ -224,10 +229,12 @@ def load(ctx: Context, manager: str | None, source: str | None, names: tuple[str
     if source is not None:
         _load_file(ctx, manager, source, names)
         return
-    target, local = owner(ctx, manager, names)
-    _warn_unknown(ctx, target.namespace, local)
-    with _changes(ctx, target, local):
-        target.loaded(target.ask_to_load(local))
+    target, local, before = owner(ctx, manager, names)
+    asked = _ask_for_parameters(target, local)
+    loads = target.ask_to_load(local)
+    _warn_unknown(ctx, target, asked)
+    with _changes(ctx, target, local, before):
+        target.loaded(loads)
 
 
 def _load_file(ctx: Context, manager: str | None, source: str, names: Sequence[str]) -> None:
@@ -240,7 +247,7 @@ def _load_file(ctx: Context, manager: str | None, source: str, names: Sequence[s
         raise UsageError(f"--from takes FILE.py or FILE.py:CLASS, not {source!r}")
     file = os.path.abspath(os.path.expanduser(file))
     target, name = _place_for(ctx, manager, names[0])
-    with _changes(ctx, target, [name]):
+    with _changes(ctx, target, [name], target.states()):
         target.load_file(name, file, class_name)
 
 
@@ -250,10 +257,10 @@ def _place_for(ctx: Context, manager: str | None, controller: str) -> tuple[Mana
     inside = [one for one in candidates if controller.startswith(one.namespace.rstrip("/") + "/")] or candidates
     if len(inside) == 1:
         return inside[0], controller.removeprefix(inside[0].namespace.rstrip("/") + "/")
-    if inside and not _places(candidates, [controller])[controller]:
+    if inside and not _places(_known(candidates)[1], [controller])[controller]:
         spaces = ", ".join(one.namespace for one in candidates)
         raise UsageError(f"which robot is {controller} for?", f"say it with --cm: {spaces}")
-    target, [name] = owner(ctx, manager, [controller])
+    target, [name], _ = owner(ctx, manager, [controller])
     return target, name
 
 
@@ -267,7 +274,7 @@ def reload(ctx: Context, manager: str | None, names: tuple[str, ...]) -> None:
     Each is stopped if it runs, loaded anew, and started again if it ran or was aborted. Name, parameters and topics
     stay. When the edited file is broken nothing changes. Fails when it is aborted by its first update.
     """
-    target, local = owner(ctx, manager, names)
+    target, local, _ = owner(ctx, manager, names)
     for name in local:
         before = target.states().get(name, UNLOADED)
         target.reload(name)
@@ -285,8 +292,8 @@ def reload(ctx: Context, manager: str | None, names: tuple[str, ...]) -> None:
 @click.pass_obj
 def unload(ctx: Context, manager: str | None, names: tuple[str, ...]) -> None:
     """Unload controllers that are stopped."""
-    target, local = owner(ctx, manager, names)
-    with _changes(ctx, target, local):
+    target, local, before = owner(ctx, manager, names)
+    with _changes(ctx, target, local, before):
         each(target.unload, local)
 
 
@@ -369,14 +376,14 @@ def _switch(
     asap: bool,
     rest: str | None = None,
 ) -> None:
-    target, local = (owner if strict else owner_of_some)(ctx, manager, [*start, *stop])
+    target, local, before = (owner if strict else owner_of_some)(ctx, manager, [*start, *stop])
     starting, stopping = local[: len(start)], local[len(start) :]
-    known = local if strict else [name for name in local if name in target.known()]
+    known = local if strict else target.known()
     _rest_joints(ctx, target, stopping, rest, check_only=True, left_to=starting)
-    with _changes(ctx, target, known):
+    with _changes(ctx, target, [name for name in local if name in known], before) as after:
         target.switch(starting, stopping, STRICT if strict else BEST_EFFORT, asap)
         if strict:
-            target.check_started(starting)
+            after |= target.check_started(starting)
         _rest_joints(ctx, target, stopping, rest)
 
 
@@ -399,10 +406,12 @@ def spawn(ctx: Context, manager: str | None, stopped: bool, wait: bool, names: t
     """
     if wait:
         wait_for_owner(ctx, manager, names)
-    target, local = owner(ctx, manager, names)
-    _warn_unknown(ctx, target.namespace, local)
-    with _changes(ctx, target, local):
-        target.bring_up(local, start=not stopped)
+    target, local, before = owner(ctx, manager, names)
+    asked = _ask_for_parameters(target, local)
+    loads = target.ask_to_load([name for name in local if name not in before])
+    _warn_unknown(ctx, target, asked)
+    with _changes(ctx, target, local, before) as after:
+        after |= target.bring_up(local, start=not stopped, states=before, loads=loads)
 
 
 @controller.command("unspawn", examples=["slidectl controller unspawn joint1_position_controller"])
@@ -415,8 +424,8 @@ def unspawn(ctx: Context, manager: str | None, rest: str | None, names: tuple[st
 
     As in ROS the last commands stay with the hardware; --zero and --hold set others, as with 'controller stop'.
     """
-    target, local = owner(ctx, manager, names)
-    with _changes(ctx, target, local) as before:
+    target, local, before = owner(ctx, manager, names)
+    with _changes(ctx, target, local, before):
         loaded = [name for name in local if name in before]
         running = [name for name in loaded if before[name] in STARTED]
         _rest_joints(ctx, target, loaded, rest, check_only=True)
@@ -452,8 +461,8 @@ def plot(ctx: Context, manager: str | None, name: str, step: float, duration: fl
     from slidectl.viewing.step_response import step_response
 
     plotting.check(ctx, save)
-    found, (local,) = owner(ctx, manager, [name])
-    if found.states().get(local) not in STARTED:
+    found, (local,), states = owner(ctx, manager, [name])
+    if states.get(local) not in STARTED:
         raise Refused(f"{local} does not run", f"start it: slidectl controller spawn {local}")
     if (status := ctx.call("/slidectl/status"))["paused"]:
         ctx.say(f"{paused(status)}; this waits until it goes on: {way_on(status)}")
@@ -514,17 +523,22 @@ def read_parameters(ctx: Context, file: str, namespaces: Sequence[str]) -> Tree:
     return dict(leaves(placed))
 
 
-def _warn_unknown(ctx: Context, namespace: str, controllers: Sequence[str]) -> None:
-    """Warn of parameter names of these controllers, in the daemon, that no controller knows."""
+def _ask_for_parameters(manager: Manager, controllers: Sequence[str]) -> dict[str, str]:
+    """Send the requests for what `_warn_unknown` looks at: the parameters, before loading a controller adds to them."""
+    requests = {name: {"name": join(manager.namespace, name), "default": "null"} for name in controllers}
+    return {name: manager.client.call_async("/rosapi/get_param", request) for name, request in requests.items()}
+
+
+def _warn_unknown(ctx: Context, manager: Manager, asked: Mapping[str, str]) -> None:
+    """Warn of parameter names that no controller knows. `asked` has the calls of `_ask_for_parameters`."""
     from slidectl.check.controllers import ParameterFile, unknown
     from slidectl.check.findings import Findings
 
-    for name in dict.fromkeys(controllers):
-        request = {"name": join(namespace, name), "default": "null"}
-        tree = json.loads(ctx.call("/rosapi/get_param", request)["value"])
+    for name, call_id in asked.items():
+        tree = json.loads(ctx.client.answer(call_id)["value"])
         for part in reversed(name.split("/")):
             tree = {part: tree}
-        for notice in unknown(tree, ParameterFile("", {}, Findings(), namespace)):
+        for notice in unknown(tree, ParameterFile("", {}, Findings(), manager.namespace)):
             ctx.warn(f"{notice.subject}: {notice.text}")
 
 
@@ -543,8 +557,8 @@ def chosen(context: Context, wanted: str | None) -> list[Manager]:
     return [known[context.namespace]] if below_root and context.namespace in known else every
 
 
-def owner(context: Context, wanted: str | None, controllers: Sequence[str]) -> tuple[Manager, list[str]]:
-    """The one manager that the controllers belong to, and their names in it.
+def owner(context: Context, wanted: str | None, controllers: Sequence[str]) -> _Owner:
+    """The one manager that the controllers belong to, their names in it, and the states of all that are loaded there.
 
     A name may be full (`/slider/joint1_position_controller`). Raises AmbiguousName (2) when several managers know the
     names, UnknownName (1) when none does, UsageError when no single manager has them all.
@@ -552,11 +566,12 @@ def owner(context: Context, wanted: str | None, controllers: Sequence[str]) -> t
     candidates = chosen(context, wanted)
     if not candidates:
         raise Refused("no robot with controllers in the world", "spawn one: slidectl spawn slider")
-    places = _places(candidates, controllers)
+    states, known = _known(candidates)
+    places = _places(known, controllers)
     fitting = [m for m in candidates if all(m.namespace in found for found in places.values())]
     if len(fitting) == 1:
         (manager,) = fitting
-        return manager, [places[name][manager.namespace] for name in controllers]
+        return manager, [places[name][manager.namespace] for name in controllers], states[manager.namespace]
     if fitting:
         spaces = [manager.namespace for manager in fitting]
         if not controllers:
@@ -565,20 +580,19 @@ def owner(context: Context, wanted: str | None, controllers: Sequence[str]) -> t
         raise AmbiguousName("controller", " ".join(controllers), matches)
     for name, found in places.items():
         if not found:
-            known = sorted({known for manager in candidates for known in manager.known()})
             where = f"in {candidates[0].namespace}" if len(candidates) == 1 else ""
-            error = UnknownName("controller", name, known, where)
+            error = UnknownName("controller", name, sorted(set().union(*known.values())), where)
             error.hint = f"{error.hint}\nload its configuration first: slidectl controller config FILE.yaml"
             raise error
     listed = "; ".join(f"{name} of {', '.join(sorted(found))}" for name, found in places.items())
     raise UsageError(f"no controller manager has all of these: {listed}", "one command for each robot, please")
 
 
-def owner_of_some(context: Context, wanted: str | None, controllers: Sequence[str]) -> tuple[Manager, list[str]]:
+def owner_of_some(context: Context, wanted: str | None, controllers: Sequence[str]) -> _Owner:
     """As `owner`, for best effort: the manager need only know some of the controllers, or be the only manager."""
-    known = [name for name, found in _places(chosen(context, wanted), controllers).items() if found]
-    manager, _ = owner(context, wanted, known)
-    return manager, [name.removeprefix(manager.namespace.rstrip("/") + "/") for name in controllers]
+    places = _places(_known(chosen(context, wanted))[1], controllers)
+    manager, _, states = owner(context, wanted, [name for name, found in places.items() if found])
+    return manager, [name.removeprefix(manager.namespace.rstrip("/") + "/") for name in controllers], states
 
 
 def next_step(context: Context, topic: str) -> str | None:
@@ -599,9 +613,16 @@ def next_step(context: Context, topic: str) -> str | None:
     return steps[0] if steps and topic.rpartition("/")[2] == "command" else None
 
 
-def _places(candidates: Sequence[Manager], controllers: Sequence[str]) -> dict[str, dict[str, str]]:
+def _known(managers: Sequence[Manager]) -> tuple[dict[str, dict[str, str]], dict[str, set[str]]]:
+    """Two by namespace, in the time of one call: the states of the loaded controllers, and all that could be loaded."""
+    asked = {manager: manager.ask_for_controllers() for manager in managers}
+    parameters = managers[0].client.params.names() if managers else []
+    states = {manager.namespace: manager.states(call_id) for manager, call_id in asked.items()}
+    return states, {space: {*loaded, *configured(parameters, space)} for space, loaded in states.items()}
+
+
+def _places(known: Mapping[str, Collection[str]], controllers: Sequence[str]) -> dict[str, dict[str, str]]:
     """Controller -> namespace of each manager that knows it -> its name there."""
-    known = {manager.namespace: manager.known() for manager in candidates} if controllers else {}
     places: dict[str, dict[str, str]] = {name: {} for name in controllers}
     for name, found in places.items():
         for namespace, inside in known.items():

@@ -19,8 +19,9 @@ from slidectl.cli.commands import Variadic, command, looks_like_number
 from slidectl.cli.context import Context
 from slidectl.cli.controller import read_parameters
 from slidectl.cli.param import store
+from slidectl.cli.robots import Robot
 from slidectl.client import spawning
-from slidectl.client.client import SPAWN_LIMIT_S, Manager
+from slidectl.client.client import SPAWN_LIMIT_S, Manager, configured
 from slidectl.errors import BadFile, NotThere, Refused, UnknownName, UsageError
 
 if TYPE_CHECKING:
@@ -119,26 +120,32 @@ def spawn(
     xml = spawning.with_transmissions(document, transmissions, _rooted(document.xml, document.file, fixed))
     pose = spawning.pose(at, "--at")
     wanted, namespace = spawning.identity(xml, document, name, strict, positions)
-    spawning.check_free(robots.all_robots(ctx), wanted, namespace)
+    asked = ctx.client.call_async("/rosapi/get_param_names")  # answered in the time of the next call
+    present = robots.all_robots(ctx)
+    parameters = set(ctx.client.answer(asked)["names"])
+    spawning.check_free(present, wanted, namespace)
     if controllers is not None:
         try:
-            store(ctx, read_parameters(ctx, controllers, [namespace]))
+            tree = read_parameters(ctx, controllers, [namespace])
+            store(ctx, tree)
+            parameters |= tree.keys()
         except NotThere as error:
             missing.note(error, "the parameters of controllers are left out")
             missing.refuse()
-    manager = ctx.manager(namespace)
-    there = _configured(manager, start, missing)
+    there = _configured(namespace, sorted(parameters), start, missing)
     warnings = ctx.client.spawn_urdf(wanted, xml, pose, positions, timeout=ctx.wait_limit(SPAWN_LIMIT_S))
-    loads = {} if keep_going else manager.ask_to_load(there)  # the robot is new, so none is loaded yet
-    _tell_report(ctx, wanted, document, positions)
+    manager = ctx.manager(namespace)
+    loads = manager.ask_to_load(there)  # the robot is new, so none is loaded yet
+    robot = robots.find(robots.all_robots(ctx), wanted)
+    _tell_report(ctx, robot, document, positions)
     for warning in warnings:
         ctx.warn(warning)
     try:
         there = _bring_up(manager, there, loads, missing)
     except Refused:
-        _tell(ctx, wanted)
+        _tell(ctx, robot)
         raise
-    _tell(ctx, wanted)
+    _tell(ctx, robot)
     _tell_left_out(ctx, missing)
     if start and not there:
         raise Refused(f"nothing is left to drive {wanted}: none of its controllers is there")
@@ -319,14 +326,14 @@ def _spawn_scene(
             description.parse(xml, model.file, strict=True)
         requests.append({**spawning.request(model, at, "--at"), "model_xml": xml})
     warnings = ctx.client.spawn_models(requests, timeout=ctx.wait_limit(SPAWN_LIMIT_S))
-    reports = {robot["name"]: robot["report"] for robot in robots.all_robots(ctx)}
-    own = [vars(notice) for notice in scene.notices]
-    told = own + [notice for request in requests for notice in reports[request["model_name"]]]
+    present = {robot["name"]: robot for robot in robots.all_robots(ctx)}
+    spawned = [present[request["model_name"]] for request in requests]
+    told = [vars(notice) for notice in scene.notices] + [notice for robot in spawned for notice in robot["report"]]
     _tell_notices(ctx, told)
     for warning in warnings:
         ctx.warn(warning)
-    for request in requests:
-        _tell(ctx, request["model_name"])
+    for robot in spawned:
+        _tell(ctx, robot)
 
 
 def _tell_left_out(ctx: Context, missing: Missing) -> None:
@@ -334,12 +341,12 @@ def _tell_left_out(ctx: Context, missing: Missing) -> None:
         ctx.warn("\n".join(["left out:", *lines]))
 
 
-def _configured(manager: Manager, start: Sequence[str], missing: Missing) -> list[str]:
+def _configured(namespace: str, parameters: Sequence[str], start: Sequence[str], missing: Missing) -> list[str]:
     """The controllers that have parameters. Raises UnknownName for one without, unless `missing` keeps going."""
-    known = manager.configured() if start else []
+    known = configured(parameters, namespace)
     for name in start:
         if name not in known:
-            error = UnknownName("controller", name, known, f"in the parameters of {manager.namespace}")
+            error = UnknownName("controller", name, known, f"in the parameters of {namespace}")
             if not missing.keeps_going:
                 raise error
             missing.note(NotThere(error.message, hint=error.hint), f"the controller {name} is left out")
@@ -352,14 +359,13 @@ def _bring_up(manager: Manager, names: list[str], loads: dict[str, str], missing
     Returns their names.
     """
     if not missing.keeps_going:
-        manager.loaded(loads)
         if names:
-            manager.start(names)
+            manager.bring_up(names, states={}, loads=loads)
         return names
     there = []
-    for name in names:
+    for name, load in loads.items():
         try:
-            manager.bring_up([name])
+            manager.bring_up([name], states={}, loads={name: load})
         except Refused as error:
             missing.note(NotThere(error.message, hint=error.hint), f"the controller {name} is left out")
         else:
@@ -367,17 +373,16 @@ def _bring_up(manager: Manager, names: list[str], loads: dict[str, str], missing
     return there
 
 
-def _tell_report(ctx: Context, name: str, document: Document, positions: Mapping[str, float]) -> None:
+def _tell_report(ctx: Context, robot: Robot, document: Document, positions: Mapping[str, float]) -> None:
     """Print the report on the tags: wrong tags and corrected inertias in full, the others counted unless `-v`."""
     from slidectl.description.parser import is_put_inside
 
     for notice in document.report:
         ctx.warn(str(notice))
-    report = robots.find(robots.all_robots(ctx), name)["report"]
-    report = [notice for notice in report if not is_put_inside(notice["subject"], notice["text"], positions)]
+    report = [one for one in robot["report"] if not is_put_inside(one["subject"], one["text"], positions)]
     _tell_notices(ctx, report)
     if not ctx.verbose:
-        ctx.say(robots.summary(name, report))
+        ctx.say(robots.summary(robot["name"], report))
 
 
 def _tell_notices(ctx: Context, notices: Sequence[dict[str, Any]]) -> None:
@@ -388,10 +393,10 @@ def _tell_notices(ctx: Context, notices: Sequence[dict[str, Any]]) -> None:
             ctx.warn(robots.notice_text(notice))
 
 
-def _tell(ctx: Context, name: str) -> None:
-    robot = robots.record(robots.find(robots.all_robots(ctx), name))
+def _tell(ctx: Context, robot: Robot) -> None:
+    robot = robots.record(robot)
     # When the physics diverges at once, the pose is NaN, which the protocol sends as null.
     x, y, z = (math.nan if value is None else round(value, 3) + 0.0 for value in robot["pose"][:3])
     joints = " ".join(robots.moving(robot)) or "none"
     how = f"spawned in {robot['namespace']}" if robot["kind"] == "robot" else f"{robot['kind']}, spawned"
-    ctx.done(robot, f"{name}: {how} at {x:g} {y:g} {z:g}, joints: {joints}")
+    ctx.done(robot, f"{robot['name']}: {how} at {x:g} {y:g} {z:g}, joints: {joints}")

@@ -430,8 +430,7 @@ class Client:
                 raise UnknownName("controller", wanted, known, f"in the parameters of {namespace}")
         self.spawn_urdf(chosen, xml, pose, joints)
         if start:
-            manager.loaded(manager.ask_to_load(start))
-            manager.start(start)
+            manager.bring_up(start, states={})  # the robot is new: it has none yet
         return dict(self.call("/slidectl/list_robots", {"name": chosen})["robots"][0])
 
     def spawn_urdf(
@@ -1012,13 +1011,18 @@ class Manager:
         known = self.client.services()
         return all(f"{self.name}/{service}" in known for service in _MANAGER_SERVICES)
 
-    def controllers(self) -> list[Message]:
-        """The loaded controllers, in load order (controller_manager_msgs/ControllerState)."""
-        return list(self._call("list_controllers")["controller"])
+    def ask_for_controllers(self) -> str:
+        """Send the request; `controllers` and `states` take the answer."""
+        return self.client.call_async(f"{self.name}/list_controllers")
 
-    def states(self) -> dict[str, str]:
+    def controllers(self, asked: str | None = None) -> list[Message]:
+        """The loaded controllers, in load order (controller_manager_msgs/ControllerState)."""
+        call_id = self.ask_for_controllers() if asked is None else asked
+        return list(self.client.answer(call_id, timeout=self._limit_s)["controller"])
+
+    def states(self, asked: str | None = None) -> dict[str, str]:
         """Name -> state of the loaded controllers."""
-        return {controller["name"]: controller["state"] for controller in self.controllers()}
+        return {controller["name"]: controller["state"] for controller in self.controllers(asked)}
 
     def update_times(self) -> list[Message]:
         """How long the updates of the loaded controllers took, in load order (slidectl/UpdateTimes)."""
@@ -1090,25 +1094,42 @@ class Manager:
         """The answers to `ask_to_load`. Raises Refused with what went wrong."""
         each(lambda name: self._answered(f"load {name}", calls[name]), list(calls))
 
-    def bring_up(self, wanted: Sequence[str], start: bool = True) -> None:
-        """Load what is not loaded, then start what does not run in one strict switch. Raises Refused."""
-        states = self.states()
-        self.loaded(self.ask_to_load([name for name in wanted if name not in states]))
+    def bring_up(
+        self,
+        wanted: Sequence[str],
+        start: bool = True,
+        *,
+        stop: Sequence[str] = (),
+        states: Mapping[str, str] | None = None,
+        loads: dict[str, str] | None = None,
+    ) -> dict[str, str]:
+        """Load what is not loaded, then start what does not run in one strict switch. Returns the states afterwards.
+
+        Args:
+            stop: running controllers that the same switch stops.
+            states: those before; None: they are asked for.
+            loads: calls of `ask_to_load` that are under way; None: what is not loaded is asked for here.
+
+        Raises:
+            Refused: what cannot be loaded, and then nothing is started; or what did not start.
+        """
+        states = self.states() if states is None else states
+        self.loaded(self.ask_to_load([name for name in wanted if name not in states]) if loads is None else loads)
         idle = [name for name in dict.fromkeys(wanted) if states.get(name) != "running"]
-        if start and idle:
-            self.start(idle)
+        return self.start(idle, stop) if start and (idle or stop) else self.states()
 
-    def start(self, wanted: Sequence[str]) -> None:
-        """Start loaded controllers in one strict switch, and see that they run. Raises Refused."""
-        self.switch(wanted)
-        self.check_started(wanted)
+    def start(self, wanted: Sequence[str], stop: Sequence[str] = ()) -> dict[str, str]:
+        """Start loaded controllers in one strict switch, and see that they run. Returns the states. Raises Refused."""
+        self.switch(wanted, stop)
+        return self.check_started(wanted)
 
-    def check_started(self, wanted: Sequence[str]) -> None:
-        """A switch may be done and a controller still not run: it aborted, or it waits for its joints."""
+    def check_started(self, wanted: Sequence[str]) -> dict[str, str]:
+        """A switch may be done and a controller still not run: it was aborted. Returns the states. Raises Refused."""
         states = self.states()
         failed = [f"{name} is {states.get(name, UNLOADED)}" for name in wanted if states.get(name) not in STARTED]
         if failed:
             raise Refused(f"did not start: {', '.join(failed)}", "slidectl daemon logs says why")
+        return states
 
 
 def configured(parameters: Sequence[str], namespace: str) -> list[str]:

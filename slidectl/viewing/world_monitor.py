@@ -10,6 +10,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from slidectl import msgs, names
+from slidectl.client.client import Manager
 from slidectl.client.rate_meter import RateMeter
 from slidectl.errors import Refused
 from slidectl.msgs.schema import nanoseconds
@@ -61,13 +62,12 @@ class WorldMonitor:
         self.status, answer = (client.answer(call, timeout=_PATIENCE_S) for call in calls)
         robots = sorted(answer["robots"], key=lambda robot: str(robot["name"]))
         spaces = [robot["namespace"] for robot in robots if robot["kind"] == "robot"]
-        service = "controller_manager/list_controllers"
-        asked = {space: client.call_async(names.join(space, service)) for space in spaces}
+        managers = [Manager(client, space, limit_s=_PATIENCE_S) for space in spaces]
+        asked = {manager: manager.ask_for_controllers() for manager in managers}
         self.controllers = []
-        for space, call in asked.items():
+        for manager, call in asked.items():
             with suppress(Refused):  # the robot was deleted meanwhile
-                listed = client.answer(call, timeout=_PATIENCE_S)["controller"]
-                self.controllers += (_controller(space, controller) for controller in listed)
+                self.controllers += (_controller(manager.namespace, one) for one in manager.controllers(call))
         if self._refreshes % _GRAPH_EVERY == 0:
             self._follow_topics()
         self._refreshes += 1

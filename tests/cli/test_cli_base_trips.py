@@ -47,8 +47,19 @@ def trips(world: CommandLine, tmp_path: Path, *words: str) -> int:
 def slider(world: CommandLine, tmp_path_factory: pytest.TempPathFactory) -> CommandLine:
     controllers = ("joint_state_controller", "joint1_position_controller")
     words = ("spawn", "slider", "--controllers", "config/slider_control.yaml", "--start", *controllers)
-    assert trips(world, tmp_path_factory.mktemp("spawn"), *words) <= 8
+    assert trips(world, tmp_path_factory.mktemp("spawn"), *words) <= 6
     return world
+
+
+def test_spawning_a_controller_takes_few_round_trips_however_many_managers_there_are(
+    slider: CommandLine, tmp_path: Path
+) -> None:
+    slider.ok("spawn", "rrbot", "--controllers", "config/rrbot_control.yaml")
+    words = ("controller", "spawn", "joint_state_controller", "joint1_position_controller", "--cm", "/rrbot")
+    assert trips(slider, tmp_path, *words[:3], "joint2_position_controller") <= 5
+    assert trips(slider, tmp_path, *words) <= 5
+    slider.ok("delete", "rrbot")
+    slider.ok("param", "delete", "/rrbot")
 
 
 @pytest.mark.parametrize(

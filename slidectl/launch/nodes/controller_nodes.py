@@ -124,20 +124,21 @@ class Spawner(_ControllerTask):
                 self.loaded.append(name)
         if self.loaded and not self.words.has("--stopped"):
             self.has_started = True
-            self._switch(run, manager, goes_on)
+            if goes_on:
+                self._start_some(run, manager)
+            else:
+                manager.start(self.loaded)
         if self.loaded:
-            self._report(run, manager)
+            state = "loaded" if self.words.has("--stopped") else "running"
+            self.settled(run, f"{', '.join(self.loaded)} {state} in {self.namespace}", controllers=self.loaded)
         return None
 
     def _unknown(self, name: str, known: list[str]) -> UnknownName:
         """The error for a name without parameters; it says which names have some."""
         return UnknownName("controller", name, known, f"in the parameters of {self.namespace}")
 
-    def _switch(self, run: Run, manager: Manager, goes_on: bool) -> None:
-        """Start all of them; with `goes_on` those that can be started."""
-        if not goes_on:
-            manager.switch(self.loaded)
-            return
+    def _start_some(self, run: Run, manager: Manager) -> None:
+        """Start those that can be started, and leave out the others."""
         reason = Refused("it did not start", "slidectl daemon logs says why")
         try:
             manager.switch(self.loaded, (), BEST_EFFORT)
@@ -178,15 +179,6 @@ class Spawner(_ControllerTask):
                 run.set_parameter(name, value)
             found += list(tree)
         return list(dict.fromkeys(found))
-
-    def _report(self, run: Run, manager: Manager) -> None:
-        states = manager.states()
-        wanted = ("initialized",) if self.words.has("--stopped") else STARTED
-        failed = [f"{name} is {states.get(name, 'gone')}" for name in self.loaded if states.get(name) not in wanted]
-        if failed:
-            raise Refused(f"did not start: {', '.join(failed)}", "slidectl daemon logs says why")
-        state = "loaded" if self.words.has("--stopped") else "running"
-        self.settled(run, f"{', '.join(self.loaded)} {state} in {self.namespace}", controllers=self.loaded)
 
     def stop(self, run: Run) -> None:
         """Stop what was started at once, as strictly as the real one; then unload what can be, the last first."""
@@ -394,11 +386,8 @@ class GroupScript(_ControllerTask):
         others = {name for group, members in groups.items() if group != self.group for name in members}
         unwanted = others - set(wanted) if self.command == "switch" else set()
         states = manager.states()
-        manager.loaded(manager.ask_to_load([name for name in wanted if name not in states]))
-        start = [name for name in wanted if states.get(name) != "running"]
         stop = [name for name, state in states.items() if state == "running" and name in unwanted]
-        if start or stop:
-            manager.switch(start, stop)
+        manager.bring_up(wanted, stop=stop, states=states)
         self.settled(run, f"{', '.join(wanted)} running in {self.node.namespace}", controllers=wanted)
         return None
 
