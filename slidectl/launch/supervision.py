@@ -1,7 +1,7 @@
-"""What a launch stands on: the signals that end it, a loop over descriptors and timers, and child processes.
+"""Support for running a launch: signal handling, a loop over descriptors and timers, and child processes.
 
-Each child process has a session, and so a process group, of its own: what ends a node reaches all that it started.
-One thread, the main one, since signals are heard there. Knows nothing of launch files.
+Each child process has its own session and process group, so that a signal reaches everything that a node has started.
+Everything runs in the main thread, as only that handles signals. This module knows no launch files.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ if TYPE_CHECKING:
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _CHUNK = 65536
-"""Bytes of one read: as many as a pipe holds."""
+"""Bytes per read: the capacity of a pipe."""
 _LONGEST_LINE = 65536
 _LOOK_EVERY_S = 0.01
-"""Simulated seconds between two looks at descriptors, in a scenario."""
+"""In a scenario: simulated seconds between two polls of descriptors."""
 
 Action = Callable[[], None]
 
 
 class Interrupted(BaseException):
-    """A signal asked for the end."""
+    """A signal has asked the process to end."""
 
     def __init__(self, number: int) -> None:
         super().__init__(signal.Signals(number).name)
@@ -41,7 +41,7 @@ class Interrupted(BaseException):
 
 
 class Interrupts:
-    """The handler of SIGNALS, from entering to leaving: the first is raised as Interrupted, later ones are only noted.
+    """Handles SIGNALS while it is entered: the first signal raises Interrupted, later ones are only recorded.
 
     `received` has the numbers of all.
     """
@@ -53,9 +53,9 @@ class Interrupts:
         self._previous: dict[int, Any] = {}
 
     def __enter__(self) -> Interrupts:
-        # `nohup` has programs ignore SIGHUP, the end of the terminal; so it stays.
+        # `nohup` makes programs ignore SIGHUP; this is kept.
         ignored = [signal.SIGHUP] if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN else []
-        with suppress(ValueError):  # in a thread, which hears none: whoever began it ends it
+        with suppress(ValueError):  # not in the main thread: signals cannot be handled, the caller ends it
             for number in SIGNALS:
                 if number not in ignored:
                     self._previous[number] = signal.signal(number, self._take)
@@ -69,7 +69,7 @@ class Interrupts:
 
     @contextmanager
     def held(self) -> Iterator[None]:
-        """Inside, signals are only noted; at the end of the outermost block one that came is raised."""
+        """Only record signals inside the block; at the end of the outermost block a received one is raised."""
         self._held += 1
         try:
             yield
@@ -79,11 +79,11 @@ class Interrupts:
             self._raise()
 
     def hold_for_good(self) -> None:
-        """From now on signals are only noted."""
+        """Only record signals from now on."""
         self._held += 1_000_000
 
     def ignore(self) -> None:
-        """For a process that is about to leave: signals mean nothing any more, after `__exit__` too."""
+        """Ignore signals from now on, also after `__exit__`: the process is about to end."""
         for number in SIGNALS:
             signal.signal(number, signal.SIG_IGN)
         self._previous.clear()
@@ -98,41 +98,41 @@ class Interrupts:
         raise Interrupted(self.received[0])
 
     def _unraisable(self, unraisable: sys.UnraisableHookArgs) -> None:
-        """What is raised in a finalizer is lost: who waits looks at `received`, and nothing is printed about it."""
+        """Print nothing for an Interrupted that is lost in a finalizer: the waiting code checks `received`."""
         if unraisable.exc_type is not Interrupted:
             self._hook(unraisable)
 
 
 class Watch:
-    """A loop: descriptors to read, and things to do later. `turn` waits until something happens and does it."""
+    """An event loop of descriptors to read and timers. `turn` waits for an event and handles it."""
 
     def __init__(self) -> None:
         self._selector = selectors.DefaultSelector()
         self._timers = sched.scheduler(time.monotonic)
 
     def add(self, descriptor: int, action: Action) -> None:
-        """Do it whenever the descriptor is readable."""
+        """Call `action` whenever the descriptor is readable."""
         self._selector.register(descriptor, selectors.EVENT_READ, action)
 
     def remove(self, descriptor: int) -> None:
-        """Look at it no more. One that is not looked at is no error."""
+        """Stop watching the descriptor; it need not be watched."""
         if descriptor in self._selector.get_map():
             self._selector.unregister(descriptor)
 
     def listen(self, client: Client, action: Action) -> None:
-        """Do it whenever something has come for the client."""
+        """Call `action` whenever the client has received something."""
         self.add(client.fileno(), action)
 
     def ignore(self, client: Client) -> None:
-        """Look no more whether something has come for it."""
+        """Stop watching the client."""
         self.remove(client.fileno())
 
     def later(self, seconds: float, action: Action) -> None:
-        """Do it once, after so many seconds."""
+        """Call `action` once, after this time."""
         self._timers.enter(seconds, 0, action)
 
     def turn(self, most_s: float | None = None) -> None:
-        """Wait for something, at most so long, and do all that there is to do."""
+        """Wait for an event for at most `most_s` seconds (None: without limit), and handle all that are due."""
         due_s = self._timers.run(blocking=False)
         waits = [max(0.0, seconds) for seconds in (most_s, due_s) if seconds is not None]
         for key, _ in self._selector.select(min(waits, default=None)):
@@ -142,7 +142,7 @@ class Watch:
 
 
 class WorldWatch(Watch):
-    """The same in a scenario: on the clock of a client whose waits let the world go on, or others have their turn."""
+    """A Watch for a scenario. It uses the clock of a client; its waits let the world, or other steps, run."""
 
     def __init__(self, client: Client) -> None:
         super().__init__()
@@ -150,7 +150,7 @@ class WorldWatch(Watch):
         self._client = client
 
     def listen(self, client: Client, action: Action) -> None:
-        """As a Watch does. A world in this process does it between two cycles, whoever waits."""
+        """As Watch. A world in this process calls `action` between two cycles."""
         if not client.call_back(action):
             super().listen(client, action)
 
@@ -166,7 +166,7 @@ class WorldWatch(Watch):
 
 
 class Child:
-    """A running program. Streams are `stdout` and `stderr`; a stdout that goes to a file is not seen here.
+    """A running program. Its streams are `stdout` and `stderr`; a stdout that goes to a file is not read.
 
     Args:
         on_line: called with the stream and each line of it.
@@ -213,7 +213,7 @@ class Child:
         watch.add(self._descriptor, self._ended)
 
     def _take(self, name: str, is_last: bool = False) -> None:
-        """Read what is there, at most what a pipe holds; with `is_last` a line without an end, too."""
+        """Read one chunk and pass on its lines; with `is_last` also a line without an end."""
         try:
             data: bytes | None = os.read(self._pipes[name], _CHUNK)
         except BlockingIOError:
@@ -228,36 +228,36 @@ class Child:
             self._on_line(name, line.decode("utf-8", "replace").rstrip("\r"))
 
     def _ended(self) -> None:
-        """It has ended. It stays a zombie until `release`, so that no other process gets the id of its group."""
+        """Handle the end. The process stays a zombie until `release`, so that the id of its group is not reused."""
         result = os.waitid(os.P_PIDFD, self._descriptor, os.WEXITED | os.WNOWAIT)
         assert result is not None
-        for name in list(self._pipes):  # what it has written; what its own children write later comes by `turn`
+        for name in list(self._pipes):  # its own output; output of its children may come later
             self._take(name, is_last=True)
-        # The descriptor is watched up to here, so that the end is noticed later when a signal cuts this short.
+        # The descriptor is watched up to here: if a signal interrupts this method, the end is noticed again.
         self.code = result.si_status if result.si_code == os.CLD_EXITED else -result.si_status
         self._watch.remove(self._descriptor)
         self._on_end(self.code)
 
     def signal(self, number: int) -> None:
-        """Send a signal to it and to all that it started."""
+        """Send a signal to the process and everything that it has started."""
         with suppress(ProcessLookupError, PermissionError):
             os.killpg(self.pid, number)
 
     def release(self) -> None:
-        """End whatever is left of it, and forget it."""
+        """Kill what is left of the process group, and free all resources."""
         self.signal(signal.SIGKILL)
         for descriptor in (self._descriptor, *self._pipes.values()):
             self._watch.remove(descriptor)
         self._pipes.clear()
-        with self._process:  # waits for it, and closes its pipes
+        with self._process:  # waits for the process, and closes its pipes
             os.close(self._descriptor)
 
 
 def run(arguments: Sequence[str], environment: Mapping[str, str], most_bytes: int) -> tuple[int, bytes]:
-    """Run a program to its end. Its exit code and its output; when this is left early, it and all it started end.
+    """Run a program to its end. Returns its exit code and output. On an exception its whole group is killed.
 
     Raises:
-        OSError, ValueError: it cannot be started. OverflowError: it prints more than so many bytes.
+        OSError, ValueError: it cannot be started. OverflowError: its output has more than `most_bytes`.
     """
     with subprocess.Popen(
         arguments, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, env=environment, start_new_session=True
