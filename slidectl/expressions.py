@@ -53,7 +53,7 @@ def check_widths(spec: str, star: bool = False) -> None:
 
 _MOST_DIGITS = 300
 _LARGEST_FACTORIAL = 500
-"""Its factorial has 3768 bits."""
+"""The largest number whose factorial, of 3768 bits, needs no check."""
 
 
 def power(base: Any, exponent: Any) -> Any:

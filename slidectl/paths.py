@@ -74,7 +74,7 @@ def runtime_folder() -> str:
 
 
 def temporary_runtime_folder() -> str:
-    """The folder of all instances where XDG_RUNTIME_DIR is not set."""
+    """The folder of all instances when XDG_RUNTIME_DIR is not set."""
     # The temporary folder as tempfile.gettempdir finds it; that module takes longer to import than this one.
     named = (os.environ.get(variable) for variable in ("TMPDIR", "TEMP", "TMP"))
     temporary = next((os.path.abspath(folder) for folder in named if folder and os.path.isdir(folder)), "/tmp")

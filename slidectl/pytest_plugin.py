@@ -275,8 +275,8 @@ def slidectl_world(request: pytest.FixtureRequest) -> Iterator[InProcessWorld]:
 
 @pytest.fixture
 def slidectl_client(slidectl_world: InProcessWorld) -> Iterator[Client]:
-    """A client of a new world in this process: spawn, publish, wait, measure. Its waits end with the simulated time."""
-    # Leaving the client raises MessageRefused.
+    """A client of a new world in this process: spawn, publish, wait, measure. Waits end at the time limit."""
+    # Leaving the client raises MessageRefused if a message was refused.
     with _told(), suppress(NoDaemon), slidectl_world.client(timeout=math.inf) as client:
         yield client
 

@@ -12,14 +12,14 @@ Quaternion = tuple[float, float, float, float]
 Matrix = tuple[Vector, Vector, Vector]
 
 Pose = tuple[Vector, Quaternion]
-"""Position in m, attitude x y z w."""
+"""Position in m, rotation as a quaternion x y z w."""
 
 IDENTITY: Quaternion = (0.0, 0.0, 0.0, 1.0)
 ORIGIN: Pose = ((0.0, 0.0, 0.0), IDENTITY)
 
 
 def from_rpy(rpy: Vector) -> Quaternion:
-    """The attitude after turning about the fixed x, then y, then z axis by roll, pitch, yaw (rad); URDF's `rpy`."""
+    """The rotation about the fixed x, then y, then z axis by roll, pitch, yaw (rad); URDF's `rpy`."""
     if rpy == (0.0, 0.0, 0.0):
         return IDENTITY
     (cr, sr), (cp, sp), (cy, sy) = ((math.cos(angle / 2), math.sin(angle / 2)) for angle in rpy)

@@ -273,7 +273,7 @@ def live(
         begun: called after a joint's samples are requested: what it publishes takes effect after the first sample.
 
     Raises:
-        UnknownName, AmbiguousName, Unused: no such joint or topic. UsageError: the past of a topic, or no number.
+        UnknownName, AmbiguousName, Unused: no such joint or topic. UsageError: the past of a topic, or not a number.
         NoMeasure: messages were lost, or none arrived. TimedOut.
     """
     robots = client.robots()

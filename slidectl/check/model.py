@@ -278,7 +278,7 @@ class _Joints:
     def _missing(self, joint: Joint) -> Iterator[str]:
         limit = joint.limit
         if joint.type == "revolute" and limit is not None:
-            # Whole numbers of 15 degrees or more, and no more than some turns.
+            # Multiples of 5, of which one is 15 or more and none is above 720, are probably degrees.
             bounds = (abs(limit.lower), abs(limit.upper))
             if all(bound % 5 == 0 and bound <= 720 for bound in bounds) and max(bounds) >= 15:
                 turns = (limit.upper - limit.lower) / math.tau

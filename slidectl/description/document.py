@@ -219,7 +219,7 @@ def with_root_free(xml: str, file: str = "robot_description") -> str:
     The link below becomes the root. The joint's origin is lost: the pose of the spawn replaces it.
 
     Raises:
-        BadFile: broken XML, no single root, or a `world` that holds the robot by anything but one fixed joint.
+        BadFile: broken XML, no single root, or `world` has other joints than one fixed joint.
     """
     robot = xml_tree.read(xml, file)
     if _root_name(robot) != WORLD:

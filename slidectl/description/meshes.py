@@ -68,9 +68,9 @@ class Triangles(NamedTuple):
     """A triangulated surface."""
 
     vertices: NDArray[np.float64]
-    """n x 3, m."""
+    """Positions (n, 3), m."""
     faces: NDArray[np.int32]
-    """m x 3, indices of vertices, counter-clockwise seen from outside."""
+    """Indices of vertices (m, 3), counter-clockwise seen from outside."""
 
 
 def load(path: str | Path, scale: Vector = (1.0, 1.0, 1.0)) -> Triangles:

@@ -33,7 +33,7 @@ class RigidBody:
     links: tuple[str, ...]
     """The head first, then each link after its parent. The head is the only link whose parent joint is not fixed."""
     mover: Joint | None
-    """The joint that moves the head; None at the root."""
+    """The joint that moves the head; None for the root body."""
 
     @property
     def head(self) -> str:

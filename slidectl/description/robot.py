@@ -17,7 +17,7 @@ from slidectl.errors import Refused
 Vector = tuple[float, float, float]
 JointType = Literal["revolute", "continuous", "prismatic", "fixed", "floating", "planar"]
 MOVING = ("revolute", "continuous", "prismatic")
-"""Types of joints with one position."""
+"""The types of joints that move with one degree of freedom."""
 Verdict = Literal["used", "converted", "ignored", "wrong"]
 Transmissions = Literal["gazebo", "real"]
 """How joints are driven: as in gazebo_ros_control, or through their real transmissions."""
@@ -84,7 +84,7 @@ class Sphere:
 @dataclass(frozen=True)
 class Mesh:
     uri: str
-    """As written in the file."""
+    """The name of the mesh as written in the file."""
     path: str | None
     """The file on disk, absolute; None when it could not be found (then the report says so)."""
     scale: Vector = (1.0, 1.0, 1.0)
@@ -117,7 +117,7 @@ class Surface:
     """The properties in `<gazebo reference="LINK">`; None where a tag is missing."""
 
     mu1: float | None = None
-    """0 or more; may be infinite."""
+    """Friction coefficient, 0 or more; may be infinite."""
     mu2: float | None = None
     turn_gravity_off: bool = False
     self_collide: bool | None = None
@@ -175,9 +175,9 @@ class Joint:
     axis: Vector = (1.0, 0.0, 0.0)
     limit: Limit | None = None
     damping: float = 0.0
-    """N·s/m or N·m·s/rad."""
+    """Viscous damping, N·s/m or N·m·s/rad."""
     friction: float = 0.0
-    """N or N·m."""
+    """Dry friction, N or N·m."""
     safety: Safety | None = None
     mimic: Mimic | None = None
     line: int | None = None
@@ -200,9 +200,9 @@ class TransmissionActuator:
     reduction: float | None = None
     role: str = ""
     max_effort: float = math.inf
-    """N or N·m."""
+    """The largest effort, N or N·m."""
     rotor_inertia: float = 0.0
-    """kg·m² (kg of an actuator that slides)."""
+    """Inertia of the rotor, kg·m²; mass of a linear actuator, kg."""
 
 
 @dataclass(frozen=True)
@@ -227,7 +227,7 @@ class ControlPlugin:
     robot_param: str = "robot_description"
     robot_sim_type: str = "gazebo_ros_control/DefaultRobotHWSim"
     control_period: float | None = None
-    """In s."""
+    """The period of the control loop, s."""
     estop_topic: str | None = None
     line: int | None = None
     file: str | None = None
@@ -260,10 +260,10 @@ class Laser(Sensor):
 
     samples: int = 640
     min_angle: float = 0.0
-    """rad, about the sensor's z axis from its x axis."""
+    """Angle of the first ray, rad, about the sensor's z axis from its x axis."""
     max_angle: float = 0.0
     min_range: float = 0.0
-    """m."""
+    """The shortest distance that is measured, m."""
     max_range: float = math.inf
 
 
@@ -282,7 +282,7 @@ class Camera(Sensor):
     field_of_view: float = 1.047
     """Horizontal field of view, rad."""
     near: float = 0.1
-    """m."""
+    """Distance of the near clipping plane, m."""
     far: float = 100.0
     encoding: str = "rgb8"
     baseline: float = 0.0
@@ -408,7 +408,7 @@ class Robot:
 
     @property
     def is_fixed_to_world(self) -> bool:
-        """A root link called `world` is the world itself."""
+        """True when the root link is called `world`: it is the world itself."""
         return self.root == "world"
 
 

@@ -1,7 +1,7 @@
 """Converts the models of an SDF file or a Gazebo world to URDF: the surroundings of a robot.
 
-Links that joints connect form one part, and each part of a model becomes one URDF document, as in Gazebo unconnected
-links are separate bodies. A static model is fixed to the link `world`. Pose elements nest as in SDF: model, link,
+Links that joints connect form one part, and each part of a model becomes one URDF document, because unconnected links
+are separate bodies in Gazebo. A static model is fixed to the link `world`. Pose elements nest as in SDF: model, link,
 shape. Shapes, masses, friction, gravity and the joint types of URDF are converted; everything else is reported with its
 line. Nothing is spawned here; the launch package reads the physics settings of worlds.
 

@@ -65,5 +65,5 @@ def join(xml: str, note: str) -> str:
 
 
 def digest(xml: str) -> str:
-    """A checksum that identifies the text of a robot, with or without its note and outer blanks."""
+    """A checksum of the robot's text, the same with and without the note and outer blanks."""
     return hashlib.sha256(split(xml)[0].strip().encode("utf-8", "surrogatepass")).hexdigest()

@@ -238,7 +238,7 @@ class _Run:
         self.notices.append(Notice("wrong", "xacro", _printable(words), self.here.file, self.here.line))
 
     def error(self, *words: object, **_: object) -> None:
-        self.warning(*words)  # not an alias, because xacro shows expressions this function by its name
+        self.warning(*words)  # not an alias: xacro passes it to expressions under the function's own name
 
     def message(self, *words: object, **_: object) -> None:
         print(_printable(words), file=sys.stderr)

@@ -119,12 +119,12 @@ class Node:
 
     @property
     def full_name(self) -> str:
-        """`/ns/name`."""
+        """The full name, `/ns/name`."""
         return names.join(self.namespace, self.name)
 
     @property
     def kind(self) -> str:
-        """`package/type`."""
+        """The kind of node, `package/type`."""
         return f"{self.package}/{self.type}"
 
     def resolve(self, name: str) -> str:

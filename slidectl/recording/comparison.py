@@ -37,7 +37,7 @@ class Difference(NamedTuple):
 
     topic: str
     field: str
-    """Empty for a whole message."""
+    """The path of the field; empty for a whole message."""
     time: float
     """Simulated time, s."""
     value: Any
