@@ -54,8 +54,8 @@ def quoted(name: str) -> str:
 def closest(name: str, known: Iterable[str]) -> str | None:
     """The known name nearest in spelling, or None. A short name is also compared with the ends of full names.
 
-    Comparing is slow, and names may come from an untrusted sender. So long names are not compared, and if many names
-    are known, only those next to `name` in alphabetical order are.
+    Comparing is slow, and the names may be untrusted. So long names are not compared, and of many known names only
+    those next to `name` in alphabetical order.
     """
     if len(name) > _LONGEST_COMPARED:
         return None
@@ -170,7 +170,7 @@ class NoDescriptors(SlidectlError):
 
 
 class UnknownName(SlidectlError):
-    """A name that does not exist. The message suggests the closest name, and the hint lists the existing ones."""
+    """A name that does not exist. The error suggests the closest name and lists the existing ones."""
 
     kind = name = ""
     known: Sequence[str] = ()

@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any
 
 MOST_BITS = 4096
-"""The largest size of a whole number, in bits."""
+"""Limit of a whole number."""
 MOST_LENGTH = 100_000
 """The most characters of a text, and items of a list."""
 _WIDE = re.compile(r"\d{4}")
@@ -53,7 +53,7 @@ def check_widths(spec: str, star: bool = False) -> None:
 
 _MOST_DIGITS = 300
 _LARGEST_FACTORIAL = 500
-"""The largest number whose factorial, of 3768 bits, needs no check."""
+"""Its factorial has 3768 bits and needs no check."""
 
 
 def power(base: Any, exponent: Any) -> Any:
@@ -174,7 +174,7 @@ def method_of(owner: Any, name: str) -> Callable[..., Any] | None:
 
 
 def _of_text(text: Any, name: str) -> Callable[..., Any]:
-    """The method of a text, called as `str.upper(text)`. Raises TypeError when `text` is not a text."""
+    """The method for `str.upper(text)`. Raises TypeError: not a text."""
     method = method_of(text, name) if isinstance(text, str) else None
     if method is None:
         raise TypeError(f"str.{name} is for texts")

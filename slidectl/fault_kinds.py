@@ -54,7 +54,7 @@ _STRONGEST = 1e12
 
 
 class UnknownFaultKind(UnknownName):
-    """The kind of fault does not exist. It exits as a usage error, as it is a wrong option and not a missing thing."""
+    """An unknown kind of fault, which is a wrong option and not a missing thing."""
 
     exit_code = EXIT_USAGE
 

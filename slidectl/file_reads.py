@@ -22,9 +22,9 @@ read: Callable[[str, Callable[[], Any]], Any] = from_disk
 
 
 def read_or_raise(what: str, look: Callable[[], Any]) -> Any:
-    """As `read`, for a `look` that may raise a SlidectlError. A replay raises it as a Refused with the same text.
+    """As `read`, for a `look` that may raise a SlidectlError; a replay raises a Refused with its text.
 
-    Calls of `read` inside `look` are not recorded by themselves: they are part of its result.
+    Calls of `read` inside `look` are not recorded by themselves.
     """
     raised: list[SlidectlError] = []
 

@@ -47,7 +47,7 @@ class Measured(float):
 
 
 def measure_text(value: float, unit: str) -> str:
-    """The measure and its unit as text; `never` for inf."""
+    """The measure as text; `never` for inf."""
     return "never" if value == math.inf else f"{value:.6g} {unit}".rstrip()
 
 
@@ -191,7 +191,7 @@ def settling_time(
 
 
 def _integral_of_product(times: Array, one: Array, other: Array) -> float:
-    """The integral of the product of two functions that are linear between the samples."""
+    """Integrate the product of two piecewise linear functions."""
     a, b, c, d = one[:-1], one[1:], other[:-1], other[1:]
     return float(np.sum(np.diff(times) * (2.0 * a * c + a * d + b * c + 2.0 * b * d)) / 6.0)
 

@@ -122,7 +122,7 @@ def last_lines(log: Path, after: int) -> str:
 
 
 def end_with(parent: int, number: int) -> bool:
-    """Have the kernel send this signal to us when the parent ends. Returns False when it has already ended."""
+    """Get this signal from the kernel when the parent ends. Returns False if it has already ended."""
     import ctypes
 
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number)

@@ -194,7 +194,7 @@ def _marked(request: pytest.FixtureRequest) -> dict[str, Any]:
 
 
 def _options(given: dict[str, Any], folder: Path, journal: Path | None, **more: Any) -> DaemonOptions:
-    """The daemon's options from the marker's arguments. Files to import are first looked for in the test's folder."""
+    """The daemon's options from the marker. Files to import are first searched in the test's folder."""
     from slidectl.cli.daemon import module_or_file
     from slidectl.daemon.options import DaemonOptions
     from slidectl.errors import UsageError
@@ -319,7 +319,7 @@ class TemporaryDaemon:
 
     @cached_property
     def client(self) -> Client:
-        """A connection to the daemon, opened on first use."""
+        """A connection to the daemon."""
         return self.connect()
 
     @property
@@ -391,7 +391,7 @@ class _ScenarioFile(pytest.File):
 
 
 class _CaseFailed(Exception):
-    """A case of a scenario has failed. Its text is the report."""
+    """A case has failed. The text is the report."""
 
 
 class _ScenarioItem(pytest.Item):

@@ -33,7 +33,7 @@ JOINT_UNITS = {
     "revolute": _TURNING,
     "continuous": _TURNING,
 }
-"""Units of position, velocity and effort by the type of the joint."""
+"""Units by the type of the joint."""
 _JOINT_STATE = "sensor_msgs/JointState"
 _SECOND = 10**9
 _LONGEST_QUEUE = 1_000_000
@@ -55,14 +55,14 @@ class JointOrFieldTrace:
     """The unit of the values; empty when it is not known."""
     velocities: Array | None = None
     efforts: Array | None = None
-    """Velocities and efforts of a joint; None for a field."""
+    """For joints only."""
     effort_unit: str = ""
     set_points: Array | None = None
     """The desired values, if a field with them was given."""
     lower: float = -math.inf
     upper: float = math.inf
     max_effort: float = math.nan
-    """The largest effort of a joint; nan, and infinite bounds, when they are not known."""
+    """The largest effort; nan, or for bounds infinite, when not known."""
 
     def since(self, time: float) -> JointOrFieldTrace:
         """The samples from `time` (s) on."""

@@ -302,7 +302,7 @@ def _json_line(line: str) -> Any:
 
 
 def _with_nan(value: Any) -> Any:
-    """Replace null by NaN: JSON has no NaN, and the wire protocol sends null for it."""
+    """Replace null by NaN: the wire protocol sends null for it."""
     if value is None:
         return math.nan
     if isinstance(value, dict):

@@ -1,7 +1,6 @@
 """Access control for what this machine serves to browsers: addresses, names of this machine, tokens. No web library.
 
-Host names are checked, because a foreign site can make one of its own names lead to this machine (DNS rebinding). The
-browser would then let the pages of that site use this server.
+Host names are checked, because a foreign site can let one of its names lead to this machine (DNS rebinding).
 """
 
 from __future__ import annotations

@@ -168,7 +168,7 @@ class _LaunchCheck:
                 self.trace.said.setdefault(id(element), []).append((match[1] if match else None, notice))
 
     def _explain(self, element: Element, _: str) -> Iterator[Notice] | None:
-        """Explain an argument that was given on the command line: its tag shows another value."""
+        """Explain an argument that was given: its tag shows another value."""
         name = plain(element).get("name") or ""
         if element.tag != "arg" or name not in self.given or element.file != self.roots[0].file:
             return None
@@ -258,7 +258,7 @@ class _LaunchCheck:
         self.findings.broken += own.broken
 
     def _asked(self, spawns: Sequence[SpawnModel]) -> model.Asked:
-        """A function that gives the values of TRANSMISSIONS for a robot that these nodes spawn."""
+        """Give the values of TRANSMISSIONS for a robot that these nodes spawn."""
 
         def asked(robot: Robot) -> Iterator[object]:
             homes = [task.home(robot, self.tasks) for task in spawns] or [description.namespace_of(robot, robot.name)]

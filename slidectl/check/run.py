@@ -109,7 +109,7 @@ def _refuse_what_does_not_fit(
 
 
 def _asked(trees: Sequence[Tree]) -> model.Asked:
-    """A function that gives the values of TRANSMISSIONS in parameter files, the last file first."""
+    """Give the values of TRANSMISSIONS in parameter files, the last file first."""
 
     def asked(robot: Robot) -> Iterator[object]:
         namespace = namespace_of(robot, robot.name)

@@ -135,8 +135,8 @@ class TracedReport(Report):
 
 
 class Tags:
-    """Adds findings for the tags of one file. `explain` may replace them for an element. `is_whole` is False when the
-    reading stopped early: then a tag that was not read may still have an effect."""
+    """Adds findings for the tags of one file. `explain` may replace them. `is_whole`: False when the reading stopped
+    early, so that an unread tag may have an effect."""
 
     def __init__(self, trace: Trace, findings: Findings, explain: Explain, is_whole: bool = True) -> None:
         self.trace = trace

@@ -23,7 +23,7 @@ class JointInterface:
     quantity: Quantity
     """The quantity of the handles' `command`: the limits act on it, and it drives the joint."""
     phrase: str
-    """The words for the quantity before a number, in messages."""
+    """The quantity before a number, in messages."""
     beside: tuple[str, ...] = ()
     """Further attributes of its handles that are commands."""
 

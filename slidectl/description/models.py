@@ -104,7 +104,7 @@ def find(source: str | Path) -> Path:
 
 
 def looks_like_path(text: str) -> bool:
-    """True for a text that can only be a path: with a slash, a leading `~` or `.`, or a suffix of models."""
+    """True for a text that can only be a path."""
     return "/" in text or os.sep in text or text.startswith(("~", ".")) or text.lower().endswith(SUFFIXES)
 
 

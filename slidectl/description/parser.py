@@ -138,7 +138,7 @@ def parse_tree(root: Element, meshes: MeshFiles, report: Report, strict: bool = 
 def _named(
     root: Element, tag: str, read: Callable[[Element], Any], report: Report
 ) -> tuple[dict[str, Any], dict[str, Element]]:
-    """Read the elements `tag`. Returns the parts that can be read, and their elements, both by name."""
+    """Read the elements `tag`. Returns the readable parts and their elements by name."""
     parts: dict[str, Any] = {}
     places: dict[str, Element] = {}
 
@@ -243,7 +243,7 @@ class _LinkReader:
         return Shape(geometry, origin, element.get("name"), material, element.line, element.file)
 
     def _leave_out(self, element: Element, owner: str, why: str) -> None:
-        """Report a shape without a size as left out; with `strict` raise BadFile."""
+        """Report a shape without a size, or raise BadFile."""
         if self.strict:
             raise element.error(f"{owner}: {why}")
         self.report.converted(element, f"{why}; the shape is left out", f"{owner}/{element.title}")

@@ -1,7 +1,7 @@
 """Combines links that fixed joints connect into one body, and checks and corrects its mass and inertia.
 
-Gazebo lumps such links before it checks their inertia, and this module does so too: a link on a fixed joint may have
-no mass, or an impossible inertia, as long as the body can be simulated. Other bodies are corrected, with a notice.
+As in Gazebo, a link on a fixed joint may have no mass, or an impossible inertia, as long as the whole body can be
+simulated. Other bodies are corrected, with a notice.
 inertia.py knows which masses and inertias are possible; parser.py checks the tree of links.
 """
 

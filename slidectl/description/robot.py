@@ -227,7 +227,7 @@ class ControlPlugin:
     robot_param: str = "robot_description"
     robot_sim_type: str = "gazebo_ros_control/DefaultRobotHWSim"
     control_period: float | None = None
-    """The period of the control loop, s."""
+    """Control period, s."""
     estop_topic: str | None = None
     line: int | None = None
     file: str | None = None
@@ -245,7 +245,7 @@ class Sensor:
     """Relative to the robot's namespace, unless it begins with a slash. Empty: only controllers read the sensor."""
     frame: str
     rate_hz: float
-    """Rate of measurements, Hz; 0: one in each step of the world."""
+    """Rate, Hz; 0: in each step of the world."""
     origin: Pose
     """The sensor's pose in the link's frame."""
     noise: float
@@ -263,7 +263,7 @@ class Laser(Sensor):
     """Angle of the first ray, rad, about the sensor's z axis from its x axis."""
     max_angle: float = 0.0
     min_range: float = 0.0
-    """The shortest distance that is measured, m."""
+    """Shortest distance, m."""
     max_range: float = math.inf
 
 
@@ -282,7 +282,7 @@ class Camera(Sensor):
     field_of_view: float = 1.047
     """Horizontal field of view, rad."""
     near: float = 0.1
-    """Distance of the near clipping plane, m."""
+    """Near clipping distance, m."""
     far: float = 100.0
     encoding: str = "rgb8"
     baseline: float = 0.0
@@ -358,7 +358,7 @@ class WheelDrive(BaseDrive):
     """Joints of the wheels that turn faster when the base turns to the right."""
     right: tuple[str, ...] = ()
     separation: float = 0.0
-    """Distance between the wheels of the two sides, m."""
+    """Distance between the sides' wheels, m."""
     diameter: float = 0.0
     """Diameter of the wheels, m."""
     torque: float = 0.0

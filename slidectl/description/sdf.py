@@ -1,7 +1,7 @@
 """Converts the models of an SDF file or a Gazebo world to URDF: the surroundings of a robot.
 
-Links that joints connect form one part, and each part of a model becomes one URDF document, because unconnected links
-are separate bodies in Gazebo. A static model is fixed to the link `world`. Pose elements nest as in SDF: model, link,
+Each part of a model that joints connect becomes one URDF document: unconnected links are separate bodies in Gazebo. A
+static model is fixed to the link `world`. Pose elements nest as in SDF: model, link,
 shape. Shapes, masses, friction, gravity and the joint types of URDF are converted; everything else is reported with its
 line. Nothing is spawned here; the launch package reads the physics settings of worlds.
 
@@ -239,7 +239,7 @@ class _SceneReader:
         return None
 
     def include(self, element: Element, states: dict[str, Pose]) -> None:
-        """Read the model of an `<include>`; tags of the `<include>` override those of the model."""
+        """Read the model of an `<include>`, whose tags override the model's."""
         short = _short(child_text(element, "uri", ""))
         if short == SUN:
             return

@@ -322,7 +322,7 @@ class Execution:
                 run.console.warn(str(error))
 
     def _robots(self) -> list[tuple[str, int]]:
-        """Name and process session of the robots in the world; the session is that of the process that spawned them."""
+        """The robots in the world, each with the session id of the process that spawned it."""
         return [(robot["name"], robot["process_session"]) for robot in self.run.robots(HOOK_LIMIT_S)]
 
     def _delete_robots_of(self, processes: Sequence[Process]) -> None:
@@ -373,7 +373,7 @@ def _spawns(node: Node) -> bool:
 
 
 def _bare(reason: str) -> str:
-    """What a task waits for, without its article, for a text that begins with "no"."""
+    """What a task waits for, without an article."""
     return reason.removeprefix("the ").removeprefix("a ")
 
 
@@ -396,7 +396,7 @@ def look_ahead(
 
 
 def _prepare(run: Run, parameters: Mapping[str, Leaf]) -> None:
-    """Carry out the plan's commands and set its parameters. Raises Refused with the place of the failed one."""
+    """Carry out the plan's commands and set its parameters. Raises Refused."""
     _tell_notices(run)
     for command in run.plan.commands:
         _carry_out(run, command)

@@ -235,7 +235,7 @@ def _include(tag: Tag) -> None:
 
 
 def _included(path: str, tag: Tag) -> LaunchFile:
-    """Read an included file. A relative path is relative to the working folder."""
+    """Read an included file, relative to the working folder."""
     found = Path(os.path.abspath(path))
     try:
         return LaunchFile(found, read_file(found), shown(found))

@@ -88,7 +88,7 @@ def has_counterpart(package: str, kind: str) -> bool:
 
 
 def _entry(package: str, kind: str) -> str | None:
-    """The counterpart of a node. The suffix `.py` is ignored: scripts were once installed with it."""
+    """The counterpart of a node; a suffix `.py` is ignored."""
     if package.startswith(("rviz", "rqt")):
         return _VIEWER
     return COUNTERPARTS.get((package, kind)) or COUNTERPARTS.get((package, kind.removesuffix(".py")))

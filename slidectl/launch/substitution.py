@@ -47,7 +47,7 @@ class SubstitutionError(SlidectlError):
 
 
 def protect(path: str) -> str:
-    """Replace special characters of the path by placeholders."""
+    """Put placeholders into the path."""
     return path.translate(_STAND_INS)
 
 

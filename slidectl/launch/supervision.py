@@ -132,7 +132,7 @@ class Watch:
         self._timers.enter(seconds, 0, action)
 
     def turn(self, most_s: float | None = None) -> None:
-        """Wait for an event for at most `most_s` seconds (None: without limit), and handle all that are due."""
+        """Wait for an event for at most `most_s` seconds, and handle all that are due."""
         due_s = self._timers.run(blocking=False)
         waits = [max(0.0, seconds) for seconds in (most_s, due_s) if seconds is not None]
         for key, _ in self._selector.select(min(waits, default=None)):

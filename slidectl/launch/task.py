@@ -273,7 +273,7 @@ def _is_remap(word: str) -> bool:
 
 
 def _float(text: str) -> float | None:
-    """Convert a text to a float; None when that is not possible."""
+    """The text as a float, or None."""
     try:
         return float(text)
     except ValueError:

@@ -123,7 +123,7 @@ def compare_file(
 
 
 def _check_complete(run: Recording) -> None:
-    """Raise Refused when the run is still being recorded, or damaged."""
+    """Raise Refused when the run is incomplete."""
     run.refuse_written()
     if run.damage:
         text = f"{run.path} is no baseline: {run.damage}"
@@ -156,7 +156,7 @@ def _compare_table(
 
 
 def _put(path: Path, content: bytes) -> None:
-    """Write a file, and its folders. Raises Refused."""
+    """Write a file. Raises Refused."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         writing.replace(path, content)

@@ -48,7 +48,7 @@ class NoMcap(Refused):
 
 
 def _check_mcap() -> None:
-    """Raise NoMcap when the library is missing."""
+    """Raise NoMcap if mcap is missing."""
     try:
         import mcap  # noqa: F401
     except ImportError:
@@ -365,7 +365,7 @@ class SplitFiles:
         return self._writer is not None and self._writer.size >= self._most_bytes
 
     def flush(self) -> None:
-        """Write everything so far to the file. Raises OSError."""
+        """Flush the file. Raises OSError."""
         if self._writer is not None:
             self._writer.flush()
 
@@ -399,7 +399,7 @@ class Recording(ABC):
 
     @abstractmethod
     def summary(self) -> Summary:
-        """Times, counts and compression of the recording."""
+        """Summarize the content."""
 
     @property
     def topics(self) -> list[str]:

@@ -103,7 +103,7 @@ class InProcessBackground(InProcessLink):
         self.connection.on_lines = None
 
     def call_back(self, action: Callable[[], object] | None) -> bool:  # noqa: ARG002
-        """Accept the callback without calling it: the step runs anyway when something is received."""
+        """Do nothing: the step runs anyway when something is received."""
         return True
 
     def receive(self, deadline: float) -> dict[str, Any] | None:

@@ -111,7 +111,7 @@ class CaseRun:
         self._step: ScenarioStep | None = None
 
     def run(self) -> CaseResult:
-        """Run the case. Failures of the case are in the result; other exceptions are raised."""
+        """Run the case. Its failures are in the result and not raised."""
         began_s = time.monotonic()
         result = self._result
         try:
@@ -212,7 +212,7 @@ class CaseRun:
         self._result.steps += 1
 
     def _run(self, step: ScenarioStep) -> StepOutcome | None:
-        """Run the command of a step. Returns None when it continues in the background."""
+        """Run a step's command; None when it continues in the background."""
         if not step.words:
             return StepOutcome(0)
         words = [word.replace(TEMPORARY, self.temporary) for word in step.words]
@@ -228,7 +228,7 @@ class CaseRun:
         return outcomes[0] if outcomes else None
 
     def _end_background(self) -> None:
-        """End all background steps. Raises _Failed for the first that failed."""
+        """End the background steps. Raises _Failed for the first failure."""
         ended, self._background = self._background, []
         for _, handle, _ in ended:
             handle.end()
@@ -237,7 +237,7 @@ class CaseRun:
                 self._judge(step, StepOutcome(0) if outcome.exit_code == EXIT_INTERRUPTED else outcome)
 
     def _judge(self, step: ScenarioStep, outcome: StepOutcome, limit: str = "") -> None:
-        """Raise _Failed unless the outcome is the expected one. `limit`: the time limit that was used up, if any."""
+        """Raise _Failed for an unexpected outcome. `limit`: the time limit that was used up."""
         if not step.fails and outcome.exit_code:
             raise self._failed(step, _late(outcome, limit) if limit else outcome)
         if step.fails and not outcome.exit_code:
@@ -250,7 +250,7 @@ class CaseRun:
         return _Failed(step, outcome, self.stage.now_s())
 
     def _wait_for(self, at_s: float) -> None:
-        """Wait until a simulated time. Raises Refused: it has passed already."""
+        """Wait until a simulated time. Raises Refused: it has passed."""
         client = self.stage.client
         left_s = at_s - self.stage.now_s()
         if left_s < -_EARLY_S:

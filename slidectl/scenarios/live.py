@@ -135,7 +135,7 @@ class _CycleClock:
         self._ahead_since_s = time.monotonic()
 
     def give_turns(self, asker: _SteppedLink) -> bool:
-        """Call the callbacks that are due, except that of `asker`. Returns True when there was one."""
+        """Call the due callbacks, except that of `asker`. Returns True if any was due."""
         ready = [link for link in list(self.waiting) if link is not asker and link.is_ready(self.waiting[link][1])]
         for link in ready:
             if link in self.waiting:  # an earlier callback may have ended it
@@ -174,7 +174,7 @@ class _SteppedLink(SocketLink):
         return self.clock.now_s
 
     def call_back(self, action: Callable[[], object] | None) -> bool:
-        """Set a function that is called between two slices when something was received; None removes it."""
+        """Set or remove a function to call between two slices when something was received."""
         if action is None:
             self.clock.waiting.pop(self, None)
         else:
@@ -198,7 +198,7 @@ class _SteppedLink(SocketLink):
         return self._came.popleft() if self._came else None
 
     def look(self) -> None:
-        """Store the messages received so far: a daemon sends them before the answer to this request."""
+        """Store the messages so far: the daemon sends them before its answer."""
         time = self._ask("/rosapi/get_time", {})["time"]
         self._world_s = time["secs"] + time["nsecs"] * 1e-9
 
@@ -254,7 +254,7 @@ class _BackgroundLink(_SteppedLink):
         self._step = step
 
     def call_back(self, action: Callable[[], object] | None) -> bool:  # noqa: ARG002
-        """Accept the callback without calling it: the step runs anyway when something is received."""
+        """Do nothing: the step runs anyway when something is received."""
         return True
 
     def take_turn(self, switch: Callable[[], None], due_s: float) -> None:

@@ -325,7 +325,7 @@ class _Reader:
                 yield step
 
     def _step(self, content: Any, path: KeyPath, section: str, variables: Mapping[str, Any]) -> ScenarioStep | None:
-        """Read a step; None when it has mistakes. Raises SlidectlError."""
+        """Read a step; None for a wrong one. Raises SlidectlError."""
         if isinstance(content, str):  # a whole command line, as `- sim pause`
             first, _, rest = content.strip().partition(" ")
             content = {first: rest or None}
@@ -403,7 +403,7 @@ class _Reader:
         return begin + (value.words if isinstance(value, _Filled) else [as_word(value)])
 
     def _check_words(self, words: tuple[str, ...]) -> CheckedWords:
-        """Check a command line, once. Raises SlidectlError."""
+        """Check a command. Raises SlidectlError."""
         if words not in self._checked:
             try:
                 self._checked[words] = self._commands.check([word.replace(TEMPORARY, "/tmp") for word in words])
@@ -453,7 +453,7 @@ class _Reader:
 
 
 class _Filled(NamedTuple):
-    """The words of a text after replacing variables."""
+    """The words of a filled text."""
 
     words: list[str]
 
@@ -480,7 +480,7 @@ class _Earlier:
     """The words of steps that may write files."""
 
     def judge(self, step: ScenarioStep, checked: CheckedWords) -> None:
-        """Check a step after the earlier ones, and add its effects. Raises SlidectlError if it can only fail."""
+        """Check a step and add its effects. Raises SlidectlError if it can only fail."""
         is_there = TEMPORARY not in " ".join(step.words)
         files = (*self.files, checked.controllers) if checked.controllers else self.files
         self.is_alone &= not checked.brings_others and (files == self.files or (is_there and not step.fails))

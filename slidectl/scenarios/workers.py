@@ -46,7 +46,7 @@ class _Worker:
 
     def __post_init__(self) -> None:
         self.deadline_s = self.began_s + self.limit_s
-        """The time when it is told to end; after that, the time when it is killed. Monotonic clock, s."""
+        """The time when it is told to end, or then killed; monotonic clock, s."""
 
 
 class WorkerPool:

@@ -179,7 +179,7 @@ _USAGE = {
 class StaticTransform(Task):
     """static_transform_publisher of tf and tf2_ros: one transform, latched on /tf_static, as long as the node runs.
 
-    tf's own sends it on /tf repeatedly; for subscribers the result is the same.
+    tf's own sends it on /tf repeatedly; subscribers get the same.
     """
 
     family = "frames"

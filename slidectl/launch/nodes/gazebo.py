@@ -49,7 +49,7 @@ class WorldSettings:
     ground: bool | None = None
 
     def over(self, others: WorldSettings) -> WorldSettings:
-        """These settings; those that are not set are taken from `others`."""
+        """These settings, completed by `others`."""
         said = {name: value for name, value in vars(self).items() if value is not None}
         return replace(others, **{**said, "paused": self.paused or others.paused})
 
@@ -92,7 +92,7 @@ class Gazebo(Task):
         )
 
     def settings(self, others: WorldSettings) -> WorldSettings:
-        """The settings of this node; those that it does not set are taken from `others`."""
+        """The settings of this node, completed by `others`."""
         asked = replace(self.world.settings if self.world else WorldSettings(), paused=self.paused)
         return asked.over(others)
 

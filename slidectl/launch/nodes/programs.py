@@ -56,7 +56,7 @@ class Process(Task):
         self.sessions: set[int] = set()
         """Its session ids, one for each start."""
         self.started_at = 0.0
-        """The time of the last start on the monotonic clock, s."""
+        """Last start on the monotonic clock, s."""
         self._short_lives = 0
         """How many times in a row it ended soon after its start."""
         self._last_code: int | None = None
@@ -220,7 +220,7 @@ def _until(run: Run, condition: Callable[[], bool], seconds: float) -> None:
 
 
 _HOW_OFTEN = re.compile(r"-1|--once|-r.*|--rate(=.*)?|-f.*|--file(=.*)?", re.DOTALL)
-"""Options of rostopic pub that set the rate or the number of messages."""
+"""Options of rostopic pub for rate and number."""
 
 
 class ToolProcess(Process):

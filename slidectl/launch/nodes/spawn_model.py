@@ -153,7 +153,7 @@ class SpawnModel(Task):
         return scene
 
     def _packages(self, packages: Packages) -> Packages:
-        """The lookup of packages, which also searches upwards from the launch file."""
+        """The lookup, also upwards from the launch file."""
         return packages.starting_at(Path(self.node.file).parent) if self.node.file else packages
 
     def start(self, run: Run) -> str | None:
