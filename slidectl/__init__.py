@@ -1,7 +1,7 @@
 """slidectl: the ros_control and Gazebo tutorials without ROS and without Gazebo.
 
-What the package gives. `Client` and `Simulation` are resolved on first use, so that importing the package costs
-nothing; not even typing is imported, so that a Ctrl-C in a command's first milliseconds finds somebody who takes it.
+The package exports `Client` and `Simulation`. They are imported on first use, so that importing the package is fast.
+Not even typing is imported, so that a Ctrl-C in the first milliseconds of a command reaches the command's handler.
 """
 
 from __future__ import annotations

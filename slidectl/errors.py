@@ -24,7 +24,7 @@ _MOST_COMPARED = 500
 
 
 class Reason(str):
-    """A line that belongs to a request: why it was refused, or at `level` "warn" what else there is to say."""
+    """A line about a request: at `level` "error" why it was refused, at "warn" a warning."""
 
     level: str
 
@@ -39,7 +39,7 @@ class Reason(str):
 
 
 def cut(text: str, most: int = _LONGEST_TEXT) -> str:
-    """The text, without its middle where it is longer than `most` characters."""
+    """Return the text; if it is longer than `most` characters, its middle is left out."""
     if len(text) <= most:
         return text
     half = most // 2
@@ -47,19 +47,19 @@ def cut(text: str, most: int = _LONGEST_TEXT) -> str:
 
 
 def quoted(name: str) -> str:
-    """The name in quotes, as an error shows it: whoever sent one of a million characters knows the rest."""
+    """The name in quotes for an error message; the middle of a long one is left out."""
     return repr(cut(name, _LONGEST_SHOWN))
 
 
 def closest(name: str, known: Iterable[str]) -> str | None:
-    """The known name nearest in spelling, or None; a short name is held against the ends of full ones.
+    """The known name nearest in spelling, or None. A short name is also compared with the ends of full names.
 
-    Comparing takes long, and the names may come from anybody: long ones are not compared, and of many known ones only
-    those whose beginning is nearest.
+    Comparing is slow, and the names may be untrusted. So long names are not compared, and of many known names only
+    those next to `name` in alphabetical order.
     """
     if len(name) > _LONGEST_COMPARED:
         return None
-    from bisect import bisect  # only an error needs these, and every command imports us
+    from bisect import bisect  # imported here: only errors need these modules, and every command imports this file
     from difflib import SequenceMatcher, get_close_matches
 
     known = sorted(full for full in known if len(full) <= 2 * _LONGEST_COMPARED)
@@ -74,13 +74,13 @@ def closest(name: str, known: Iterable[str]) -> str | None:
     matches = get_close_matches(name, by_end, n=3, cutoff=0.6)
     if not matches:
         return None
-    # Among equals it is the beginning that people get right.
+    # Among equally near names the one with the longest common beginning wins: people mistype the end of a name.
     nearest = max(matches, key=lambda match: (SequenceMatcher(None, match, name).ratio(), _common_start(match, name)))
     return by_end[nearest]
 
 
 def _common_start(one: str, other: str) -> int:
-    """How many letters two names have in common from their beginning."""
+    """The number of characters that two names have in common at their beginning."""
     pairs = enumerate(zip(one, other, strict=False))
     return next((at for at, (a, b) in pairs if a != b), min(len(one), len(other)))
 
@@ -91,7 +91,7 @@ def _suggestion(name: str, known: Iterable[str]) -> str:
 
 
 def listing(known: Iterable[str], most: int = 12) -> str:
-    """`a, b, c`, cut after `most` names with the number that was left out; `none` when empty."""
+    """The sorted names as `a, b, c`; after `most` names the number of the others. `none` when there are no names."""
     names = sorted(known)
     if not names:
         return "none"
@@ -100,7 +100,7 @@ def listing(known: Iterable[str], most: int = 12) -> str:
 
 
 class SlidectlError(Exception):
-    """Base of all errors that a user may see. `hint` is a last line that says what to type next."""
+    """Base class of all errors that a user may see. `hint` is the last line; it says what to type next."""
 
     exit_code = EXIT_REFUSED
 
@@ -114,7 +114,7 @@ class SlidectlError(Exception):
 
 
 class Refused(SlidectlError):
-    """A service said no, or a condition is false."""
+    """A service refused a request, or a condition is false."""
 
 
 class UsageError(SlidectlError):
@@ -124,7 +124,7 @@ class UsageError(SlidectlError):
 
 
 class BadFile(SlidectlError):
-    """A file of the user is missing or broken. The message begins with `file:line:` where these are known."""
+    """A user's file is missing or broken. The message begins with `file:line:` where these are known."""
 
     exit_code = EXIT_USAGE
 
@@ -137,7 +137,7 @@ class BadFile(SlidectlError):
 
 
 class NotThere(BadFile):
-    """A user's file names what is not there: a package, a file, a program, a type. `thing` says what, in few words."""
+    """A user's file names a package, file, program or type that does not exist. `thing` names it in few words."""
 
     def __init__(
         self, message: str, file: str | None = None, line: int | None = None, hint: str | None = None, thing: str = ""
@@ -147,19 +147,19 @@ class NotThere(BadFile):
 
 
 class NoDaemon(SlidectlError):
-    """Nobody answers on the socket."""
+    """No daemon answers on the socket."""
 
     exit_code = EXIT_NO_DAEMON
 
 
 class TimedOut(SlidectlError):
-    """The answer did not come within the wall-clock time that was allowed."""
+    """The answer did not arrive within the wall-clock timeout."""
 
     exit_code = EXIT_TIMED_OUT
 
 
 class NoDescriptors(SlidectlError):
-    """A process has as many files and sockets open as it may."""
+    """The process has reached its limit of open files and sockets."""
 
     ERRNOS = (errno.EMFILE, errno.ENFILE)
 
@@ -170,7 +170,7 @@ class NoDescriptors(SlidectlError):
 
 
 class UnknownName(SlidectlError):
-    """A name that does not exist: says which do, and suggests the closest."""
+    """A name that does not exist. The error suggests the closest name and lists the existing ones."""
 
     kind = name = ""
     known: Sequence[str] = ()
@@ -195,7 +195,7 @@ class AmbiguousName(UsageError):
 
 
 class Unused(Refused):
-    """A topic that exists, but nobody is in that `role` for it (`publishers` or `subscribers`)."""
+    """A topic that exists, but has no publisher or no subscriber (`role` is `publishers` or `subscribers`)."""
 
     def __init__(self, role: str, topic: str, used: Sequence[str]) -> None:
         verb = "publishes" if role == "publishers" else "subscribes to"
@@ -219,4 +219,4 @@ class BadMessage(UsageError):
 
 
 class MessageRefused(Refused):
-    """A subscriber will not take a message that fits its type (a command that is no number, say)."""
+    """A subscriber refuses a message that fits its type, for example a command that is not a number."""

@@ -1,8 +1,8 @@
-"""A small safe evaluator of Python expressions over their syntax tree, and never Python's own `eval`.
+"""A safe evaluator of Python expressions. It walks their syntax tree and never calls Python's own `eval`.
 
-`$(eval ...)` of launch files, `${...}` of xacro, sums in URDF and YAML, and the expressions of the command line use it.
-Names are those that it is given and nothing else: no attributes but a few methods, no imports, no names that begin
-with two underscores. Work and sizes are bounded, so that every expression ends. It knows no files and no messages.
+It evaluates `$(eval ...)` of launch files, `${...}` of xacro, sums in URDF and YAML, and expressions on the command
+line. An expression can use only the names that are passed in: no attributes except a few methods, no imports, no
+names that begin with two underscores. Steps and sizes are bounded, so that every expression ends.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any
 
 MOST_BITS = 4096
-"""Of a whole number."""
+"""Limit of a whole number."""
 MOST_LENGTH = 100_000
-"""Letters of a text, items of a list."""
+"""The most characters of a text, and items of a list."""
 _WIDE = re.compile(r"\d{4}")
 
 
@@ -28,23 +28,23 @@ _WIDE = re.compile(r"\d{4}")
 
 
 class TooLargeError(ValueError):
-    """What would be made is too large."""
+    """The result of an operation would be too large."""
 
 
 def check_bits(bits: int) -> None:
-    """Raises TooLargeError when a whole number would have more than MOST_BITS."""
+    """Raise TooLargeError when a whole number has more than MOST_BITS."""
     if bits > MOST_BITS:
         raise TooLargeError("a number is too large")
 
 
 def check_length(count: int) -> None:
-    """Raises TooLargeError when a text or list would be longer than MOST_LENGTH."""
+    """Raise TooLargeError when a text or list is longer than MOST_LENGTH."""
     if count > MOST_LENGTH:
         raise TooLargeError("a text or list is too long")
 
 
 def check_widths(spec: str, star: bool = False) -> None:
-    """Raises TooLargeError when a format asks for a width that fits on no line; with `star`, by `*` for any width."""
+    """Raise TooLargeError when a format has a width of four digits; with `star` also for a width given by `*`."""
     if _WIDE.search(spec) or (star and "*" in spec):
         raise TooLargeError("the width of something formatted is too large")
 
@@ -53,18 +53,18 @@ def check_widths(spec: str, star: bool = False) -> None:
 
 _MOST_DIGITS = 300
 _LARGEST_FACTORIAL = 500
-"""Its factorial has 3768 bits."""
+"""Its factorial has 3768 bits and needs no check."""
 
 
 def power(base: Any, exponent: Any) -> Any:
-    """`base ** exponent`. Raises OverflowError instead of making a number that takes long."""
+    """`base ** exponent`. Raises OverflowError when the result would have more than MOST_BITS."""
     if isinstance(base, int) and isinstance(exponent, int) and base.bit_length() * exponent > MOST_BITS:
         raise OverflowError(f"{base} ** {exponent} is too large")
     return base**exponent
 
 
 def rounded(number: Any, ndigits: int | None = None) -> Any:
-    """`round`. Raises TooLargeError for digits that no number has: of a whole number, Python makes 10**digits."""
+    """`round`. Raises TooLargeError for too many digits: for a whole number Python computes 10**digits."""
     if ndigits is not None and abs(ndigits) > _MOST_DIGITS:
         raise TooLargeError("it rounds to too many digits")
     return round(number, ndigits)
@@ -89,13 +89,13 @@ def perm(number: int, taken: int | None = None) -> int:
 
 
 def _check_factors(number: int, harmless: int, factors: int) -> None:
-    """Raises TooLargeError for a product of so many factors up to `number`, unless that is `harmless` or less."""
+    """Raise TooLargeError for a product of `factors` factors up to `number`, unless `number` <= `harmless`."""
     if isinstance(number, int) and number > harmless and number.bit_length() * factors > MOST_BITS:
         raise TooLargeError(f"too many factors up to {number}")
 
 
 def prod(values: Iterable[Any], start: Any = 1) -> Any:
-    """`math.prod` of numbers. Raises TooLargeError; TypeError when something is no number."""
+    """`math.prod` of numbers. Raises TooLargeError; TypeError for values that are not numbers."""
     for value in values:
         if not isinstance(value, int | float):
             raise TypeError("prod() here multiplies numbers only")
@@ -117,14 +117,14 @@ def lcm(*numbers: int) -> int:
 MATH: dict[str, Any] = {name: value for name, value in vars(math).items() if not name.startswith("_")}
 """The names of the math module."""
 MATH.update(factorial=factorial, comb=comb, perm=perm, prod=prod, lcm=lcm)
-MATH.pop("sumprod", None)  # of Python 3.12; it multiplies texts, too
+MATH.pop("sumprod", None)  # new in Python 3.12; it also multiplies texts
 
 
 # --- Python's own functions ----------------------------------------------------------------------------------------
 
 
 def formatted(value: Any, spec: str = "") -> str:
-    """As `format` does it. Raises TooLargeError, and what `format` raises."""
+    """`format`, with bounded widths. Raises TooLargeError, and what `format` raises."""
     check_widths(spec)
     return format(value, spec)
 
@@ -164,7 +164,7 @@ FUNCTIONS: dict[str, Any] = {
 
 
 def method_of(owner: Any, name: str) -> Callable[..., Any] | None:
-    """The method of that name; None when there is none for expressions."""
+    """The method of a value by its name; None when expressions may not use it."""
     if isinstance(owner, str) and name in _WATCHED:
         return _WATCHED[name](owner)
     if owner is str and (name in _WATCHED or name in _METHODS[str]):
@@ -174,7 +174,7 @@ def method_of(owner: Any, name: str) -> Callable[..., Any] | None:
 
 
 def _of_text(text: Any, name: str) -> Callable[..., Any]:
-    """`str.upper` for a text. Raises TypeError when it is none."""
+    """The method for `str.upper(text)`. Raises TypeError: not a text."""
     method = method_of(text, name) if isinstance(text, str) else None
     if method is None:
         raise TypeError(f"str.{name} is for texts")
@@ -199,7 +199,7 @@ def _join(text: str) -> Callable[[Any], str]:
 
 
 def _filled(method: str) -> Callable[[str], Callable[..., str]]:
-    """The method of that name, whose first argument is a width."""
+    """The bounded form of a method whose first argument is a width, such as `ljust`."""
 
     def of(text: str) -> Callable[..., str]:
         def fill(width: int, *letter: str) -> str:
@@ -212,7 +212,7 @@ def _filled(method: str) -> Callable[[str], Callable[..., str]]:
 
 
 def _format(text: str) -> Callable[..., str]:
-    """`str.format` without attributes and elements of values: Python would get from any value to anything at all."""
+    """`str.format`, but without access to attributes and elements of values: these could reach any object in Python."""
 
     def fill_in(*values: Any, **named: Any) -> str:
         for _, field, spec, _ in string.Formatter().parse(text):
@@ -270,11 +270,11 @@ def _product(left: Any, right: Any) -> Any:
 
 
 def _remainder(left: Any, right: Any) -> Any:
-    """Also Python's `'%d' % 1`, with widths that fit on a line."""
+    """`left % right`, including Python's `'%d' % 1` with bounded widths."""
     if isinstance(left, bytes):
         raise TypeError("bytes cannot be formatted here")
     if isinstance(left, str):
-        # What follows a name in brackets is not found so easily: then there may be no such digits anywhere.
+        # After a `%(name)` the width is not easy to find: then no number of four digits may occur in the whole text.
         check_widths(left if "%(" in left else "".join(_DIRECTIVE.findall(left)), star=True)
         check_length(left.count("%") * len(str(right)))
     return left % right
@@ -323,7 +323,7 @@ COMPARISONS: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
 # --- the evaluator -------------------------------------------------------------------------------------------------
 
 MOST_STEPS = 100_000
-"""Steps of the walk, plus one for each value in every list that it makes, and one for each 100 letters of texts."""
+"""The most steps: one for each node, for each value in a list that is made, and for each 100 characters of text."""
 _COLLECTIONS: tuple[type[Any], ...] = (
     list,
     tuple,
@@ -336,18 +336,18 @@ _COLLECTIONS: tuple[type[Any], ...] = (
 
 
 class ExpressionError(ValueError):
-    """An expression that uses what there is not, or that takes too long. Its text is a clause without a subject."""
+    """An expression uses something that is not allowed, or takes too long. The text is a clause without a subject."""
 
 
 def compute(text: str, names: Mapping[str, Any], dotted: tuple[type[Any], ...] = ()) -> Any:
     """The value of an expression. It may use `names`; mappings of the types `dotted` give their values as attributes.
 
-    Whatever `names` holds, expressions may call: it must be safe to call with anything.
+    An expression may call everything in `names`, with any arguments: it must be safe to do so.
 
     Raises:
         SyntaxError: it is not valid.
         ExpressionError: it uses what expressions here do not have, or takes too many steps.
-        NameError: there is no such name. Else what Python's operators and the functions raise.
+        NameError: there is no such name. Also what Python's operators and the functions raise.
     """
     tree = parsed(text)
     for node in ast.walk(tree):
@@ -360,7 +360,7 @@ def compute(text: str, names: Mapping[str, Any], dotted: tuple[type[Any], ...] =
 def evaluate(
     tree: ast.expr, names: Mapping[str, Any], dotted: tuple[type[Any], ...] = (), most_steps: float = MOST_STEPS
 ) -> Any:
-    """The value of an expression that is parsed, and whose names are allowed. Raises as `compute` does."""
+    """The value of a parsed expression whose names are already checked. Raises as `compute` does."""
     return _Evaluation(names, dotted, most_steps).value(tree)
 
 
@@ -368,18 +368,18 @@ def parsed(text: str) -> ast.expr:
     """The syntax tree of an expression. Raises SyntaxError."""
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # Python's advice about what is written here is for nobody
+            warnings.simplefilter("ignore")  # the user cannot act on Python's warnings about this code
             return ast.parse(text.strip(), "<expression>", "eval").body
     except (RecursionError, MemoryError):
         raise SyntaxError("the expression is nested too deeply") from None
     except SyntaxError:
         raise
-    except ValueError as error:  # letters that no source can have
+    except ValueError as error:  # characters that source code cannot contain
         raise SyntaxError(str(error)) from None
 
 
 class _Evaluation:
-    """One walk over a tree. Each kind of node has a method named after it; a kind without one is refused."""
+    """One walk over a syntax tree. The method for a kind of node has its name; a kind without one is refused."""
 
     def __init__(self, names: Mapping[str, Any], dotted: tuple[type[Any], ...], most_steps: float) -> None:
         self.names = names
@@ -391,7 +391,7 @@ class _Evaluation:
         return self.charged(self.found(node))
 
     def found(self, node: ast.AST) -> Any:
-        """The value, uncounted: for those of which nothing but an element is looked at."""
+        """The value, without counting its size: for callers that use only one element of it."""
         kind = type(node).__name__
         compute = getattr(self, f"_{kind.lower()}", None)
         if compute is None:
@@ -399,7 +399,7 @@ class _Evaluation:
         return compute(node)
 
     def charged(self, value: Any) -> Any:
-        """The value, counted with all that is in it, as often as it is in it: later steps may look at each."""
+        """Return the value after counting all its parts, repeated ones again: later steps may visit each of them."""
         pending = [value]
         while pending:
             item = pending.pop()
@@ -435,7 +435,7 @@ class _Evaluation:
         return set(self._each_of(node.elts))
 
     def _each_of(self, elements: list[ast.expr]) -> Iterator[Any]:
-        """The values of a list of elements, arguments too, with what stars unpack."""
+        """The values of elements or arguments; starred ones are unpacked."""
         for element in elements:
             if isinstance(element, ast.Starred):
                 yield from list(self.value(element.value))
@@ -561,7 +561,7 @@ class _Evaluation:
             raise ExpressionError(f"{ast.unparse(node.value)} has no {node.attr!r} here")
 
         def call(*values: Any, **named: Any) -> Any:
-            self.charged(owner)  # each time: the owner may have grown
+            self.charged(owner)  # at each call: the owner may have grown since
             return method(*values, **named)
 
         return call
@@ -575,12 +575,12 @@ class _Evaluation:
 
 
 def _within(outer: Mapping[str, Any], names: dict[str, Any]) -> Mapping[str, Any]:
-    """The names, and behind them the outer ones, whose values may be found out only when they are asked for."""
-    return ChainMap(names, outer)  # type: ignore[arg-type]  # nothing is ever set
+    """The names, and after them the outer names. The values of outer names may be computed on access."""
+    return ChainMap(names, outer)  # type: ignore[arg-type]  # the maps are never written to
 
 
 def _bound(target: ast.expr, item: Any) -> dict[str, Any]:
-    """The names of a comprehension with what they stand for now."""
+    """The loop variables of a comprehension and their current values."""
     if isinstance(target, ast.Name):
         return {target.id: item}
     if not isinstance(target, ast.Tuple | ast.List):
@@ -590,7 +590,7 @@ def _bound(target: ast.expr, item: Any) -> dict[str, Any]:
 
 
 def _weight(item: Any) -> int:
-    """Steps for the size of a number or text. Raises TooLargeError when it is one that nobody can go on with."""
+    """The steps that the size of a number or text counts for. Raises TooLargeError when it is too large."""
     if isinstance(item, int):
         check_bits(item.bit_length())
     elif isinstance(item, str | bytes):

@@ -1,4 +1,4 @@
-"""The kinds of faults: on what each acts, and its options with their defaults. Standard library only."""
+"""The kinds of faults: what each acts on, its options and their defaults. Standard library only."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from typing import Any, NamedTuple
 from slidectl.errors import EXIT_USAGE, Refused, UnknownName, UsageError
 
 QUANTITIES = ("position", "velocity", "effort")
-"""Of a joint, as its sensor measures them."""
+"""What the sensor of a joint measures."""
 REQUIRED = "required"
 
 
 class FaultOption(NamedTuple):
-    """`form` is `number`, `vector` (three numbers) or `quantity`. Numbers lie from `lowest` to `highest`."""
+    """An option of a fault. `form` is `number`, `vector` (three numbers) or `quantity`."""
 
     text: str
     form: str = "number"
@@ -23,7 +23,7 @@ class FaultOption(NamedTuple):
     highest: float = math.inf
 
     def read(self, name: str, value: Any) -> Any:
-        """The value as it counts: a float, a tuple of three, or a word. Raises UsageError."""
+        """Check and convert a value: to a float, a tuple of three floats, or a quantity. Raises UsageError."""
         if self.form == "quantity":
             if value not in (*QUANTITIES, "all"):
                 raise UsageError(f"{name} is one of {', '.join(QUANTITIES)} and all, not {value!r}")
@@ -50,11 +50,11 @@ _LIGHTEST_KG = 1e-9
 _HEAVIEST_KG = 1e9
 _FARTHEST_M = 1e6
 _STRONGEST = 1e12
-"""N or N m. What is far beyond leaves no finite numbers in the world."""
+"""N or N m. Beyond this the world has no finite numbers."""
 
 
 class UnknownFaultKind(UnknownName):
-    """It is a wrong option, and not a thing that is missing."""
+    """An unknown kind of fault, which is a wrong option and not a missing thing."""
 
     exit_code = EXIT_USAGE
 
@@ -80,9 +80,9 @@ OPTIONS = {
 
 
 class FaultKind(NamedTuple):
-    """`target` is on what it acts: joint (with a transmission), moving joint, link, controller or topic.
+    """`target` is what the fault acts on: joint (with a transmission), moving joint, link, controller or topic.
 
-    `options` are the names with the defaults; REQUIRED for none, None for what stays as it is in the model.
+    `options` maps names to defaults. REQUIRED means that there is no default, None that the model's value stays.
     """
 
     target: str
@@ -120,16 +120,16 @@ KINDS = {
 
 
 def check_span(start: float, end: float) -> None:
-    """Raises Refused unless there is time from `start` to `end`, simulated s."""
+    """Raise Refused unless `end` is after `start` (both in s of simulated time)."""
     if end <= start:
         raise Refused(f"a fault from {start:g} s to {end:g} s would never act")
 
 
 def checked_options(kind: str, given: Mapping[str, Any]) -> dict[str, Any]:
-    """All options of a kind as they count: those that are given, and the defaults of the others.
+    """All options of a kind: the given ones, and the defaults of the others.
 
     Raises:
-        UnknownFaultKind: no such kind. UsageError: an option that the kind has not, or needs; or a wrong value.
+        UnknownFaultKind: no such kind. UsageError: an option is unknown, missing, or has a wrong value.
     """
     if kind not in KINDS:
         raise UnknownFaultKind("kind of fault", kind, list(KINDS))

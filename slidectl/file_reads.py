@@ -1,7 +1,7 @@
-"""What a world reads of the machine's files while it runs. A journal notes it, and a replay answers from the journal.
+"""File accesses of a running world. A journal records the results, and a replay answers from the journal.
 
-Whatever of the simulation looks at a file asks `read`, so that both have one place to be. Meshes are read otherwise,
-since they are not waited for: see `Simulation.read_meshes`.
+Every part of the simulation that looks at a file calls `read`, so that journal and replay work in one place. Meshes
+are an exception, as they are read in the background: see `Simulation.read_meshes`.
 """
 
 from __future__ import annotations
@@ -13,18 +13,18 @@ from slidectl.errors import Refused, SlidectlError
 
 
 def from_disk(what: str, look: Callable[[], Any]) -> Any:  # noqa: ARG001
-    """Look now."""
+    """Call `look` and return its result."""
     return look()
 
 
 read: Callable[[str, Callable[[], Any]], Any] = from_disk
-"""Takes what is looked at, in words, and the function that looks. It gives what JSON can hold, and raises nothing."""
+"""Takes a description of what is read, and the function that reads it. That returns JSON values and never raises."""
 
 
 def read_or_raise(what: str, look: Callable[[], Any]) -> Any:
-    """The same of what may raise a SlidectlError; that of a replay is a Refused with its text.
+    """As `read`, for a `look` that may raise a SlidectlError; a replay raises a Refused with its text.
 
-    What `look` reads in its turn is a part of what it finds.
+    Calls of `read` inside `look` are not recorded by themselves.
     """
     raised: list[SlidectlError] = []
 

@@ -1,4 +1,4 @@
-"""The log of a daemon or a gateway: a file that is rotated by size, and that can fail without hurting anybody."""
+"""The log of a daemon or a gateway: a file that is rotated by size. An error of the file never stops the process."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from slidectl.errors import cut
 
 MOST_BYTES = 1024 * 1024
 COPIES = 2
-"""Rotated copies beside the file itself: `log.1` is the younger."""
+"""The number of rotated copies beside the file; `log.1` is the newest."""
 
 
 class LogFile(RotatingFileHandler):
-    """Appends entries with the time of the machine.
+    """Appends entries with the wall-clock time.
 
-    In the background the file is also what is behind stdout and stderr, so that it gets what C code prints. With
-    `foreground` these stay as they are, and stderr gets every entry too.
+    In the background stdout and stderr lead to the file too, so that it gets what C code prints. With `foreground` they
+    stay as they are, and stderr also gets every entry.
     """
 
     def __init__(self, path: Path, foreground: bool = False, most_bytes: int = MOST_BYTES) -> None:
@@ -39,7 +39,7 @@ class LogFile(RotatingFileHandler):
         return stream
 
     def write(self, severity: str, text: str) -> None:
-        """One entry; the lines of a longer text are indented. Of one of more than a few kB the middle is left out."""
+        """Write one entry. Further lines of the text are indented; the middle of a text above a few kB is left out."""
         body = cut(text).rstrip("\n").replace("\n", "\n    ")
         record = logging.makeLogRecord({"levelname": severity, "msg": body})
         self.emit(record)
@@ -48,11 +48,11 @@ class LogFile(RotatingFileHandler):
                 os.write(2, (self.format(record) + "\n").encode("utf-8", "backslashreplace"))
 
     def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802, ARG002
-        """The file cannot be written: the entry is lost, and the next one opens the file anew."""
+        """Drop an entry that cannot be written; the next entry opens the file again."""
         self.reopen()
 
     def reopen(self) -> None:
-        """The file may have been deleted: go on in one that others find."""
+        """Close the file, so that the next entry opens it anew: the file may have been deleted."""
         stream, self.stream = self.stream, None
         with suppress(OSError):
             if stream is not None:

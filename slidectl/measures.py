@@ -1,8 +1,8 @@
-"""Measures of a motion: of the response to a step, of an error, of efforts, of contact. See docs/measures.md.
+"""Measures of a motion: step response, errors, efforts, contact. See docs/measures.md.
 
-Functions of arrays: `times` in s, in order, and values of the same length (n,). Between two samples a value is taken as
-linear; where a force or an effort is compared with a threshold, each sample counts until the next one. Each returns a
-`Measured`.
+All functions take arrays: `times` in s, rising, and values of the same length (n,). Values are linear between two
+samples. Where a force or an effort is compared with a threshold, a sample holds until the next one. Each function
+returns a `Measured`.
 """
 
 from __future__ import annotations
@@ -19,24 +19,24 @@ Array = np.ndarray[Any, np.dtype[np.float64]]
 LOW, HIGH = 0.1, 0.9
 """Rise time is from 10 % to 90 % of the step."""
 BAND = 0.02
-"""Half the width of the band in which a response has settled, as a part of the step."""
+"""Half the width of the settling band, as a part of the step."""
 END = 0.1
-"""The part of the time, at its end, of which the steady-state error is the mean."""
+"""The last part of the time, over which the steady-state error is the mean."""
 SATURATED = 0.999
-"""The part of its limit from which on an effort counts as saturated."""
+"""An effort counts as saturated from this part of its limit on."""
 NEAR_LIMIT = 1e-3
-"""How far a joint must have left a bound before it can hit it again, m or rad."""
+"""The distance from a bound beyond which a joint can hit the bound again, m or rad."""
 _MOVED = 1e-3
-"""The part of a step by which a value leaves its beginning when the motion begins."""
+"""The motion begins when the value has moved by this part of the step."""
 _NO_STEP = 1e-9
 
 
 class NoMeasure(Refused):
-    """The samples do not suffice for the measure."""
+    """There are not enough samples for the measure."""
 
 
 class Measured(float):
-    """A measure. `time` is when it was so, in s; nan where it is of the whole time."""
+    """The value of a measure. `time` is when it occurred, in s; nan for a measure of the whole time."""
 
     time: float
 
@@ -47,15 +47,15 @@ class Measured(float):
 
 
 def measure_text(value: float, unit: str) -> str:
-    """A measure as text."""
+    """The measure as text; `never` for inf."""
     return "never" if value == math.inf else f"{value:.6g} {unit}".rstrip()
 
 
 def samples(times: Any, *values: Any) -> tuple[Array, ...]:
-    """Times and values as arrays (n,). A value that is one number counts for all times.
+    """Times and values as arrays (n,). A single number stands for a constant value.
 
     Raises:
-        NoMeasure: there are none, their numbers differ, the times go back, or one is not finite.
+        NoMeasure: no samples, different lengths, times that go back, or a number that is not finite.
     """
     moments = np.asarray(times, dtype=np.float64)
     arrays = [np.asarray(value, dtype=np.float64) for value in values]
@@ -75,7 +75,7 @@ def samples(times: Any, *values: Any) -> tuple[Array, ...]:
 
 
 def _check_finite(**numbers: float | None) -> None:
-    """Raises NoMeasure for a number that is nan or infinite. None was not given."""
+    """Raise NoMeasure for a number that is nan or infinite. None means not given."""
     for name, value in numbers.items():
         if value is not None and not math.isfinite(value):
             raise NoMeasure(f"the {name.replace('_', ' ')} is {value:g}")
@@ -85,7 +85,7 @@ def _check_finite(**numbers: float | None) -> None:
 
 
 class Step(NamedTuple):
-    """When a step began (s), and the values that it leads from and to."""
+    """The start of a step (s), and the values before and after it."""
 
     start: float
     initial: float
@@ -97,14 +97,14 @@ class Step(NamedTuple):
 
 
 def step(times: Any, values: Any, set_point: float | None = None, start: float | None = None) -> Step:
-    """The step in the samples: from the value at `start` to `set_point`.
+    """Find the step in the samples: from the value at `start` to `set_point`.
 
     Args:
-        set_point: without it, the last value.
-        start: without it, the last sample within a thousandth of the step of the first value, before the motion.
+        set_point: by default the last value.
+        start: by default the last sample before the value has moved by a thousandth of the step.
 
     Raises:
-        NoMeasure: there is none, or one of these is not finite.
+        NoMeasure: there is no step, or a number is not finite.
     """
     _check_finite(set_point=set_point, start=start)
     moments, numbers = samples(times, values)
@@ -124,7 +124,7 @@ def step(times: Any, values: Any, set_point: float | None = None, start: float |
 
 
 def _response(times: Any, values: Any, set_point: float | None, start: float | None) -> tuple[Step, Array, Array]:
-    """The step, and times and values from then on, these as parts of the step: from 0 to 1."""
+    """The step, and the samples from its start on: times (n,), and values as parts of the step, from 0 to 1 (n,)."""
     found = step(times, values, set_point, start)
     moments, numbers = samples(times, values)
     here = moments >= found.start - 1e-9
@@ -132,13 +132,13 @@ def _response(times: Any, values: Any, set_point: float | None, start: float | N
 
 
 def _crossing(times: Array, levels: Array, after: int) -> float:
-    """When `levels` passed 0 between the samples `after` and the next."""
+    """The time at which `levels` crosses 0 between the samples `after` and `after + 1`."""
     rise = levels[after + 1] - levels[after]
     return float(times[after] - levels[after] * (times[after + 1] - times[after]) / rise)
 
 
 def _reached(times: Array, parts: Array, level: float) -> float:
-    """When the response first reached a part of the step; inf when never."""
+    """The time at which the response first reaches a part of the step; inf when it never does."""
     there = np.flatnonzero(parts >= level)
     if not len(there):
         return math.inf
@@ -146,7 +146,7 @@ def _reached(times: Array, parts: Array, level: float) -> float:
 
 
 def rise_time(times: Any, values: Any, set_point: float | None = None, start: float | None = None) -> Measured:
-    """Seconds from 10 % to 90 % of the step; inf when it did not get there. `time` is when it had risen.
+    """Seconds from 10 % to 90 % of the step; inf when it does not reach 90 %. `time` is when it reaches 90 %.
 
     Raises:
         NoMeasure: there is no step.
@@ -157,7 +157,7 @@ def rise_time(times: Any, values: Any, set_point: float | None = None, start: fl
 
 
 def overshoot(times: Any, values: Any, set_point: float | None = None, start: float | None = None) -> Measured:
-    """How far it went beyond the end of the step, in % of the step, at the peak; 0 when it did not.
+    """How far the value goes beyond the end of the step, in % of the step; 0 when it does not. `time` is the peak.
 
     Raises:
         NoMeasure: there is no step.
@@ -170,7 +170,7 @@ def overshoot(times: Any, values: Any, set_point: float | None = None, start: fl
 def settling_time(
     times: Any, values: Any, set_point: float | None = None, start: float | None = None, band: float = BAND
 ) -> Measured:
-    """Seconds from the step until it stayed within `band` (2 %) of the step around its end; inf when it does not.
+    """Seconds from the step until the value stays within `band` (2 %) of the end of the step; inf when it does not.
 
     Raises:
         NoMeasure: there is no step.
@@ -191,13 +191,13 @@ def settling_time(
 
 
 def _integral_of_product(times: Array, one: Array, other: Array) -> float:
-    """Of two that are linear between the samples."""
+    """Integrate the product of two piecewise linear functions."""
     a, b, c, d = one[:-1], one[1:], other[:-1], other[1:]
     return float(np.sum(np.diff(times) * (2.0 * a * c + a * d + b * c + 2.0 * b * d)) / 6.0)
 
 
 def steady_state_error(times: Any, values: Any, set_point: Any) -> Measured:
-    """How far the mean of the last tenth of the time is from the mean of the set point there; never below 0."""
+    """The size of the difference of the means of set point and value over the last tenth of the time."""
     moments, numbers, wanted = samples(times, values, set_point)
     since = moments[-1] - END * (moments[-1] - moments[0])
     errors, here = wanted - numbers, moments > since
@@ -209,7 +209,7 @@ def steady_state_error(times: Any, values: Any, set_point: Any) -> Measured:
 
 
 def rms(times: Any, values: Any, set_point: Any = 0.0) -> Measured:
-    """The root of the mean square of set point minus value, over the time."""
+    """The root mean square of set point minus value over the time."""
     moments, numbers, wanted = samples(times, values, set_point)
     errors, length = wanted - numbers, moments[-1] - moments[0]
     if length <= 0:
@@ -218,14 +218,14 @@ def rms(times: Any, values: Any, set_point: Any = 0.0) -> Measured:
 
 
 def peak(times: Any, values: Any, set_point: Any = 0.0) -> Measured:
-    """The largest size of set point minus value."""
+    """The largest absolute value of set point minus value."""
     moments, numbers, wanted = samples(times, values, set_point)
     errors = np.abs(wanted - numbers)
     return Measured(errors.max(), moments[errors.argmax()])
 
 
 def integral_of_absolute_error(times: Any, values: Any, set_point: Any = 0.0) -> Measured:
-    """The integral of the size of set point minus value over the time, in its unit times s."""
+    """The integral of the absolute value of set point minus value over the time, in its unit times s."""
     moments, numbers, wanted = samples(times, values, set_point)
     errors = wanted - numbers
     begin, end = np.abs(errors[:-1]), np.abs(errors[1:])
@@ -239,13 +239,13 @@ def integral_of_absolute_error(times: Any, values: Any, set_point: Any = 0.0) ->
 
 
 def _time_of(times: Array, holds: Any) -> Measured:
-    """How long something held that holds from a sample to the next; `time` is when it first did."""
+    """How long a condition held (each sample counts until the next), s; `time` is when it first held."""
     found = np.flatnonzero(holds)
     return Measured(np.sum(np.diff(times)[holds[:-1]]), times[found[0]] if len(found) else math.nan)
 
 
 def saturation_time(times: Any, efforts: Any, limit: float) -> Measured:
-    """Seconds during which the effort was at its limit (at 99.9 % of it, either way). Raises NoMeasure: no limit."""
+    """Seconds during which the absolute effort was at its limit (99.9 % of it or more). Raises NoMeasure: no limit."""
     if not 0 < limit < math.inf:
         raise NoMeasure(f"saturation needs a largest effort above 0, not {limit:g}")
     moments, numbers = samples(times, efforts)
@@ -253,17 +253,17 @@ def saturation_time(times: Any, efforts: Any, limit: float) -> Measured:
 
 
 def contact_time(times: Any, forces: Any, threshold: float = 0.0) -> Measured:
-    """Seconds during which the size of the force was above the threshold, N."""
+    """Seconds during which the absolute force was above the threshold, N."""
     _check_finite(threshold=threshold)
     moments, numbers = samples(times, forces)
     return _time_of(moments, np.abs(numbers) > threshold)
 
 
 def limit_hits(times: Any, positions: Any, lower: float = -math.inf, upper: float = math.inf) -> Measured:
-    """How often the position came to a bound; the first time is its `time`.
+    """How often the position reached a bound; `time` is the first time.
 
-    A beginning at the bound does not count, and one that stays near (within 1 mm or 1 mrad) counts once. Raises
-    NoMeasure: there is no bound.
+    A start at the bound does not count. The joint must leave the bound by more than 1 mm or 1 mrad before the next hit
+    counts. Raises NoMeasure: there is no bound.
     """
     if math.isnan(lower) or math.isnan(upper) or not (lower > -math.inf or upper < math.inf):
         raise NoMeasure("limit hits need a lower or an upper bound")
@@ -277,5 +277,5 @@ def limit_hits(times: Any, positions: Any, lower: float = -math.inf, upper: floa
 
 
 def energy(times: Any, efforts: Any, velocities: Any) -> Measured:
-    """The work that the effort has done on the joint, J: below 0 where the joint has driven the actuator."""
+    """The work of the effort on the joint, J; negative where the joint drives the actuator."""
     return Measured(_integral_of_product(*samples(times, efforts, velocities)))

@@ -1,6 +1,6 @@
-"""Graph names: what is legal, how a relative one becomes absolute, and how a short one finds its full name.
+"""Graph names: which are legal, how a relative name becomes absolute, and how a short name is completed.
 
-ROS's naming rules, plus the rule of the command line that the unique end of a name is enough.
+The rules are ROS's. In addition, the command line accepts the unique end of a name.
 Standard library only.
 """
 
@@ -12,9 +12,9 @@ from collections.abc import Iterable, Iterator
 from slidectl.errors import AmbiguousName, BadName, UnknownName
 
 OWN_NODE = "/slidectl"
-"""The node, and the namespace, of what ROS and Gazebo have not."""
+"""The node, and the namespace, of topics and services that neither ROS nor Gazebo has."""
 LONGEST = 1000
-"""Characters of a name, with all that stands above it. What is longer is an error or an attack."""
+"""The most characters of a name with its namespaces. A longer name is an error or an attack."""
 
 _LEGAL = r"(?a)(?!.*//)(?!.+/\Z)[A-Za-z/~][\w/]*\Z"
 _COMPONENT = r"(?a)[A-Za-z]\w*\Z"
@@ -27,26 +27,26 @@ def is_legal(name: str) -> bool:
 
 
 def is_component(name: str) -> bool:
-    """True for what is one part of a graph name: a letter, then letters, digits and '_'."""
+    """True for one component of a graph name: a letter, then letters, digits and '_'."""
     return len(name) <= LONGEST and bool(re.match(_COMPONENT, name))
 
 
 def check(name: str) -> str:
-    """The name itself. Raises BadName when it is not legal."""
+    """Return the name. Raises BadName when it is not legal."""
     if not is_legal(name):
         raise TooLong(name) if len(name) > LONGEST else BadName(name)
     return name
 
 
 class TooLong(BadName):
-    """A name of more characters than any name may have."""
+    """A name that is longer than LONGEST."""
 
     def __init__(self, name: str) -> None:
         super().__init__(name, f"name: it has {len(name)} characters, and {LONGEST} is the most")
 
 
 def check_absolute(name: str, kind: str) -> str:
-    """The name itself: that of a topic or a service. Raises BadName unless it begins with a slash, and is not all."""
+    """Return the name of a topic or service. Raises BadName unless it begins with a slash and more follows."""
     if not check(name).startswith("/") or name == "/":
         hint = "that is the root of all names" if name == "/" else f"write /{name}"
         raise BadName(name, f"name of a {kind}: it begins with '/', and more follows", hint)
@@ -54,7 +54,7 @@ def check_absolute(name: str, kind: str) -> str:
 
 
 def check_parameter(name: str) -> str:
-    """The name itself. Raises BadName when no parameter can have it: they may be `joint-1.2`, but hold no blanks."""
+    """Return the name of a parameter. Raises BadName unless it is legal: `joint-1.2` is, a name with blanks is not."""
     if len(name) > LONGEST:
         raise TooLong(name)
     if not re.match(_PARAMETER, name):
@@ -63,7 +63,7 @@ def check_parameter(name: str) -> str:
 
 
 def check_robot(name: str) -> str:
-    """The name itself. Raises BadName unless it can be a robot's: one component of a name."""
+    """Return the name of a robot. Raises BadName unless it is one component of a graph name."""
     if len(name) > LONGEST:
         raise TooLong(name)
     if not is_component(name):
@@ -79,7 +79,7 @@ def join(namespace: str, name: str) -> str:
 
 
 def parent(name: str) -> str:
-    """The namespace that holds `name`; the root's is the root."""
+    """The namespace of `name`; that of the root is the root."""
     return name.rpartition("/")[0] or "/"
 
 

@@ -1,4 +1,4 @@
-"""Where things are: the private folder of a daemon instance, and the models and configurations that are shipped.
+"""Paths of files: the private folder of a daemon instance, and the models and configurations that are shipped.
 
 Standard library only, and quick to import. Nothing here creates a folder except `make_private`.
 """
@@ -25,9 +25,9 @@ _LONGEST_SOCKET_PATH = 107
 
 
 class InstancePaths:
-    """The files of one daemon instance, all in one private folder. `prefix` keeps those of a named socket apart.
+    """The files of one daemon instance, in one private folder. `prefix` keeps the files of a named socket apart.
 
-    Kept as text: every command looks up its socket, and pathlib takes longer to import than to be asked.
+    The paths are texts: every command looks up its socket, and importing pathlib takes longer than using it once.
     """
 
     __slots__ = ("folder_text", "prefix", "socket_text")
@@ -47,7 +47,7 @@ class InstancePaths:
 
     @property
     def lock(self) -> Path:
-        """Locked by the living daemon; it holds the daemon's process id as text."""
+        """The file that the running daemon locks; it holds the daemon's process id as text."""
         return self.folder / f"{self.prefix}lock"
 
     @property
@@ -57,7 +57,7 @@ class InstancePaths:
 
     @property
     def name(self) -> str:
-        """The instance's name, or that of its socket's file."""
+        """The name of the instance, or of the file of its socket."""
         return self.prefix.rstrip(".") or os.path.basename(self.folder_text)
 
 
@@ -74,7 +74,7 @@ def runtime_folder() -> str:
 
 
 def temporary_runtime_folder() -> str:
-    """The folder of all instances where XDG_RUNTIME_DIR is not set."""
+    """The folder of all instances when XDG_RUNTIME_DIR is not set."""
     # The temporary folder as tempfile.gettempdir finds it; that module takes longer to import than this one.
     named = (os.environ.get(variable) for variable in ("TMPDIR", "TEMP", "TMP"))
     temporary = next((os.path.abspath(folder) for folder in named if folder and os.path.isdir(folder)), "/tmp")
@@ -82,10 +82,10 @@ def temporary_runtime_folder() -> str:
 
 
 def instance(name: str | None = None, socket: str | None = None) -> InstancePaths:
-    """The paths of an instance: by socket path if given, else by name; the environment fills what is missing.
+    """The paths of an instance: by socket path if given, else by name. Environment variables are the defaults.
 
     Raises:
-        UsageError: a name that is no file name, or a socket path that the kernel cannot take.
+        UsageError: the name is not a file name, or the socket path is too long for the kernel.
     """
     if socket is None and name is None:
         socket = os.environ.get("SLIDECTL_SOCKET") or None
@@ -95,7 +95,7 @@ def instance(name: str | None = None, socket: str | None = None) -> InstancePath
         path = os.path.abspath(socket)
         folder, file = os.path.split(path)
         above, name = os.path.split(folder)
-        # That of an instance is the instance, however it was named: its lock and its log are the same files.
+        # The socket path of an instance means that instance: lock and log must be the same files.
         is_instances = file == _SOCKET and above == runtime_folder() and re.match(_INSTANCE, name)
         found = InstancePaths(folder, path, "" if is_instances else f"{file}.")
     else:
@@ -115,15 +115,15 @@ def instance(name: str | None = None, socket: str | None = None) -> InstancePath
 
 
 def make_private(folder: Path) -> None:
-    """Create the folder with mode 0700, or check that it is ours and nobody else can enter.
+    """Create the folder with mode 0700, or check that it is ours and closed to others.
 
     Raises:
-        Refused: it cannot be made, belongs to somebody else, is a link, or is open to others. Or somebody else may
-            put another one into its place: that is checked for the folder that holds all instances.
+        Refused: it cannot be made, belongs to another user, is a link, or is open to others. Or another user could
+            replace it: that is checked for the folder that holds all instances.
     """
     above = folder.parent
     hint = "set XDG_RUNTIME_DIR to a folder of your own"
-    # Anybody may put a link into the temporary folder.
+    # Any user may put a link into the temporary folder.
     if _is_ours_to_name(folder) and above.is_symlink() and (uid := above.lstat().st_uid) != os.geteuid():
         raise Refused(f"{above} is a symbolic link of another user (uid {uid})", hint)
     try:
@@ -143,7 +143,7 @@ def make_private(folder: Path) -> None:
 
 
 def _is_ours_to_name(folder: str | Path) -> bool:
-    """True for the folder of an instance; that of a named socket is the user's affair."""
+    """True for the folder of an instance. The user is responsible for the folder of a named socket."""
     return os.path.dirname(os.fspath(folder)) == runtime_folder()
 
 
@@ -157,18 +157,18 @@ def check_private(folder: str | Path) -> None:
             f"{folder} belongs to another user (uid {info.st_uid})", "choose another --instance or XDG_RUNTIME_DIR"
         )
     if stat.S_IMODE(info.st_mode) & 0o077:
-        # Never advise to close a folder that may serve others too: /tmp, a home, the root.
+        # Never advise to close a folder that may serve others too, such as /tmp, a home or the root.
         own = "put the socket into a folder of your own, made with: mkdir -m 700 FOLDER"
         raise Refused(f"{folder} is open to other users", f"chmod 700 {folder}" if _is_ours_to_name(folder) else own)
 
 
 def shown(path: str) -> str:
-    """The path as text for messages: what of its bytes is no UTF-8 is written as `\\xff`."""
+    """The path as text for messages; bytes that are not UTF-8 are written as `\\xff`."""
     return os.fsencode(path).decode("utf-8", "backslashreplace")
 
 
 def with_package(environment: Mapping[str, str]) -> dict[str, str]:
-    """An environment in which Python finds slidectl too when it runs from its checkout without being installed."""
+    """An environment in which Python finds slidectl even when it runs from its checkout without being installed."""
     root = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
     if os.path.basename(root) in ("site-packages", "dist-packages"):
         return dict(environment)
@@ -177,7 +177,7 @@ def with_package(environment: Mapping[str, str]) -> dict[str, str]:
 
 
 def share(kind: str) -> Path:
-    """The folder of shipped `models`, `config` or `launch` files: inside the wheel, else beside the package."""
+    """The folder of the shipped `models`, `config` or `launch` files: inside the wheel, else beside the package."""
     package = _path(__file__).parent
     inside = package / "share" / kind
     return inside if inside.is_dir() else package.parent / kind

@@ -1,8 +1,8 @@
-"""Processes that go on by themselves: who holds the lock of one, how one is started, and how it ends with another.
+"""Background processes: find the process that holds a lock, start a process, and end it with its parent.
 
-A lock says that its process lives: the kernel takes it back when that ends, however it ends. It is a POSIX record lock,
-because F_GETLK names the holder without disturbing anybody. The lock file must not be opened elsewhere in the process
-that holds the lock: closing it there would let the lock go.
+A held lock means that its process is alive: the kernel releases it when the process ends, in whatever way. It is a
+POSIX record lock, because F_GETLK names the holder without side effects. The lock file must not be opened elsewhere in
+the process that holds the lock: closing it there would release the lock.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     import subprocess
     from pathlib import Path
 
-# struct flock of a 64-bit Linux: type, whence, start, length, pid. Elsewhere it is laid out in other ways, and the
-# answers would be nonsense.
+# struct flock of a 64-bit Linux: type, whence, start, length, pid. Other systems have another layout, for which the
+# answers would be wrong.
 assert sys.maxsize > 1 << 32, "slidectl needs a 64-bit Linux"
 _FLOCK = struct.Struct("hhqqi4x")
 _HELD = (errno.EAGAIN, errno.EACCES)
@@ -33,10 +33,10 @@ _PR_SET_PDEATHSIG = 1
 
 
 def holder(path: Path) -> int | None:
-    """Process id of whoever holds the lock, or None. It is 0 when that is in another pid namespace.
+    """The id of the process that holds the lock, or None; 0 when that process is in another pid namespace.
 
     Raises:
-        Refused: the file is there and cannot be asked.
+        Refused: the file exists and cannot be asked.
     """
     try:
         with open(path, "rb+", buffering=0) as file:
@@ -50,10 +50,10 @@ def holder(path: Path) -> int | None:
 
 
 def lock(path: Path) -> int | None:
-    """The descriptor of the locked file, which holds our process id as text; None when another process has the lock.
+    """Lock the file and write our process id into it. Returns its descriptor; None when another process has the lock.
 
     Raises:
-        Refused: no lock can be had.
+        Refused: the file cannot be made or locked.
     """
     while True:
         try:
@@ -69,8 +69,8 @@ def lock(path: Path) -> int | None:
             raise _lock_failed("take", path, error) from None
         if is_at(path, os.fstat(fd)):
             break
-        os.close(fd)  # its last owner removed the file between our open and our lock
-    # For people who look into the folder. The kernel knows better, so a full disk is no reason to give up.
+        os.close(fd)  # its last owner removed the file after our open and before our lock
+    # The text is for people who look into the folder. The kernel has the lock in any case, so a full disk is no error.
     with suppress(OSError):
         os.ftruncate(fd, 0)
         os.write(fd, f"{os.getpid()}\n".encode())
@@ -83,7 +83,7 @@ def _lock_failed(what: str, path: Path, error: OSError) -> Refused:
 
 
 def is_at(path: Path, file: os.stat_result | None) -> bool:
-    """True when the file is the one that others find at the path."""
+    """True when the path still leads to this file."""
     try:
         return file is not None and os.path.samestat(file, os.lstat(path))
     except OSError:
@@ -92,12 +92,12 @@ def is_at(path: Path, file: os.stat_result | None) -> bool:
 
 def command_of(module: str, *arguments: str) -> list[str]:
     """The command line that runs a module of the package."""
-    # -P: a file of the user's that is called like a library must not be taken for it.
+    # -P: a user's file with the name of a library must not be imported instead of it.
     return [sys.executable, "-P", "-m", module, *arguments]
 
 
 def start(command: list[str], output: IO[bytes], **more: Any) -> subprocess.Popen[bytes]:
-    """Start a program in the background, in a session of its own. It prints into `output`, and `more` goes to Popen."""
+    """Start a program in the background, in its own session. It prints into `output`; `more` are options of Popen."""
     import subprocess
 
     environment = with_package(os.environ)
@@ -105,7 +105,7 @@ def start(command: list[str], output: IO[bytes], **more: Any) -> subprocess.Pope
 
 
 def opened_log(path: Path) -> IO[bytes]:
-    """The log, private to the user, to be appended to; where it cannot be written, nothing."""
+    """Open the log for appending, private to the user; the null device when it cannot be written."""
     try:
         return os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600), "wb")
     except OSError:
@@ -113,7 +113,7 @@ def opened_log(path: Path) -> IO[bytes]:
 
 
 def last_lines(log: Path, after: int) -> str:
-    """The end of what stands in a log after so many bytes."""
+    """The last lines of what was written to a log after its first `after` bytes."""
     try:
         text = log.read_bytes()[after:].decode("utf-8", "replace")
     except OSError:
@@ -122,7 +122,7 @@ def last_lines(log: Path, after: int) -> str:
 
 
 def end_with(parent: int, number: int) -> bool:
-    """Get this signal when the parent ends. False: it has ended already."""
+    """Get this signal from the kernel when the parent ends. Returns False if it has already ended."""
     import ctypes
 
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number)

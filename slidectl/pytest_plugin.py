@@ -1,10 +1,10 @@
-"""The pytest plugin: fixtures for a world in this process and for a daemon, and what is kept of a test that fails.
+"""The pytest plugin: fixtures for a world in this process and for a daemon, and the recordings of failed tests.
 
 pytest finds it by its entry point. It is imported in each run of pytest where slidectl is installed, so it imports
 nothing before a fixture is used. docs/pytest.md is its manual.
 
-While a test runs, only the journal of its world is written. A recording is made of the journal when it is wanted, by a
-replay in a process of its own: so it costs nothing while tests pass, and is possible of what cannot be run again.
+While a test runs, only the journal of its world is written. When a recording is needed, a replay of the journal in
+another process makes it. So recording costs nothing while tests pass, and works for runs that cannot be repeated.
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ _MARKER = "slidectl"
 _WORLD = ("timestep", "gravity", "ground", "engine", "imports", "paused")
 _ARGUMENTS = (*_WORLD, "rtf", "sim_timeout")
 SIM_TIMEOUT_S = 600.0
-"""Simulated seconds that the world of a test may take."""
+"""Default limit of the simulated time of a test, s."""
 RECORDED_S = 60
-"""How many of the last simulated seconds are recorded."""
+"""The length of a recording: the last simulated seconds of the test, s."""
 _REPLAY_S = 300.0
 _RUN_S = 120.0
 _CLIENT_S = 30.0
@@ -76,22 +76,22 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @dataclass
 class _KeptRun:
-    """The run of one world in one test, with its journal. `connect` makes a client of it, `log` has its last lines."""
+    """The run of one world in one test, with its journal. `connect` makes a client of the world, `log` its log."""
 
     journal: Path | None
     environment: dict[str, str]
-    """In which a replay finds the modules that the world has imported."""
+    """Environment variables with which a replay finds the modules that the world has imported."""
     connect: Callable[[], Client]
     log: Callable[[], Sequence[str]]
     said: str = ""
-    """What there is to say of the recording; empty before it is made."""
+    """The text about the recording; empty before it is made."""
 
     def keep(self) -> str:
-        """Make the recording, of what there is by now. Returns what to say of it."""
+        """Make the recording up to this moment. Returns the text about it for the report."""
         if not self.said:
             try:
                 files = [] if self.journal is None else [*self._record(self.journal), f"journal: {self.journal}"]
-            except Exception as error:  # the report of the test must come out
+            except Exception as error:  # the report of the test must still be printed
                 files = [f"no recording: {type(error).__name__}: {error}"]
             self.said = "\n".join([*files, "last lines of the log:", *list(self.log())[-_LOG_LINES:]])
         return self.said
@@ -99,8 +99,8 @@ class _KeptRun:
     def _record(self, journal: Path) -> list[str]:
         from slidectl.recording.recording_files import usual_suffix
 
-        with suppress(SlidectlError), self.connect() as client:  # it may have ended
-            client.sleep(0)  # an entry: a replay ends with the last one
+        with suppress(SlidectlError), self.connect() as client:  # the world may have ended
+            client.sleep(0)  # adds an entry to the journal: a replay ends with the last entry
         file = journal.with_suffix(usual_suffix())
         words = ["replay", str(journal), "--record", str(file), "--last", str(RECORDED_S), "--json"]
         try:
@@ -116,7 +116,7 @@ class _KeptRun:
         return [f"recording: {file}, up to {found['time']:.3f} s", *differs]
 
     def forget(self) -> None:
-        """The journal is not wanted, unless `keep` was called."""
+        """Delete the journal, unless `keep` was called."""
         if self.journal is not None and not self.said:
             self.journal.unlink(missing_ok=True)
 
@@ -138,13 +138,13 @@ def pytest_runtest_makereport(
             report.sections.append(("slidectl", run.keep()))
         elif call.when == "teardown":
             run.forget()
-    if call.when == "teardown" and _RUNS in item.stash:  # a plugin may run the test once more
+    if call.when == "teardown" and _RUNS in item.stash:  # a plugin may run the same test again
         del item.stash[_RUNS]
     return report
 
 
 def _cut(entry: TracebackType | None) -> None:
-    """Let the traceback of an error that slidectl explains end with the line of who called slidectl."""
+    """Cut a traceback after the last entry outside of slidectl: the error's message explains the rest."""
     last = None
     while entry is not None:
         if not entry.tb_frame.f_code.co_filename.startswith(_PACKAGE):
@@ -155,7 +155,7 @@ def _cut(entry: TracebackType | None) -> None:
 
 
 def _journal_of(request: pytest.FixtureRequest, suffix: str = "") -> Path | None:
-    """Where the journal is written. What is there of an earlier run of the test goes."""
+    """The path for the journal. Files of an earlier run of the test are deleted."""
     config = request.config
     if config.getoption("slidectl_record") == "none":
         return None
@@ -170,7 +170,7 @@ def _journal_of(request: pytest.FixtureRequest, suffix: str = "") -> Path | None
 
 
 def _stem(test: str) -> str:
-    """A file name for a test, another one for each: one that was changed or cut ends with a checksum."""
+    """A unique file name for a test; one that was changed or cut ends with a checksum."""
     function, _, parameters = test.partition("[")
     plain = function.replace("::", "-") + (f"-{parameters[:-1]}" if parameters else "")
     stem = _UNSAFE.sub("_", plain)
@@ -183,7 +183,7 @@ def _stem(test: str) -> str:
 
 
 def _marked(request: pytest.FixtureRequest) -> dict[str, Any]:
-    """What the markers of the test say, the nearest one first."""
+    """The arguments of the test's markers; the nearest marker overrides the others."""
     given: dict[str, Any] = {}
     for mark in reversed(list(request.node.iter_markers(_MARKER))):
         given |= mark.kwargs
@@ -194,7 +194,7 @@ def _marked(request: pytest.FixtureRequest) -> dict[str, Any]:
 
 
 def _options(given: dict[str, Any], folder: Path, journal: Path | None, **more: Any) -> DaemonOptions:
-    """Files to import are looked for in the folder of the test first."""
+    """The daemon's options from the marker. Files to import are first searched in the test's folder."""
     from slidectl.cli.daemon import module_or_file
     from slidectl.daemon.options import DaemonOptions
     from slidectl.errors import UsageError
@@ -227,7 +227,7 @@ def _path_for(options: DaemonOptions) -> dict[str, str]:
 
 @contextmanager
 def _told() -> Iterator[None]:
-    """An error that slidectl explains is told without a traceback, which would show pytest's own code."""
+    """Fail the test with the message of a SlidectlError only: a traceback would show pytest's own code."""
     said = None
     try:
         yield
@@ -238,7 +238,7 @@ def _told() -> Iterator[None]:
 
 
 _FIRST = pytest.StashKey["InProcessWorld"]()
-"""The world that compiles the engine where nobody has: the compiler is its process, and outlives its test."""
+"""The world that compiles the engine if it is not compiled yet: the compiler is its child and outlives its test."""
 
 
 @pytest.fixture
@@ -275,8 +275,8 @@ def slidectl_world(request: pytest.FixtureRequest) -> Iterator[InProcessWorld]:
 
 @pytest.fixture
 def slidectl_client(slidectl_world: InProcessWorld) -> Iterator[Client]:
-    """A client of a new world in this process: spawn, publish, wait, measure. Its waits end with the simulated time."""
-    # Leaving the client raises MessageRefused.
+    """A client of a new world in this process: spawn, publish, wait, measure. Waits end at the time limit."""
+    # Leaving the client raises MessageRefused if a message was refused.
     with _told(), suppress(NoDaemon), slidectl_world.client(timeout=math.inf) as client:
         yield client
 
@@ -285,7 +285,7 @@ def slidectl_client(slidectl_world: InProcessWorld) -> Iterator[Client]:
 
 
 class TemporaryDaemon:
-    """A daemon in a folder of its own, which commands and clients of this process and its children find by default."""
+    """A daemon in its own folder. Commands and clients of this process and its children use it by default."""
 
     def __init__(self, folder: Path, options: DaemonOptions) -> None:
         from slidectl import paths
@@ -293,7 +293,7 @@ class TemporaryDaemon:
 
         self._folder = folder / "slidectl"
         self._paths = paths.instance()
-        with warnings.catch_warnings():  # of its process, which goes on: who has warnings as errors would fail
+        with warnings.catch_warnings():  # its process keeps running: with warnings as errors this would fail
             warnings.simplefilter("ignore", ResourceWarning)
             self.pid, _ = lifecycle.start(self._paths, options)
 
@@ -312,25 +312,25 @@ class TemporaryDaemon:
         return done
 
     def connect(self) -> Client:
-        """A new connection to it, which the caller closes."""
+        """Open a new connection to the daemon; the caller closes it."""
         from slidectl.client import Client
 
         return Client(socket=self._paths.socket_text, timeout=_CLIENT_S)
 
     @cached_property
     def client(self) -> Client:
-        """A connection to it."""
+        """A connection to the daemon."""
         return self.connect()
 
     @property
     def log(self) -> str:
-        """The text of its log."""
+        """The text of the daemon's log."""
         with suppress(FileNotFoundError):
             return self._paths.log.read_text("utf-8", "replace")
         return ""
 
     def stop(self) -> None:
-        """End it, and other daemons that were started in its folder. Raises MessageRefused as a client does."""
+        """End the daemon, and other daemons that were started in its folder. Raises MessageRefused as a client does."""
         try:
             if "client" in vars(self):
                 with suppress(NoDaemon), self.client:
@@ -391,11 +391,11 @@ class _ScenarioFile(pytest.File):
 
 
 class _CaseFailed(Exception):
-    """What there is to say of it."""
+    """A case has failed. The text is the report."""
 
 
 class _ScenarioItem(pytest.Item):
-    """A case of a scenario, run by `slidectl test`."""
+    """A case of a scenario file; `slidectl test` runs it."""
 
     def __init__(self, case: Case, **more: Any) -> None:
         super().__init__(**more)
@@ -433,10 +433,10 @@ class _ScenarioItem(pytest.Item):
 def _slidectl(
     words: Sequence[str], timeout: float, input: str | None = None, env: dict[str, str] | None = None
 ) -> subprocess.CompletedProcess[str]:
-    """A command line in a process of its own, as the command `slidectl` runs it."""
+    """Run a command line of slidectl in another process."""
     from slidectl.paths import with_package
 
-    # -P: a file of the user's that is called like a library must not be taken for it.
+    # -P: a user's file with the name of a library must not be imported instead of it.
     command = [sys.executable, "-P", "-m", "slidectl", *words]
     stdin: dict[str, Any] = {"stdin": subprocess.DEVNULL} if input is None else {"input": input}
     environment = with_package(os.environ | (env or {}))

@@ -1,7 +1,7 @@
 """Rotations as quaternions x y z w, as on messages, and poses in frames: composition, inverse, roll pitch yaw.
 
-Plain Python, for everybody who has a rotation: the command line, launch files, models, physics. `wxyz` turns a
-quaternion for MuJoCo, whose quaternions begin with w.
+Plain Python, for the command line, launch files, models and physics. `wxyz` converts a quaternion for MuJoCo, whose
+quaternions begin with w.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ Quaternion = tuple[float, float, float, float]
 Matrix = tuple[Vector, Vector, Vector]
 
 Pose = tuple[Vector, Quaternion]
-"""Position in m, attitude x y z w."""
+"""Position in m, rotation as a quaternion x y z w."""
 
 IDENTITY: Quaternion = (0.0, 0.0, 0.0, 1.0)
 ORIGIN: Pose = ((0.0, 0.0, 0.0), IDENTITY)
 
 
 def from_rpy(rpy: Vector) -> Quaternion:
-    """The attitude after turning about the fixed x, then y, then z axis by roll, pitch, yaw (rad); URDF's `rpy`."""
+    """The rotation about the fixed x, then y, then z axis by roll, pitch, yaw (rad); URDF's `rpy`."""
     if rpy == (0.0, 0.0, 0.0):
         return IDENTITY
     (cr, sr), (cp, sp), (cy, sy) = ((math.cos(angle / 2), math.sin(angle / 2)) for angle in rpy)
@@ -33,12 +33,12 @@ def from_rpy(rpy: Vector) -> Quaternion:
 
 
 def message(quaternion: Quaternion) -> dict[str, float]:
-    """geometry_msgs/Quaternion."""
+    """The rotation as geometry_msgs/Quaternion."""
     return dict(zip("xyzw", quaternion, strict=True))
 
 
 def normalized(quaternion: Quaternion) -> Quaternion:
-    """The quaternion at length one; all zeros mean no rotation, as in messages that leave it out."""
+    """The quaternion scaled to length one; all zeros mean no rotation, as in messages that leave it out."""
     length = math.hypot(*quaternion)
     if length == 0.0:
         return IDENTITY
@@ -47,7 +47,7 @@ def normalized(quaternion: Quaternion) -> Quaternion:
 
 
 def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
-    """The rotation that does `b` first, then `a` (Hamilton's product)."""
+    """The product of two rotations (Hamilton's product): first `b`, then `a`."""
     ax, ay, az, aw = a
     bx, by, bz, bw = b
     return (
@@ -84,7 +84,7 @@ def to_rpy(quaternion: Quaternion) -> Vector:
 
 
 def rotate(quaternion: Quaternion, vector: Vector) -> Vector:
-    """The vector turned by a unit quaternion."""
+    """The vector rotated by a unit quaternion."""
     x, y, z, w = quaternion
     axis = (x, y, z)
     tx, ty, tz = (2 * part for part in cross(axis, vector))
@@ -108,12 +108,12 @@ def subtract(a: Vector, b: Vector) -> Vector:
 
 
 def compose(frame: Pose, local: Pose) -> Pose:
-    """What is `local` in `frame`, seen from where `frame` is given."""
+    """The pose `local`, which is given in `frame`, in the frame in which `frame` is given."""
     return add(frame[0], rotate(frame[1], local[0])), multiply(frame[1], local[1])
 
 
 def relative(pose: Pose, frame: Pose) -> Pose:
-    """`pose` seen from `frame`, both given in the same frame."""
+    """The pose `pose` in `frame`; both are given in the same frame."""
     back = conjugate(frame[1])
     return rotate(back, subtract(pose[0], frame[0])), multiply(back, pose[1])
 

@@ -1,8 +1,8 @@
-"""How one number went over time: of a joint or of a field of a topic, live or from a recording. For slidectl.measures.
+"""Traces: the values of a joint or of a topic's field over time, live or from a recording. For slidectl.measures.
 
-A joint is named as `joint1` or `slider/joint1`, with `/velocity` or `/effort` behind it where that is meant; a field as
-`joint_states/position[0]`. A short name is the unique end of a full one. A vector counts with its length, a list of
-vectors with the length of their sum.
+A joint is named `joint1` or `slider/joint1`, followed by `/velocity` or `/effort` for these; a field is named
+`joint_states/position[0]`. A short name is the unique end of a full one. The value of a vector is its length, that of a
+list of vectors the length of their sum.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ JOINT_UNITS = {
     "revolute": _TURNING,
     "continuous": _TURNING,
 }
-"""By the type of the joint."""
+"""Units by the type of the joint."""
 _JOINT_STATE = "sensor_msgs/JointState"
 _SECOND = 10**9
 _LONGEST_QUEUE = 1_000_000
 _NOW = 1e-9
-"""The last seconds in which there is this moment alone."""
+"""A request for the last 1e-9 s gives one sample: the present one."""
 
 
 # --- a trace and its measures -----------------------------------------------------------------------------------------
@@ -46,26 +46,26 @@ _NOW = 1e-9
 
 @dataclass
 class JointOrFieldTrace:
-    """Values over simulated time (s), arrays of one length (n,). SI units."""
+    """Values over simulated time (s); all arrays have the shape (n,). SI units."""
 
     name: str
     times: Array
     values: Array
     unit: str = ""
-    """Of the values, where it is known."""
+    """The unit of the values; empty when it is not known."""
     velocities: Array | None = None
     efforts: Array | None = None
-    """Of a joint."""
+    """For joints only."""
     effort_unit: str = ""
     set_points: Array | None = None
-    """What the values were to be, where that was asked for as a field."""
+    """The desired values, if a field with them was given."""
     lower: float = -math.inf
     upper: float = math.inf
     max_effort: float = math.nan
-    """Bounds of a joint, where they are known."""
+    """The largest effort; nan, or for bounds infinite, when not known."""
 
     def since(self, time: float) -> JointOrFieldTrace:
-        """The samples from then on."""
+        """The samples from `time` (s) on."""
         here = self.times >= time - 1e-9
         cut: dict[str, Any] = {name: each[here] for name, each in vars(self).items() if isinstance(each, np.ndarray)}
         return replace(self, **cut)
@@ -73,15 +73,15 @@ class JointOrFieldTrace:
     def measure(
         self, name: str, set_point: float | None = None, start: float | None = None, band: float = measures.BAND
     ) -> Measured:
-        """One of MEASURES.
+        """Compute one of MEASURES.
 
         Args:
-            set_point: where the step leads to (without it its last value); what errors are from.
-            start: when the step was, s; without it when the motion began.
-            band: of the settling time, a part of the step.
+            set_point: the end of the step (by default its last value), or the value that errors are relative to.
+            start: the time of the step, s; by default when the motion began.
+            band: half the settling band, as a part of the step.
 
         Raises:
-            UnknownName: no such measure. NoMeasure: the samples do not suffice.
+            UnknownName: no such measure. NoMeasure: there are not enough samples.
         """
         if name not in MEASURES:
             raise UnknownName("measure", name, list(MEASURES))
@@ -101,10 +101,10 @@ class JointOrFieldTrace:
         return take(self)
 
     def holds(self, condition: str, wanted: float, tolerance: float = 0.0) -> tuple[bool, Measured]:
-        """Whether every value is `near` (within the tolerance), `above` or `below` a number, or `equals` it.
+        """Check that every value is `near` (within the tolerance), `above` or `below` a number, or `equals` it.
 
         Returns:
-            That, and the value that is farthest from it, or closest to where it is not so any more.
+            The result, and the value that violates the condition most, or is closest to violating it.
 
         Raises:
             UnknownName: no such condition. NoMeasure: there are no samples.
@@ -126,21 +126,21 @@ class JointOrFieldTrace:
         return bool(holds), Measured(values[worst], self.times[worst])
 
     def unit_of(self, name: str) -> str:
-        """The unit of a measure; empty for a count, and where the unit of the values is not known."""
+        """The unit of a measure; empty for a count, and when the unit of the values is not known."""
         unit = MEASURES[name].unit
         own = {"value": self.unit, "effort": self.effort_unit, "value·s": self.unit and f"{self.unit}·s"}
         return own.get(unit, unit)
 
 
 class Measure(NamedTuple):
-    """What is measured, in few words, and in which unit."""
+    """A measure: its description, its unit, and the function that computes it."""
 
     help: str
     unit: str
     kind: str
-    """Of what: `step`, `error`, `joint`, or `values`."""
+    """What it is measured from: `step`, `error`, `joint`, or `values`."""
     take: Callable[..., Measured]
-    """Of a step and of an error it takes times, values and more; else the trace."""
+    """The function. For a step or an error it takes times, values and more; else the trace."""
 
 
 MEASURES: dict[str, Measure] = {
@@ -182,7 +182,7 @@ MEASURES: dict[str, Measure] = {
 
 
 def _find_joint(text: str, known: Sequence[str], namespace: str) -> tuple[str, str] | None:
-    """The full name of the joint that is meant and its quantity, or None where none is. Raises AmbiguousName."""
+    """The full name of the joint that `text` means, and the quantity; None when there is none. Raises AmbiguousName."""
     if "[" in text:
         return None
     head, _, tail = text.rpartition("/")
@@ -194,7 +194,7 @@ def _find_joint(text: str, known: Sequence[str], namespace: str) -> tuple[str, s
 
 
 def _joint_trace(name: str, quantity: str, rows: Array, about: Mapping[str, Any]) -> JointOrFieldTrace:
-    """Of rows of time, position, velocity and effort (n, 4), and what is known of the joint (slidectl/JointInfo)."""
+    """The trace of rows of time, position, velocity, effort (n, 4); `about` is the joint's slidectl/JointInfo."""
     units = JOINT_UNITS.get(str(about.get("type")), dict.fromkeys(QUANTITIES, ""))
     columns = dict(zip(QUANTITIES, rows.T[1:], strict=True))
     is_position = quantity == "position"
@@ -211,7 +211,7 @@ def _joint_trace(name: str, quantity: str, rows: Array, about: Mapping[str, Any]
 
 
 def number(value: Any) -> float:
-    """The number that a value counts as. Raises UsageError: it is none."""
+    """Convert the value of a field to one number. Raises UsageError when that is not possible."""
     if isinstance(value, bool | int | float):
         return float(value)
     if value is None:
@@ -226,10 +226,10 @@ def number(value: Any) -> float:
 
 
 class _Samples:
-    """Messages of one topic as a trace: those of a field, and of the field of the set points if there is one."""
+    """Collects messages of one topic, and makes a trace of a field, with another field as set points if given."""
 
     def __init__(self, name: str, schema: Schema, field: str, set_point: str) -> None:
-        """Without a `field` the only one of the type counts. Raises UnknownName, UsageError."""
+        """`field` may be empty if the type has only one field. Raises UnknownName, UsageError."""
         inside = schema.fields(schema.root)
         path = inside[0].name if not field and len(inside) == 1 else field
         self.name = f"{name}/{field}" if field else name
@@ -238,7 +238,7 @@ class _Samples:
         self.rows: list[list[float]] = []
 
     def take(self, time_ns: int, message: Any) -> None:
-        """Raises UsageError: no number. NoElement: its array is too short."""
+        """Add a message. Raises UsageError: no number. NoElement: the array is too short."""
         self.rows.append([time_ns / _SECOND, *(number(path.take(message)) for path in self._paths)])
 
     def trace(self) -> JointOrFieldTrace:
@@ -264,17 +264,17 @@ def live(
 ) -> JointOrFieldTrace:
     """A trace of the last or of the next simulated seconds; without either, of this moment alone.
 
-    A joint has a sample a cycle in the seconds to come, and one in ten cycles in those past, as far as they are kept. A
-    field has one a message; its past is not kept.
+    A joint has one sample per cycle in the coming seconds, and one per ten cycles in the past, as far as stored. A
+    field has one sample per message; its past is not stored.
 
     Args:
-        set_point: a field of the same topic, which says what the value is to be.
+        set_point: a field of the same topic that holds the desired value.
         timeout: wall seconds; the client's when not given.
-        begun: called when the samples of a joint are asked for: what it publishes takes effect after the first one.
+        begun: called after a joint's samples are requested: what it publishes takes effect after the first sample.
 
     Raises:
-        UnknownName, AmbiguousName, Unused: no such joint or topic. UsageError: the past of a topic, or no number.
-        NoMeasure: messages were lost, or none comes. TimedOut.
+        UnknownName, AmbiguousName, Unused: no such joint or topic. UsageError: the past of a topic, or not a number.
+        NoMeasure: messages were lost, or none arrived. TimedOut.
     """
     robots = client.robots()
     joints = {
@@ -311,7 +311,7 @@ def live(
 def _of_topic(
     client: Client, found: dict[str, Any], duration: float, set_point: str, timeout: float | None
 ) -> JointOrFieldTrace:
-    """`found` is what a name of a topic means (slidectl/Resolve)."""
+    """The trace of a topic's field; `found` is the response of slidectl/Resolve."""
     samples = _Samples(found["name"], from_typedefs(found["typedefs"]), found["field"], set_point)
 
     def take(published: dict[str, Any]) -> None:
@@ -341,7 +341,7 @@ def _of_topic(
 def recorded(
     recording: Recording, target: str, *, last: float = 0.0, set_point: str = "", namespace: str = "/"
 ) -> JointOrFieldTrace:
-    """A trace of a whole recording, or of its last seconds. A joint is one of its sensor_msgs/JointState messages.
+    """A trace of a whole recording, or of its last seconds. Joints are those of sensor_msgs/JointState messages.
 
     Raises:
         UnknownName, AmbiguousName: not in the recording. UsageError: no number. BadRecording.
@@ -372,7 +372,7 @@ def _messages(recording: Recording, topic: str) -> Iterator[tuple[int, Any]]:
 
 
 def _recorded_joints(recording: Recording) -> Iterator[tuple[str, tuple[str, str]]]:
-    """The full names of joints, with topic and name, as the first message of each topic has them."""
+    """The full names of joints, with topic and joint name, from the first message of each topic."""
     for topic in {channel.topic: None for channel in recording.channels if channel.type == _JOINT_STATE}:
         for _, message in _messages(recording, topic):
             yield from ((names.join(names.parent(topic), joint), (topic, joint)) for joint in message["name"])

@@ -1,8 +1,8 @@
-"""Values as a person types them, and documents of a file or a pipe: YAML 1.1 as the ROS tools read it.
+"""Reads values that a user types, and documents of a file or a pipe: YAML 1.1 as the ROS tools read it.
 
-`1e-3` and `-.5` are numbers. Numbers, booleans, words and JSON are read without PyYAML, which costs more time to load
-than a whole command may take. What JSON cannot carry (dates, sets, keys that are no text) is refused here. Nothing is
-checked against a type.
+`1e-3` and `-.5` are numbers. Numbers, booleans, words and JSON are read without PyYAML, whose import takes longer than
+a whole command should. Values that JSON cannot hold (dates, sets, keys that are not text) are refused. Values are not
+checked against message types.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from slidectl.client.lines import LONGEST_LINE
 from slidectl.errors import BadFile, UsageError
 
 _WORDS = re.compile(r"[A-Za-z_/][A-Za-z0-9_/.-]*( [A-Za-z0-9_/.-]+)*\Z")
-# `data: 1.0`, `{data: 1.0}` and `name: 'a controller'`: what every tutorial types. No escapes, nothing nested.
+# `data: 1.0`, `{data: 1.0}` and `name: 'a controller'`, as in every tutorial. No escapes, nothing nested.
 _PAIR = re.compile(
     r"(?P<open>\{?) *(?P<key>[A-Za-z_][A-Za-z0-9_]*): +"
     r"(?:'(?P<single>[ !#-&(-~]*)'|\"(?P<double>[ !#-&(-\[\]-~]*)\"|(?P<bare>[^:#,{}\[\]'\"&*!|>%@`]+?))"
@@ -33,7 +33,7 @@ _CONSTANTS: dict[str, Any] = {
     ".nan": math.nan, ".NaN": math.nan, ".NAN": math.nan,
 }  # fmt: skip
 _BOOLEANS = {"yes": True, "true": True, "on": True, "no": False, "false": False, "off": False}
-# YAML 1.1 wants a point and a signed exponent in a float, and no sign before a bare point; people do not.
+# YAML 1.1 requires a point and a signed exponent in a float, and no sign before a bare point; users do not write so.
 _FLOAT_WITHOUT_POINT = r"[-+]?(?:[0-9][0-9_]*\.?[0-9_]*[eE][-+]?[0-9]+|\.[0-9][0-9_]*(?:[eE][-+]?[0-9]+)?)$"
 _SHORT = 4096
 _MOST_NODES = 1_000_000
@@ -47,7 +47,7 @@ _UNKNOWN: Any = object()
 
 
 def read(text: str) -> Any:
-    """The value of one argument. Raises UsageError for text that is no YAML, or holds what a message cannot."""
+    """The value of one argument. Raises UsageError for text that is not YAML, or a value that no message can hold."""
     stripped = text.strip(" ")
     for attempt in (_scalar, _pair, _json):
         value = attempt(stripped)
@@ -57,12 +57,12 @@ def read(text: str) -> Any:
 
 
 def shown(text: str) -> str:
-    """How errors name a value that was typed."""
+    """The name of a typed value in error messages."""
     return f"value {text if len(text) <= 60 else text[:57] + '...'!r}"
 
 
 def is_numeric(value: Any) -> bool:
-    """True for numbers, booleans, and lists and mappings of these: nothing in them can be an expression or a time."""
+    """True for numbers, booleans, and lists and mappings of these: they contain no expression and no time."""
     if isinstance(value, dict):
         value = list(value.values())
     if isinstance(value, list):
@@ -107,7 +107,7 @@ def _no_json(text: str) -> Any:
 
 
 def check_quotes(words: Sequence[str], fields: Iterable[str] = ()) -> None:
-    """Raises UsageError for `data: 1.0` and `{data: 1.0}` in two words. `fields` are those of the message."""
+    """Raise UsageError when the shell has split `data: 1.0` or `{data: 1.0}`. `fields` are those of the message."""
     if len(words) < 2:
         return
     first, whole = words[0], " ".join(words)
@@ -129,7 +129,7 @@ def check_quotes(words: Sequence[str], fields: Iterable[str] = ()) -> None:
 
 
 def _depth(text: str) -> int:
-    """How many brackets stay open."""
+    """The number of brackets that are not closed."""
     return sum(text.count(mark) for mark in "{[") - sum(text.count(mark) for mark in "}]")
 
 
@@ -145,9 +145,9 @@ def _is_yaml(text: str) -> bool:
 
 
 def read_yaml(text: str, what: str = "value", *, angles: bool = False) -> Any:
-    """The value of one YAML document; `angles`: whether deg(90) is one.
+    """The value of one YAML document; with `angles` also deg(90) and rad(pi/2). `what` names the text in messages.
 
-    Raises UsageError as `read` does; `what` names the text in it.
+    Raises UsageError as `read` does.
     """
     documents = list(read_documents(text, what, angles=angles))
     if len(documents) > 1:
@@ -158,7 +158,7 @@ def read_yaml(text: str, what: str = "value", *, angles: bool = False) -> Any:
 def read_documents(text: str, what: str, file: str | None = None, *, angles: bool = False) -> Iterator[Any]:
     """The values of all YAML documents in a text, in order.
 
-    Raises UsageError as `read` does; what is no YAML in a `file` is BadFile with the line.
+    Raises UsageError as `read` does, and BadFile with the line when a `file` is not YAML.
     """
     import yaml
 
@@ -184,7 +184,7 @@ def read_documents(text: str, what: str, file: str | None = None, *, angles: boo
 def _loader(length: int, angles: bool) -> Any:
     import yaml
 
-    # libyaml is faster, and wrong by a line about where an error is.
+    # libyaml is faster, but the line of an error may be wrong by one.
     fast = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     loader: Any = type("Loader", (fast if length > _SHORT else yaml.SafeLoader,), {})
     loader.add_implicit_resolver("tag:yaml.org,2002:float", re.compile(_FLOAT_WITHOUT_POINT), list("-+0123456789."))
@@ -207,7 +207,7 @@ def _angle(loader: Any, node: Any) -> float:
 
 
 def _checked(value: Any, what: str, left: Iterator[int]) -> Any:
-    """A copy. Raises UsageError for what no message holds, and for aliases that multiply without end."""
+    """A copy of a value. Raises UsageError for types that no message holds, and for too many values by aliases."""
     if next(left) <= 0:
         raise UsageError(f"the {what} unfolds to more than {_MOST_NODES} values")
     if isinstance(value, dict):
@@ -227,7 +227,7 @@ def _checked(value: Any, what: str, left: Iterator[int]) -> Any:
 
 
 def text_of(path: str) -> str:
-    """The text of a file; `-` is stdin. Raises BadFile when it cannot be read, or has no end."""
+    """The text of a file; `-` is stdin. Raises BadFile when it cannot be read or is too long."""
     try:
         with nullcontext(sys.stdin) if path == "-" else open(path, encoding="utf-8") as file:
             text = file.read(_LONGEST_TEXT + 1)
@@ -250,7 +250,7 @@ def documents_of(path: str) -> list[Any]:
 
 
 def documents_on_stdin() -> Iterator[Any]:
-    """The documents on stdin as they come. Raises UsageError with the number of the one that cannot be read."""
+    """The documents on stdin as they arrive. Raises UsageError with the number of a document that cannot be read."""
     try:
         yield from split(bounded(sys.stdin, "stdin"))
     except (OSError, UnicodeDecodeError) as error:
@@ -258,7 +258,7 @@ def documents_on_stdin() -> Iterator[Any]:
 
 
 def bounded(file: TextIO, name: str) -> Iterator[str]:
-    """The lines of a file, none of them without end. Raises BadFile."""
+    """The lines of a file. Raises BadFile for a line longer than LONGEST_LINE."""
     for number in itertools.count(1):
         line = file.readline(LONGEST_LINE)
         if not line:
@@ -271,7 +271,7 @@ def bounded(file: TextIO, name: str) -> Iterator[str]:
 def split(lines: Iterable[str]) -> Iterator[Any]:
     """The documents in lines of text, each as soon as it is complete; the last one needs no `---`.
 
-    A line that is JSON by itself is a document; null in it is NaN, as on the wire.
+    A line that is JSON is a document by itself; null in it means NaN, as in the wire protocol.
     """
     pending: list[str] = []
     size, number, after_json = 0, 1, False
@@ -302,7 +302,7 @@ def _json_line(line: str) -> Any:
 
 
 def _with_nan(value: Any) -> Any:
-    """JSON's null is what NaN becomes on the wire."""
+    """Replace null by NaN: the wire protocol sends null for it."""
     if value is None:
         return math.nan
     if isinstance(value, dict):

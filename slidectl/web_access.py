@@ -1,6 +1,6 @@
-"""Who may use what this machine serves to browsers: addresses, names of this machine, tokens. Knows no library.
+"""Access control for what this machine serves to browsers: addresses, names of this machine, tokens. No web library.
 
-Names matter since a foreign site may make a name of its own lead to this machine, and its pages then count as ours.
+Host names are checked, because a foreign site can let one of its names lead to this machine (DNS rebinding).
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ from urllib.parse import urlsplit
 from slidectl.errors import UsageError
 
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
-"""Names of this machine that no foreign site can have."""
+"""Names of this machine that a foreign site cannot use."""
 _TOKEN = re.compile(r"[A-Za-z0-9_.~-]{8,}\Z")
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only this machine reaches what listens there. Raises OSError: no such host."""
+    """True when only this machine can reach the host. Raises OSError: no such host."""
     return all(ip_address(found[4][0]).is_loopback for found in socket.getaddrinfo(host, None))
 
 
 def host_of(netloc: str) -> str:
-    """The host of `host:port`, in small letters and without brackets; empty when it is none."""
+    """The host of `host:port`, in lower case and without brackets; empty when it is not valid."""
     try:
         return urlsplit(f"//{netloc}").hostname or ""
     except ValueError:
@@ -32,22 +32,22 @@ def host_of(netloc: str) -> str:
 
 
 def in_uri(host: str) -> str:
-    """The host as it stands in a URI: IPv6 in brackets."""
+    """The host as written in a URI: IPv6 in brackets."""
     return f"[{host}]" if ":" in host else host
 
 
 def shown_host(host: str) -> str:
-    """The host as an address to click on has it."""
+    """The host as written in a link for the user."""
     return {"0.0.0.0": "localhost", "127.0.0.1": "localhost"}.get(host, in_uri(host))
 
 
 def check_token(token: str) -> str:
-    """The token itself. Raises UsageError unless it is long enough, and can stand in an address."""
+    """Return the token. Raises UsageError unless it is long enough and legal in a URL."""
     if not _TOKEN.match(token):
         raise UsageError("a token has 8 or more letters, digits and -._~")
     return token
 
 
 def is_secret(given: str, secret: str) -> bool:
-    """Whether what was given is the secret; it takes as long whatever part of it is right."""
+    """True when `given` is the secret. The comparison takes the same time wherever they differ."""
     return hmac.compare_digest(given.encode("utf-8", "surrogatepass"), secret.encode())

@@ -1,6 +1,6 @@
-"""Writing a file whole: what stood there stays until all of the new is on the disk; and what kind a name asks for.
+"""Writing a file as a whole: the old content stays until the new content is complete on the disk.
 
-Knows nothing of what is written.
+Also the kind of a file by its name. The content does not matter here.
 """
 
 from __future__ import annotations
@@ -11,15 +11,14 @@ from contextlib import suppress
 
 
 def file_kind(path: str | os.PathLike[str]) -> str:
-    """The ending of a file's name in small letters, with its dot; empty where there is none."""
+    """The suffix of a file name in lower case, with its dot; empty when there is none."""
     return os.path.splitext(os.fspath(path))[1].lower()
 
 
 def write_whole(path: str | os.PathLike[str], text: str | bytes) -> None:
-    """Put the text (UTF-8) or the bytes into the file; one that exists keeps its permissions.
+    """Write the text (UTF-8) or the bytes to the file; an existing file keeps its permissions.
 
-    A link stays, and what it points to is written. Pipes, devices, and files that are not to be replaced by another
-    are written in place.
+    A link stays, and its target is written. Pipes, devices, and files that cannot be replaced are written in place.
 
     Raises:
         OSError: it cannot be written.
@@ -38,16 +37,16 @@ def write_whole(path: str | os.PathLike[str], text: str | bytes) -> None:
 
 
 def replace(target: str | os.PathLike[str], content: bytes, mode: int | None = None) -> None:
-    """Put a file there, at once or not at all, in the place of one that may be there.
+    """Write a file in one step: it is complete, or the old file stays.
 
-    Nobody can read of it what `mode` does not let them, not even while it is written. Without a mode it is what the
-    umask leaves of 0666.
+    The permissions are `mode` from the start, so that no other user can read it while it is written. Without a mode the
+    umask applies to 0666.
 
     Raises:
-        OSError: it cannot be written; nothing is left of it then.
+        OSError: it cannot be written; nothing is left behind.
     """
     draft = f"{os.fspath(target)}.{os.urandom(4).hex()}"
-    # O_EXCL: in a folder that others may write to, a link of that name may lie in wait.
+    # O_EXCL: in a folder that others may write to, another user may have put a link of that name.
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
     with open(os.open(draft, flags, 0o666 if mode is None else 0o600), "wb") as file:
         try:
@@ -57,7 +56,7 @@ def replace(target: str | os.PathLike[str], content: bytes, mode: int | None = N
                 os.fchmod(file.fileno(), mode)
             os.fsync(file.fileno())
             os.replace(draft, target)
-        except BaseException:  # a full disk wants back what it gave, and so does who was interrupted
+        except BaseException:  # also on an interrupt; on a full disk the space must be freed
             with suppress(OSError):
                 os.unlink(draft)
             raise

@@ -1,7 +1,7 @@
-"""Whether masses and inertias can be those of the shapes that they stand for.
+"""Compares masses and inertias of links with their shapes.
 
-The parser refuses what no body at all can have. Here is what no body of this mass and this size has: moments are at
-most those of the whole mass at the farthest corner, and at least those of a ball of the densest matter.
+The parser refuses what is impossible for any body. This module finds what is impossible for a body of this mass and
+size: a moment is at most that of the whole mass at the farthest corner, and at least that of a ball of osmium.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ from slidectl.errors import BadFile
 from slidectl.rotations import from_rpy, matrix
 
 _SLACK = 1.001
-# Sensors of next to no weight are often given more inertia than they can have, for the solver's sake; this is a slip.
+# Very light sensors are often given too large inertias, for the solver's sake. Above this factor it is a mistake.
 _SLIP = 100.0
 AIR = 1.2
-"""kg/m³."""
-# The cameras of the tutorials, of next to no weight, are no slip.
+"""The density of air, kg/m³."""
+# The cameras of the tutorials have almost no mass, which is no mistake.
 _THINNEST = AIR / 1000
 _FAR = 10.0
 
 Bounds = tuple[Vector, Vector]
-"""Least and largest corner of a box, m."""
+"""The smallest and the largest corner of a box, m."""
 
 
 def tell(robot: Robot, findings: Findings) -> None:
-    """Findings on every link with an inertia, and on meshes that cannot be read."""
+    """Add findings on every link with an inertia, and on meshes that cannot be read."""
     for link in robot.links.values():
         corners = list(_corners(link, findings))
         if link.inertial is not None and not link.inertial.mended:
@@ -38,7 +38,7 @@ def tell(robot: Robot, findings: Findings) -> None:
 
 
 class _Body:
-    """A link's mass and moments beside its shapes, of which `corners` are those of the boxes around them."""
+    """The mass and moments of a link; `corners` are those of the boxes around its shapes."""
 
     def __init__(self, link: Link, inertial: Inertial, corners: list[Vector], findings: Findings) -> None:
         self.link = link
@@ -49,7 +49,7 @@ class _Body:
         self.findings = findings
 
     def tell(self) -> None:
-        """Findings on all that does not go together."""
+        """Add findings on values that contradict each other."""
         least = densest_ball(self.mass)
         if self.largest * _SLACK < least:
             text = f"moments of at most {self.largest:.3g} kg·m²: no matter is so dense that {self.mass:g} kg have less"
@@ -64,7 +64,7 @@ class _Body:
     def _tell_moments(self) -> None:
         reach = max(math.dist(self.inertial.origin.xyz, corner) for corner in self.corners)
         most = self.mass * reach * reach
-        # Of numbers so large or small that their product is none there is nothing to compare.
+        # If the product overflows or is 0 there is nothing to compare.
         times = self.largest / most if 0.0 < most < math.inf else 0.0
         if times > _SLACK:
             text = f"{self.mass:g} kg within its shapes have moments of at most {most:.3g} kg·m²"
@@ -72,7 +72,7 @@ class _Body:
             self._add(text, is_wrong=times > _SLIP)
 
     def _tell_density_and_centre(self) -> None:
-        """Masses in grams, slips of the decimal point, and centres of mass outside of the box around all shapes."""
+        """Find masses in grams, wrong decimal points, and centres of mass outside of the box around all shapes."""
         box = [(min(values), max(values)) for values in zip(*self.corners, strict=True)]
         volume = math.prod(high - low for low, high in box)
         density = self.mass / volume if 0.0 < volume < math.inf else DENSEST
@@ -95,7 +95,7 @@ class _Body:
 
 
 def _corners(link: Link, findings: Findings) -> Iterator[Vector]:
-    """Corners of the boxes around all shapes of a link, in the link's frame; each mesh is read on the way."""
+    """Corners of the boxes around all shapes of a link, in the link's frame. It reads the meshes."""
     for shape in (*link.visuals, *link.collisions):
         bounds = _bounds(link, shape, findings)
         if bounds is not None:

@@ -1,7 +1,7 @@
-"""Checks files of controllers: each parameter against what its controller says that it reads, and against the robot.
+"""Checks files of controllers: each parameter against the declaration of its controller, and against the robot.
 
-Knows parameters from the controllers themselves, through the registry, and those of the simulated hardware
-(`joint_limits/<joint>` and `gazebo_ros_control/pid_gains/<joint>`) from what it declares. Nothing is loaded.
+The registry gives the parameters of controllers. Simulated hardware declares its own (`joint_limits/<joint>` and
+`gazebo_ros_control/pid_gains/<joint>`). Nothing is loaded.
 """
 
 from __future__ import annotations
@@ -35,27 +35,27 @@ from slidectl.errors import BadFile, NotThere, Refused, UnknownName, listing
 
 Tree = dict[str, Any]
 Judgement = tuple[str, Verdict, str]
-"""The name of a gain or a limit, and what is to be said of it."""
+"""The name of a gain or a limit, the verdict, and the text of the finding."""
 Reader = Callable[[str], str | None]
-"""Who, other than controllers and hardware, reads the parameter of that full name; None: nobody."""
+"""A function from a parameter's full name to its other readers, as text; None when there are none."""
 
 _UNSPACED = re.compile(r"^\w+:\S")
 _INDEX = re.compile(r"\[\d+\]")
 _ANY = "<joint>"
 _LONGEST = 60
-# MoveIt's planners have a `type`, too.
+# MoveIt's planners also have a `type`.
 _PLANNERS = "planner_configs"
-# What is read by others than controllers, wherever it is.
+# Parameters that programs other than controllers read, in any namespace.
 _OTHERS = {
     "robot_description": "the robot, for whoever draws or plans",
     "use_sim_time": "time is always simulated here",
 }
 _HARDWARE = ("joint_limits", "gazebo_ros_control")
 _GAINS = "pid_gains"
-# How findings on names that nobody knows begin.
+# The beginnings of findings on unknown names.
 _UNKNOWN = "is unknown to the controller and has no effect"
 _UNKNOWN_TO_HARDWARE = "simulated hardware does not read it"
-# Flags of joint limits, and the values that each lets count.
+# Flags of joint limits, and the values that each enables.
 _FLAGS = {
     "has_position_limits": ("min_position", "max_position"),
     "has_velocity_limits": ("max_velocity",),
@@ -70,14 +70,14 @@ _UNREAD = {
 
 
 def known_types() -> list[tuple[str, str]]:
-    """The types of controllers that this installation has, each with the base class that its loader names."""
+    """The types of controllers in this installation, each with the base class that its loader names."""
     return [(name, registry.BASE_CLASS) for name in registry.types()]
 
 
 def check(path: str | Path, model: Model | None, findings: Findings, text: bytes | None = None) -> bool:
-    """Add what there is to say of a file of controllers, as `slidectl spawn --controllers` would load it for `model`.
+    """Add findings on a file of controllers, as `slidectl spawn --controllers` would load it for `model`.
 
-    `text` is its content, when that came from elsewhere. Returns whether a controller of a known type is in it.
+    `text` replaces the content of the file. Returns True when it has a controller of a known type.
 
     Raises:
         BadFile: there is no such file.
@@ -102,7 +102,7 @@ def check(path: str | Path, model: Model | None, findings: Findings, text: bytes
         source.add("converted", "/", f"{ROS_2} is ROS 2's; what is in it is read as directly below the controllers")
     checker = ControllerCheck(source, [model] if model is not None else [])
     if model is not None:
-        # A single other namespace is moved to the robot's when it is spawned.
+        # A spawn moves a single other namespace to the robot's.
         placed, remark = retarget(tree, model.namespace)
         checker.moved = placed is not tree
         top = f"/{next(iter(tree), '')}"
@@ -117,19 +117,19 @@ def check(path: str | Path, model: Model | None, findings: Findings, text: bytes
 
 
 def unknown(tree: Mapping[str, Any], source: ParameterFile) -> list[Notice]:
-    """Findings on the parameters in a tree that their controllers, or simulated hardware, do not know; on nothing else.
+    """The findings on parameters that their controller, or simulated hardware, does not know; no other findings.
 
-    For those who load parameters: a name with a slip is told at once, as a check tells it.
+    For loading of parameters: a mistyped name is reported at once, as by a check.
     """
     ControllerCheck(source, []).check(tree)
     return [notice for notice in source.findings.sorted() if notice.text.startswith((_UNKNOWN, _UNKNOWN_TO_HARDWARE))]
 
 
 def check_named(files: Sequence[str], controllers: Sequence[str]) -> None:
-    """Judge the controllers that a step names, by the files that spawns have loaded so far, its own at the end.
+    """Check the controllers that a step names, in the files that spawns have loaded so far; its own file is the last.
 
     Raises:
-        BadFile: a file is broken, or nobody has the type of one (file, line). UnknownName: one is in none of the files.
+        BadFile: a file is broken, or a type is unknown (file, line). UnknownName: a controller is in none of the files.
     """
     from slidectl.client import spawning
     from slidectl.description import yaml_tree
@@ -157,9 +157,9 @@ def check_named(files: Sequence[str], controllers: Sequence[str]) -> None:
 
 @dataclass
 class ParameterFile:
-    """Where the parameters of a tree were written; `namespace` is where the root of the tree is loaded.
+    """The file of a tree of parameters, for findings; the tree is loaded at `namespace`.
 
-    A tree comes from one file most often; `file` is that, or the first of several.
+    A tree usually comes from one file; `file` is that file, or the first of several.
     """
 
     file: str
@@ -169,7 +169,7 @@ class ParameterFile:
     namespace: str = "/"
 
     def place(self, path: str) -> tuple[str, int | None]:
-        """Of a path in the tree, or of the nearest one above it, or of the first below it."""
+        """The place of a path in the tree: its own, else that of its nearest parent, else of its first child."""
         above = path
         while above:
             if above in self.places:
@@ -179,15 +179,15 @@ class ParameterFile:
         return next(below, (self.file, 1))
 
     def full(self, path: str) -> str:
-        """The parameter's name once it is loaded."""
+        """The full name of the parameter after loading."""
         return names.join(self.namespace, path.strip("/")) if path.strip("/") else self.namespace
 
     def add(self, verdict: Verdict, path: str, text: str) -> None:
-        """A finding on a path."""
+        """Add a finding on a path."""
         self.findings.add(verdict, self.full(path), text, *self.place(path))
 
     def absent(self, path: str, message: str, hint: str, thing: str) -> None:
-        """A finding on a path that names what is not there: wrong, or left out like all else that is not there."""
+        """Add a finding on a path that names a missing thing: "wrong", or left out with --keep-going."""
         if self.findings.missing.keeps_going:
             file, line = self.place(path)
             error = NotThere(f"{self.full(path)}: {message}", file, line, hint, thing)
@@ -196,12 +196,12 @@ class ParameterFile:
             self.add("wrong", path, f"{message} {hint}")
 
     def unread(self, path: str, text: str, value: Any) -> None:
-        """A finding on a parameter that nobody reads, with all that is below it."""
+        """Add a finding on a parameter that is not read, including everything below it."""
         below = f" (nor has what is below it: {', '.join(map(str, value))})" if isinstance(value, Mapping) else ""
         self.add("ignored", path, text + below)
 
     def value(self, path: str, value: Any, declared: Declared, name: str, unknown: str) -> None:
-        """A finding on a value that has nothing about it but its name and its type."""
+        """Add a finding on a value, judged only by its name and type."""
         parameter = declared.find(name)
         if parameter is None:
             hint = did_you_mean("/".join(_parts(name)), declared.names) or f"; it knows {listing(declared.names)}"
@@ -217,7 +217,7 @@ class ParameterFile:
 
 
 def _shown(value: Any) -> str:
-    """A value as YAML would have it, cut when it is long."""
+    """The value as YAML, cut if it is long."""
     if isinstance(value, bool):
         text = "true" if value else "false"
     elif isinstance(value, Mapping):
@@ -233,9 +233,9 @@ def _shown(value: Any) -> str:
 
 
 class Declared:
-    """The parameters of one controller, or of one place that hardware reads.
+    """The declared parameters of one controller, or of one namespace that hardware reads.
 
-    `extra_joints[2]/name` in a file is the declared `extra_joints[]/name`, and any name may stand for `<joint>`.
+    `extra_joints[2]/name` in a file means the declared `extra_joints[]/name`; any name matches `<joint>`.
     """
 
     def __init__(self, parameters: Iterable[Parameter]) -> None:
@@ -244,22 +244,22 @@ class Declared:
         self._patterns = [(parameter.name.split("/"), parameter) for parameter in self.all]
 
     def find(self, name: str) -> Parameter | None:
-        """The parameter of that name."""
+        """The declared parameter with this name."""
         parts = _parts(name)
         return next((parameter for pattern, parameter in self._patterns if _fits(pattern, parts)), None)
 
     def has_below(self, name: str) -> bool:
-        """Whether some parameter lies below that name."""
+        """True when a declared parameter is below this name."""
         parts = _parts(name)
         return any(len(pattern) > len(parts) and _fits(pattern[: len(parts)], parts) for pattern, _ in self._patterns)
 
     def is_list(self, name: str, value: Any) -> bool:
-        """Whether a value is a list, of mappings, as is declared for that name."""
+        """True when the value is a list and the name is declared as a list of mappings."""
         parameter = self.find(name)
         return parameter is not None and parameter.kind is LIST and isinstance(value, list)
 
     def leaves(self, tree: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
-        """The values in a tree, as deep as parameters are declared; what is unknown stays whole."""
+        """The values in a tree, as deep as parameters are declared; an unknown mapping is one value."""
         for key, value in tree.items():
             name = f"{above}{key}"
             if isinstance(value, Mapping) and self.has_below(name):
@@ -271,7 +271,7 @@ class Declared:
                     yield from self.leaves(entry, f"{name}[{index}]/")
 
     def missing(self, tree: Mapping[str, Any]) -> Iterator[tuple[str, Parameter]]:
-        """The required ones that a tree lacks, by the name that they would have; in optional parts that exist only."""
+        """Names and declarations of required parameters that a tree lacks; optional parts count only if they exist."""
         given = dict(self.leaves(tree))
         for parameter in self.all:
             if parameter.required:
@@ -287,7 +287,7 @@ def _fits(pattern: list[str], parts: list[str]) -> bool:
 
 
 def _expected(name: str, tree: Mapping[str, Any]) -> Iterator[str]:
-    """Where a required parameter is expected: once, or in each entry of its list, or below each name that is there."""
+    """The names of a required parameter: one, or one for each entry of its list or each joint that is there."""
     sign = next((sign for sign in ("[]/", f"{_ANY}/") if sign in name), None)
     if sign is None:
         yield name
@@ -304,11 +304,11 @@ def _expected(name: str, tree: Mapping[str, Any]) -> Iterator[str]:
 
 
 class ControllerCheck:
-    """One tree of parameters, and the robots that may be meant in it.
+    """Checks one tree of parameters against the robots that it may be for.
 
     Args:
-        reader: which node reads a parameter that no controller reads.
-        hint: `; ...`, what was meant by one that nobody reads, or nothing.
+        reader: names a node that reads a parameter which no controller reads.
+        hint: a suggestion for an unread parameter, `; ...`, or an empty text.
     """
 
     def __init__(
@@ -323,14 +323,14 @@ class ControllerCheck:
         self.reader = reader
         self.hint = hint
         self.moved = False
-        """True: whatever the file says, it is for the first robot."""
+        """True: the tree is for the first robot, whatever namespaces it names."""
         self.found: dict[str, str] = {}
-        """Full name and type of each controller."""
+        """Full name and type of each controller found."""
         self.claims: dict[str, set[str]] = {}
-        """The joints that each controller of a known type has for itself while it runs."""
+        """The joints that each controller of a known type claims while it runs."""
 
     def check(self, tree: Mapping[str, Any], path: str = "") -> None:
-        """Go through a mapping: controllers, what hardware reads, namespaces with more of them, and all else."""
+        """Check a mapping: controllers, parameters of hardware, nested namespaces, and the rest."""
         if not tree and not path:
             self.source.add("used", "/", "note: the file holds no parameters")
         for key, value in tree.items():
@@ -367,7 +367,7 @@ class ControllerCheck:
         self.check(tree, path)
 
     def _model(self, path: str) -> Model | None:
-        """The robot whose namespace a path is in; the nearest, where that of one is inside that of another."""
+        """The robot whose namespace contains the path; of nested namespaces the innermost."""
         if self.moved:
             return self.models[0]
         full = self.source.full(path)
@@ -377,7 +377,7 @@ class ControllerCheck:
     # --- simulated hardware -------------------------------------------------------------------------------------------
 
     def _hardware(self, place: str, path: str, tree: Mapping[str, Any]) -> None:
-        """What simulated hardware reads, if there is any in this namespace."""
+        """Check the parameters of simulated hardware."""
         model = self._model(path)
         if model is None and self.models:
             homes = listing({names.join(model.namespace, place) for model in self.models})
@@ -394,7 +394,7 @@ class ControllerCheck:
                     self.source.unread(f"{path}/{key}", _UNKNOWN_TO_HARDWARE, value)
 
     def _transmissions(self, path: str, value: Any, model: Model | None) -> None:
-        """How transmissions count."""
+        """Check the parameter TRANSMISSIONS."""
         if model is not None and model.says_transmissions:
             text = "has no effect: <transmissions> of the model, or --transmissions, goes before it"
             self.source.add("ignored", path, text)
@@ -409,7 +409,7 @@ class ControllerCheck:
     def _joints(
         self, path: str, tree: Mapping[str, Any], declared: Declared, model: Model | None, are_gains: bool = False
     ) -> None:
-        """A mapping from joints to their parameters."""
+        """Check a mapping from joints to their parameters."""
         for joint, values in tree.items():
             below = f"{path}/{joint}"
             absence = _absence(model.robot, joint) if model is not None else None
@@ -486,7 +486,7 @@ class ControllerCheck:
         self.claims[self.source.full(path)] = {joint for some in joints for joint in some}
 
     def _translated(self, path: str, tree: Mapping[str, Any], found: Counterpart) -> Mapping[str, Any]:
-        """The parameters as the controller here has them, of one that is written as in ROS 2."""
+        """The parameters under their names here, for a controller written as in ROS 2."""
         self.source.add("converted", f"{path}/type", found.remark)
         for name, became in found.understood.items():
             self.source.add("converted", f"{path}/{name}", became)
@@ -517,7 +517,7 @@ class ControllerCheck:
 
 
 def _joints_in(parameter: Parameter | None, value: Any) -> list[str]:
-    """The joints that the value of a parameter names."""
+    """The joints named in the value of a parameter."""
     named = parameter.kind.convert(value) if parameter is not None and parameter.names_joints else None
     return [named] if isinstance(named, str) else list(named or ())
 
@@ -530,7 +530,7 @@ def _absence(robot: Robot, joint: str) -> str | None:
 
 
 def _trouble(model: Model, joint: str, cls: type[ControllerBase]) -> str | None:
-    """Why a robot has not the joint that a controller names; None when it has."""
+    """Why the controller cannot use the joint; None when it can."""
     if absence := _absence(model.robot, joint):
         return absence
     offered = model.driven.get(joint)
@@ -544,13 +544,13 @@ def _trouble(model: Model, joint: str, cls: type[ControllerBase]) -> str | None:
 
 
 def _interfaces(cls: type[ControllerBase]) -> list[type[ResourceManager[Any]]]:
-    """The hardware interfaces of a class of controllers."""
+    """The hardware interfaces of a controller class."""
     one = getattr(cls, "interface_type", None)
     return [one] if one is not None else list(getattr(cls, "interface_types", ()))
 
 
 def _likely_type(tree: Mapping[str, Any]) -> str | None:
-    """A type of controllers that has parameters of just these names; of several the one that lacks the fewest."""
+    """The controller type that declares all these names; of several the one with the fewest missing parameters."""
     fitting = []
     for name in registry.types():
         declared = Declared(registry.find(name).parameters)
@@ -565,9 +565,9 @@ def _likely_type(tree: Mapping[str, Any]) -> str | None:
 
 
 def judge_gains(values: Mapping[str, Any]) -> Iterator[Judgement]:
-    """What is to be said of the gains `p`, `i` and so on in `values`, by the equation that control/pid.py computes.
+    """Judge the gains `p`, `i` and so on in `values` by the equation of control/pid.py.
 
-    Of what is unremarkable, and of values that are no numbers, nothing.
+    Ordinary gains, and values that are not numbers, get no judgement.
     """
     numbers = {name: number for name in values if (number := as_number(values[name])) is not None}
     for name, number in numbers.items():
@@ -600,7 +600,7 @@ def judge_gains(values: Mapping[str, Any]) -> Iterator[Judgement]:
 
 
 def _judge_limits(values: Mapping[str, Any]) -> Iterator[Judgement]:
-    """Values without their flag, and flags without their values."""
+    """Find limits without their flag, and flags without their limits."""
     for flag, bounds in _FLAGS.items():
         there = [name for name in bounds if name in values]
         lacking = [name for name in bounds if name not in values]

@@ -1,6 +1,6 @@
-"""What a check finds: notices of the report's own form, the used ones too, and whether a file cannot be used at all.
+"""The result of a check: notices in the form of the report, "used" ones included, and the errors of unusable files.
 
-Only collects and counts. How it looks is for the command line.
+This module only collects and counts. The command line prints the findings.
 """
 
 from __future__ import annotations
@@ -14,38 +14,38 @@ from slidectl.description.report import one_line
 from slidectl.description.robot import Notice, Verdict
 from slidectl.errors import BadFile
 
-# How an error begins by naming the node or the tag that it is about.
+# The beginning of an error that names its node or tag.
 _NAMED = re.compile(r"(?P<subject>node \S+|<\w+>|/\S+)(?: \([^)]*\))?: ")
 
 
 class Findings:
-    """Findings in the order in which they were made; each is kept once."""
+    """Findings in the order in which they were added; equal ones are kept once."""
 
     def __init__(self, missing: Missing | None = None) -> None:
         self.missing = Missing() if missing is None else missing
-        """What the files name and is not there."""
+        """The missing things that the files name."""
         self.is_drivable = False
-        """Whether something is left to drive: a robot, and one at least of its controllers where some are named."""
+        """True when something can be driven: a robot, and at least one of its controllers if any are named."""
         self._notices: dict[Notice, None] = {}
         self._files: list[str] = []
         self.broken: list[BadFile] = []
-        """Why files cannot be used; each is among the findings too, as wrong."""
+        """The errors of files that cannot be used. Each is also a finding with the verdict "wrong"."""
 
     def begin_with(self, files: Iterable[str]) -> None:
-        """Put findings in these files before all others."""
+        """Let findings in these files come before all others."""
         self._files += files
 
     def add(self, verdict: Verdict, subject: str, text: str, file: str, line: int | None = None) -> None:
-        """One finding about `subject`, at its place."""
+        """Add a finding about `subject` at a place."""
         self._notices.setdefault(Notice(verdict, subject, one_line(text), file, line))
 
     def extend(self, notices: Iterable[Notice]) -> None:
-        """Take notices over, each on one line."""
+        """Add notices, each on one line."""
         for notice in notices:
             self._notices.setdefault(replace(notice, text=one_line(notice.text)))
 
     def tell_missing(self) -> None:
-        """A finding for each thing that is not there: wrong, or ignored where it is left out."""
+        """Add a finding for each missing thing: "ignored" if it is left out, else "wrong"."""
         for absence in self.missing.found:
             error = absence.error
             named = _NAMED.match(error.reason)
@@ -58,15 +58,15 @@ class Findings:
                 self.fail(subject, error, start)
 
     def withdraw(self, notices: Iterable[Notice]) -> None:
-        """Take findings back that do not hold once more is known."""
+        """Remove findings that later information has made wrong."""
         for notice in list(notices):
             del self._notices[notice]
 
     def fail(self, subject: str, error: BadFile, *named: str) -> None:
-        """A file that cannot be used, and why. `named` are ways in which the error may begin by naming the subject.
+        """Add the error of a file that cannot be used. `named`: possible beginnings of it that repeat the subject.
 
         Raises:
-            BadFile: `error` itself when it names no line: then there was nothing to check.
+            BadFile: `error` itself when it has no line: then there was nothing to check.
         """
         if error.line is None:
             raise error
@@ -78,17 +78,17 @@ class Findings:
         self.add("wrong", subject, text, error.file or "", error.line)
 
     def refuse(self, error: BadFile) -> None:
-        """A file that cannot be used, for a reason that a finding tells already."""
+        """Add the error of a file that cannot be used, if a finding tells the reason already."""
         if str(error) not in map(str, self.broken):
             self.broken.append(error)
 
     def sorted(self, only: Sequence[str] = ()) -> list[Notice]:
-        """All findings, or those of some verdicts: files in the order of their first mention, lines rising."""
+        """All findings, or those with some verdicts: files in the order of their first mention, lines rising."""
         mentioned = [*self._files, *(notice.file for notice in self._notices)]
         files = {file: index for index, file in enumerate(dict.fromkeys(mentioned))}
         wanted = [notice for notice in self._notices if not only or notice.verdict in only]
         return sorted(wanted, key=lambda notice: (files[notice.file], notice.line or 0))
 
     def count(self, verdict: Verdict) -> int:
-        """How many findings have this verdict."""
+        """The number of findings with this verdict."""
         return sum(notice.verdict == verdict for notice in self._notices)

@@ -1,4 +1,4 @@
-"""What a file is: a model, SDF, a launch file, or controllers; by its suffix, else by what stands in it."""
+"""Finds the kind of a file (model, SDF, launch file, or controllers), by its suffix or by its content."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ _SKIPPED = re.compile(rb"<!--.*?-->|<\?.*?\?>|<!DOCTYPE[^>]*>", re.DOTALL)
 
 
 def of_name(name: str) -> Kind | None:
-    """The kind of a file by its suffix; None when that does not tell."""
+    """The kind of a file by its suffix; None when the suffix is not known."""
     return _SUFFIXES.get(Path(name).suffix.lower())
 
 
 def of_text(text: bytes, file: str) -> Kind:
-    """The kind of a text; `file` is its name in the error. What is no XML is taken for YAML.
+    """The kind of a text; `file` is its name in the error. Text that is not XML is taken for YAML.
 
     Raises:
         BadFile: XML that is neither a robot nor SDF nor a launch file.

@@ -1,7 +1,7 @@
-"""Checks launch files: tags, parameters, robots, controllers, and whether what nodes look for is there.
+"""Checks launch files: tags, parameters, robots, controllers, and the names that nodes look for.
 
-Reads the files as `slidectl launch` does, through its loader, whose reading is traced, so that nothing of its rules is
-said twice; and makes its tasks, which read the arguments of their nodes. It starts nothing and runs no program.
+It reads the files with the loader of `slidectl launch`, whose reading is traced, so that no rule exists twice. It also
+makes the tasks, which read the arguments of their nodes. It starts nothing and runs no program.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def check(
     ask_others: bool = False,
     strict: bool = False,
 ) -> None:
-    """Add what there is to say of launch files, which `words` mean as for `slidectl launch`; `text` is the file itself.
+    """Add findings on launch files; `words` are those of `slidectl launch`, `text` replaces the content of the file.
 
     Raises:
         UsageError, UnknownName, UnknownPackage, BadFile: there is no such file, or no such argument.
@@ -81,7 +81,7 @@ def check(
 
 @dataclass(frozen=True)
 class PlannedRobot:
-    """A robot that the launch puts into the world; `model` is None when it cannot be read or is not known here."""
+    """A robot that the launch spawns; `model` is None when it cannot be read or is not known."""
 
     name: str
     namespace: str | None
@@ -90,7 +90,7 @@ class PlannedRobot:
 
 
 class _LaunchCheck:
-    """One check. `given` are the arguments of the command line; the loader reads the files by `parse`."""
+    """One check. `given` are the arguments of the command line. The loader parses files with `parse`."""
 
     def __init__(
         self, given: Mapping[str, str], packages: Packages, findings: Findings, ask_others: bool, strict: bool
@@ -103,14 +103,14 @@ class _LaunchCheck:
         self.plan = LaunchPlan()
         self.trace = Trace()
         self.roots: list[Element] = []
-        """The trees of all files."""
+        """The root elements of all files."""
         self.values: dict[str, Any] = {}
-        """The parameters by full names; of those set twice the last."""
+        """Parameters by full name; the last value counts. None: the value is not known."""
         self.places: Places = {}
         self.descriptions: dict[str, Model | None] = {}
-        """The parameters that hold a robot; None where it cannot be used."""
+        """Parameters that hold a robot; None if it cannot be used."""
         self.is_complete = True
-        """False when a value is not known: it cannot be had, or a program would have to be run for it."""
+        """False when a value is not known: computing it failed, or needs a program."""
         self.tasks: list[Task] = []
         self.has_programs = False
         self.robots: list[PlannedRobot] = []
@@ -118,13 +118,13 @@ class _LaunchCheck:
     # --- tags -----------------------------------------------------------------------------------------------------
 
     def parse(self, text: bytes, file: str) -> Element:
-        """The elements of a file, which note what is read of them. Raises BadFile."""
+        """Parse a file into elements that record what is read of them. Raises BadFile."""
         root = TracedElement(xml_tree.read(text, file), self.trace)
         self.roots.append(root)
         return root
 
     def elements(self, tag: str) -> Iterator[Element]:
-        """All elements of that tag that were read, and not for their condition alone."""
+        """All elements with this tag whose attributes were read, other than the condition."""
         for root in self.roots:
             for element in root.walk():
                 read = self.trace.read_attributes.get(id(element), set())
@@ -132,7 +132,7 @@ class _LaunchCheck:
                     yield element
 
     def say_of_remap(self, verdict: Verdict, remap: Remap, text: str) -> None:
-        """The verdict on a `<remap>`, in the place of that by what was read of it."""
+        """Set the verdict on a `<remap>`, which replaces that from its trace."""
         for element in self.elements("remap"):
             written = plain(element).get("from") or ""
             is_it = written.strip() == remap.source or "$(" in written
@@ -141,14 +141,14 @@ class _LaunchCheck:
                 self.trace.said.setdefault(id(element), []).append((None, notice))
 
     def text_at(self, place: Location) -> str:
-        """The text of the `<rosparam>` at a place, moved down so that its lines have the numbers of the file."""
+        """The text of the `<rosparam>` at a place, with newlines before it which keep its line numbers right."""
         for element in self.elements("rosparam"):
             if (element.file, element.line) == (place.file, place.line):
                 return "\n" * (element.line - 1) + element.text
         return ""
 
     def classify(self) -> None:
-        """Add a finding for everything in the files. Of files that stand in for ROS's own, only what is not used."""
+        """Add findings on all files. For shipped counterparts of ROS files only what is not used."""
         self._lead_back(self.plan.notices)
         for root in self.roots:
             own = Findings()
@@ -158,7 +158,7 @@ class _LaunchCheck:
         self.findings.extend(self.plan.notices)
 
     def _lead_back(self, notices: list[Notice]) -> None:
-        """Lead notices back to their elements, by place and title."""
+        """Assign notices to their elements, by place and title."""
         by_place: dict[tuple[str, int | None, str], list[Notice]] = {}
         for notice in notices:
             by_place.setdefault((notice.file, notice.line, notice.subject), []).append(notice)
@@ -168,7 +168,7 @@ class _LaunchCheck:
                 self.trace.said.setdefault(id(element), []).append((match[1] if match else None, notice))
 
     def _explain(self, element: Element, _: str) -> Iterator[Notice] | None:
-        """An argument that was given is not what its tag says."""
+        """Explain an argument that was given: its tag shows another value."""
         name = plain(element).get("name") or ""
         if element.tag != "arg" or name not in self.given or element.file != self.roots[0].file:
             return None
@@ -178,18 +178,18 @@ class _LaunchCheck:
     # --- parameters -----------------------------------------------------------------------------------------------
 
     def read_parameters(self) -> None:
-        """Gather all parameters."""
+        """Read all parameters."""
         for setting in self.plan.settings:
             self._take(setting)
         if self.is_complete:
-            try:  # which tells of those that stand in each other's place
+            try:  # this reports parameters that replace each other
                 self.plan.parameters(gather=True)
             except BadFile as error:
                 self.findings.fail("parameters", error)
 
     @property
     def tree(self) -> dict[str, Any]:
-        """The known ones, nested; without the robots' texts."""
+        """The known parameters as a tree, without the robots' texts."""
         tree: dict[str, Any] = {}
         for full, value in self.values.items():
             if value is None or full in self.descriptions:
@@ -230,7 +230,7 @@ class _LaunchCheck:
         self.values[setting.name] = None
 
     def _inner_places(self, setting: Setting) -> Places:
-        """The lines of a YAML tree."""
+        """The lines of the values in a YAML tree."""
         from slidectl.description import yaml_tree
 
         if setting.origin not in ("file", "yaml"):
@@ -239,15 +239,15 @@ class _LaunchCheck:
         text = read_file(Path(setting.source)) if setting.source else self.text_at(setting.place)
         try:
             lines = yaml_tree.places(text, file)
-        except BadFile:  # only `subst_value` makes it YAML
+        except BadFile:  # it is YAML only after `subst_value`
             return {}
         return {names.join(setting.name, path.strip("/")): (file, line) for path, line in lines.items()}
 
     def _read_robot(self, name: str, xml: str) -> None:
         setting = next(setting for setting in reversed(self.plan.settings) if setting.name == name)
         file = shown(setting.source) if setting.source else f"parameter {name}"
-        if self.findings.missing.keeps_going:  # the robot as it is spawned when what is not there is left out
-            with suppress(BadFile):  # which is said when it is read
+        if self.findings.missing.keeps_going:  # check the robot as it is spawned, without missing parts
+            with suppress(BadFile):  # reported when it is read
                 xml = description.load(xml, {}, self.packages, missing=self.findings.missing).xml
         own = Findings()
         self.descriptions[name] = model.check_text(
@@ -258,7 +258,7 @@ class _LaunchCheck:
         self.findings.broken += own.broken
 
     def _asked(self, spawns: Sequence[SpawnModel]) -> model.Asked:
-        """What the parameters say of a robot that these nodes spawn."""
+        """Give the values of TRANSMISSIONS for a robot that these nodes spawn."""
 
         def asked(robot: Robot) -> Iterator[object]:
             homes = [task.home(robot, self.tasks) for task in spawns] or [description.namespace_of(robot, robot.name)]
@@ -269,7 +269,7 @@ class _LaunchCheck:
     # --- nodes ----------------------------------------------------------------------------------------------------
 
     def read_nodes(self) -> None:
-        """Make the tasks, and read the robots among the parameters and those that a task spawns."""
+        """Make the tasks, and read the robots in parameters and those that tasks spawn."""
         self.tasks = [task for node in self.plan.nodes if (task := self._task(node)) is not None]
         self.has_programs = any(isinstance(task, Process) for task in self.tasks)
         for name, value in self.values.items():
@@ -281,11 +281,11 @@ class _LaunchCheck:
 
     @property
     def _spawns(self) -> list[SpawnModel]:
-        """The nodes that spawn a robot; models of SDF are none."""
+        """The nodes that spawn a robot from URDF."""
         return [task for task in self.tasks if isinstance(task, SpawnModel) and not task.is_sdf]
 
     def _read_scenes(self) -> None:
-        """The models of worlds, and of nodes that spawn SDF."""
+        """Read the models of worlds, and of nodes that spawn SDF."""
         for task in self.tasks:
             if not isinstance(task, Gazebo) and not (isinstance(task, SpawnModel) and task.is_sdf):
                 continue
@@ -299,7 +299,7 @@ class _LaunchCheck:
                 scenes.tell_scene(task.scene, self.findings, self.strict)
 
     def _task(self, node: Node) -> Task | None:
-        """What the node is here, with a finding that says so."""
+        """Make the task of a node, and add a finding about it."""
         try:
             made = tasks(self.plan, self.packages, gather=True, nodes=[node])
         except BadFile as error:
@@ -307,7 +307,7 @@ class _LaunchCheck:
                 f"node {node.full_name}", error, f"node {node.full_name} ({node.kind}): ", f"{node.full_name}: "
             )
             return None
-        if not made:  # what it lacks is told with all that is not there
+        if not made:  # its absence is reported with the other missing things
             return None
         (task,) = made
         self._add("ignored" if task.family == "notice" else "used", node, f"{node.kind}: {task.text}")
@@ -345,7 +345,7 @@ class _LaunchCheck:
         return self.descriptions.get(name)
 
     def _withdraw_starts(self) -> None:
-        """A joint that every spawn puts between its limits (-J) does not start outside of them."""
+        """Remove findings on joints that start outside of their limits, if every spawn puts them inside (-J)."""
         outside: dict[tuple[str, str, int | None], bool] = {}
         for spawned, task in zip(self.robots, self._spawns, strict=True):
             for joint in spawned.model.robot.joints.values() if spawned.model is not None else ():
@@ -361,7 +361,7 @@ class _LaunchCheck:
         )
 
     def reader(self, name: str) -> str | None:
-        """Which node reads a parameter that no controller reads; None when none does."""
+        """The node that reads a parameter which no controller reads, as text; None when there is none."""
         for robot in self.robots:
             if name.endswith("/tf_prefix") and robot.namespace and names.is_under(robot.namespace, names.parent(name)):
                 return f"for the frames of {robot.name}"
@@ -379,7 +379,7 @@ class _LaunchCheck:
         return "note: no controller reads it; a program of this launch may" if self.has_programs else None
 
     def hint(self, name: str) -> str:
-        """`; ...`: which parameter of a node may be meant by one that it does not read, or why that has no effect."""
+        """A hint on a node's unread parameter, `; ...`: a similar name, or why it has no effect. Else an empty text."""
         for task in self.tasks:
             if isinstance(task, RobotStatePublisher) and names.parent(name) == task.node.full_name:
                 own = name.rpartition("/")[2]
@@ -388,7 +388,7 @@ class _LaunchCheck:
         return ""
 
     def tell(self, controllers: Mapping[str, str], claims: Mapping[str, set[str]]) -> None:
-        """Findings on what fits nothing. `controllers` are full names and types in the parameters, `claims` joints."""
+        """Add findings on contradictions. `controllers` maps full names to types, `claims` maps them to joints."""
         self._tell_same_names()
         self._tell_namespaces(controllers)
         for task in self.tasks:
@@ -401,7 +401,7 @@ class _LaunchCheck:
         self._tell_remaps()
 
     def _tell_loaded_twice(self) -> None:
-        """Controllers that two spawners load: the second one is refused."""
+        """Find controllers that two spawners load: the second load is refused."""
         seen: dict[str, Node] = {}
         for task in self.tasks:
             for name in _loaded(task):
@@ -411,7 +411,7 @@ class _LaunchCheck:
                     self._add("wrong", task.node, text)
 
     def _tell_same_names(self) -> None:
-        """Two robots of one name, or in one namespace."""
+        """Find robots with the same name or the same namespace."""
         for what in ("name", "namespace"):
             seen: dict[str, Node] = {}
             for robot in self.robots:
@@ -425,7 +425,7 @@ class _LaunchCheck:
         return [robot.namespace for robot in self.robots if robot.namespace is not None]
 
     def _tell_namespaces(self, controllers: Mapping[str, str]) -> None:
-        """Controllers in a namespace where no robot of the launch lives."""
+        """Find controllers in a namespace without a robot."""
         homes = self._namespaces()
         if not homes or len(homes) != len(self.robots):
             return
@@ -451,7 +451,7 @@ class _LaunchCheck:
                 self._add("wrong", task.node, f"the launch sets no controller {name}{hint}")
 
     def _tell_same_joints(self, task: Spawner, claims: Mapping[str, set[str]]) -> None:
-        """Controllers that one spawner starts, and that want the same joint."""
+        """Find controllers of one spawner that claim the same joint."""
         holders: dict[str, str] = {}
         for name in [] if task.words.has("--stopped") else _loaded(task):
             for joint in sorted(claims.get(name, ())):
@@ -461,7 +461,7 @@ class _LaunchCheck:
                     self._add("wrong", task.node, text)
 
     def _tell_joint_states(self, task: RobotStatePublisher, controllers: Mapping[str, str]) -> None:
-        """Find a robot_state_publisher that waits for joint states which nobody publishes."""
+        """Find a robot_state_publisher whose joint states are not published."""
         topic = task.node.resolve("joint_states")
         there = sorted({names.join(names.parent(name), "joint_states") for name in self._publishers(controllers)})
         if not there:
@@ -484,7 +484,7 @@ class _LaunchCheck:
             yield from (name for name in _loaded(task) if controllers.get(name) == _JOINT_STATES)
 
     def _tell_remaps(self) -> None:
-        """Remaps that no node makes use of."""
+        """Find remaps that no node uses."""
         used = {remap for task in self.tasks for remap in _used_remaps(task)}
         there = {remap for node in self.plan.nodes for remap in node.remaps}
         known = {name for task in self.tasks for name in _names_of(task)}
@@ -507,7 +507,7 @@ def _is_robot(text: str) -> bool:
 
 
 def _placed(error: F, setting: Setting) -> F:
-    """The error, at the tag if it names no line of its own."""
+    """The error, placed at the tag if it has no line."""
     if error.line is not None:
         return error
     return type(error)(error.message, setting.place.file, setting.place.line, error.hint)
@@ -523,12 +523,12 @@ def _used_remaps(task: Task) -> Iterator[Remap]:
 
 
 def _loaded(task: Task) -> list[str]:
-    """The full names of the controllers that a spawner loads."""
+    """The full names of the controllers that a spawner loads; of other tasks none."""
     return [names.join(task.namespace, word) for word in task.words.rest] if isinstance(task, Spawner) else []
 
 
 def _names_of(task: Task) -> list[str]:
-    """The names that a node looks up, as it writes them."""
+    """The names that a node looks up, as written in its arguments."""
     if isinstance(task, SpawnModel):
         return [task.words.one("-param")] if task.words.has("-param") else []
     if isinstance(task, Spawner):

@@ -1,7 +1,7 @@
-"""Checks a model: what became of each tag and attribute, and whether the robot makes sense.
+"""Checks a model: the effect of each tag and attribute, and whether the robot makes sense.
 
-Reads the model as `slidectl spawn` does, once. A part that is broken is a finding, and the other parts are read; what
-the robot is as a whole (limits, masses, namespaces) is judged only where no part is broken.
+It reads the model once, as `slidectl spawn` does. A broken part is a finding, and the other parts are still read. The
+robot as a whole (limits, masses, namespaces) is judged only when no part is broken.
 """
 
 from __future__ import annotations
@@ -47,9 +47,9 @@ _EXPRESSION = re.compile(r"\$\{(.*?)\}", re.DOTALL)
 _WORD = re.compile(r"[A-Za-z_]\w*")
 
 Asked = Callable[[Robot], Iterator[object]]
-"""The values of the parameter TRANSMISSIONS where a robot may be; None: it is not set. The first that is set counts."""
+"""Gives the values of TRANSMISSIONS in the robot's possible namespaces; None: not set. The first set value counts."""
 
-# attribute -> (unit of a joint that slides, unit of one that turns, what it does)
+# attribute -> (unit for a prismatic joint, unit for a turning one, effect)
 _MEANINGS = {
     "lower": ("m", "rad", "where the joint stops"),
     "upper": ("m", "rad", "where the joint stops"),
@@ -68,16 +68,16 @@ _SOFT = ("soft_lower_limit", "soft_upper_limit", "k_position", "k_velocity")
 
 @dataclass(frozen=True)
 class Model:
-    """A robot that was checked, for the checks of what belongs to it."""
+    """A checked robot, for the checks of its parameters."""
 
     robot: Robot
     namespace: str
     says_transmissions: bool = False
-    """Whether it says itself how its transmissions count: then a parameter has no effect on that."""
+    """True when the model sets how its transmissions count: then the parameter has no effect."""
 
     @cached_property
     def driven(self) -> dict[str, list[str]]:
-        """The joints that simulated hardware drives, with the names of the interfaces that each takes commands by."""
+        """The joints that simulated hardware drives, each with the names of its command interfaces."""
         return driven_joints(self.robot)
 
 
@@ -92,11 +92,14 @@ def check(
     transmissions: str | None = None,
     asked: Asked | None = None,
 ) -> Model | None:
-    """Add what there is to say of a model (as description.load takes it); the robot, None when it cannot be read.
+    """Add findings on a model (as description.load takes it). Returns the robot, or None when it cannot be read.
 
-    `ask_others` asks yourdfpy too, which takes half a second. `title` is what to call a text. `strict` refuses
-    impossible masses, inertias and shapes instead of mending them, as `slidectl spawn --strict` does. `transmissions`
-    says how they count, whatever the model says; `asked`, what the parameter says where the model says nothing.
+    Args:
+        ask_others: compare with yourdfpy too, which takes half a second.
+        title: the name of a text in messages.
+        strict: refuse impossible masses, inertias and shapes instead of correcting them, as `slidectl spawn --strict`.
+        transmissions: how they count; overrides the model.
+        asked: gives the values of the parameter, which counts if the model sets nothing.
 
     Raises:
         BadFile: there is no such file. UnknownName: no such shipped model.
@@ -133,7 +136,7 @@ def check_text(
     strict: bool = False,
     asked: Asked | None = None,
 ) -> Model | None:
-    """The same for plain URDF text; `file` is its name in findings, unless the text carries a note of its sources."""
+    """As check, for plain URDF text; `file` is its name in findings, unless the text has a note of its sources."""
     try:
         root = xml_tree.read(xml, file)
     except BadFile as error:
@@ -175,8 +178,8 @@ def check_text(
 
 
 def _tell_transmissions(root: Element, meshes: MeshFiles, asked: Asked) -> bool:
-    """Have the plugin say what the parameter does, where it says nothing itself. Whether it has been done."""
-    with suppress(SlidectlError):  # what is broken is told of when it is checked
+    """Apply the parameter TRANSMISSIONS to the plugin, if the plugin sets nothing. Returns True when it was applied."""
+    with suppress(SlidectlError):  # errors are reported when the model is checked
         robot = parse_tree(root, meshes, Report())
         how = next((value for value in asked(robot) if value is not None), None)
         if how is not None and (robot.plugin is None or robot.plugin.transmissions is None):
@@ -186,7 +189,7 @@ def _tell_transmissions(root: Element, meshes: MeshFiles, asked: Asked) -> bool:
 
 
 def _namespace(robot: Robot, root: Element, findings: Findings) -> str:
-    """Where its controllers live when it is spawned under its own name."""
+    """The namespace of the robot's controllers when it is spawned under its own name."""
     try:
         return description.namespace_of(robot, robot.name)
     except BadName as error:
@@ -196,7 +199,7 @@ def _namespace(robot: Robot, root: Element, findings: Findings) -> str:
 
 
 def _tell_unused(written: Written, findings: Findings) -> None:
-    """Properties and macros that nobody uses: they leave no trace in the robot. Only those of the model's own file."""
+    """Find unused properties and macros of the model's own file, which have no effect on the robot."""
     used: set[str] = set()
     for element in written.elements:
         used.add(element.tag)
@@ -225,7 +228,7 @@ def driven_joints(robot: Robot) -> dict[str, list[str]]:
 
 
 class _Joints:
-    """What each limit of a joint does, one finding an attribute, and which joints nothing drives or bounds."""
+    """Adds a finding for each limit of a joint, and for joints that are not driven or not bounded."""
 
     def __init__(self, robot: Robot, trace: Trace) -> None:
         self.robot = robot
@@ -233,7 +236,7 @@ class _Joints:
         self.driven = driven_joints(robot)
 
     def explain(self, element: Element, owner: str) -> Iterator[Notice] | None:
-        """The findings of a `<limit>`, `<safety_controller>` or `<dynamics>` of the joint `owner`; None of others."""
+        """The findings on a `<limit>`, `<safety_controller>` or `<dynamics>` of the joint `owner`; None for others."""
         joint = self.robot.joints.get(owner)
         if element.tag not in ("limit", "safety_controller", "dynamics") or joint is None:
             return None
@@ -242,7 +245,7 @@ class _Joints:
     def _attributes(self, element: Element, joint: Joint) -> Iterator[Notice]:
         said = {attribute for attribute, _ in self.trace.said.get(id(element), [])}
         for name, value in plain(element).attributes.items():
-            # What was said of the whole tag was said of its range.
+            # Notices about the whole tag are about its range.
             if name not in said and not (None in said and name in _RANGES):
                 subject = f"joint {joint.name!r}/<{element.tag}>, {name}"
                 verdict, effect = self._effect(joint, name)
@@ -250,7 +253,7 @@ class _Joints:
                 yield Notice(verdict, subject, f"{value.strip()} {unit}; {effect}", element.file, element.line)
 
     def _effect(self, joint: Joint, name: str) -> tuple[Verdict, str]:
-        """What a limit does, which is for the interfaces to say that the joint takes commands by."""
+        """The effect of a limit, which depends on the command interfaces of the joint."""
         written = self.driven.get(joint.name, [])
         found = [interface for interface in map(interfaces.find, written) if interface is not None]
         if not written and name in ("velocity", "effort"):
@@ -267,7 +270,7 @@ class _Joints:
         return "used", _MEANINGS[name][2]
 
     def tell(self, findings: Findings) -> None:
-        """What is missing, limits and transmissions, and limits that look like degrees."""
+        """Add findings on missing limits and transmissions, and on limits that look like degrees."""
         for joint in self.robot.joints.values():
             for text in self._missing(joint) if joint.type in MOVING else ():
                 findings.add("used", f"joint {joint.name!r}", f"note: {text}", joint.file or "", joint.line)
@@ -275,7 +278,7 @@ class _Joints:
     def _missing(self, joint: Joint) -> Iterator[str]:
         limit = joint.limit
         if joint.type == "revolute" and limit is not None:
-            # Whole numbers of 15 degrees or more, and no more than some turns.
+            # Multiples of 5, of which one is 15 or more and none is above 720, are probably degrees.
             bounds = (abs(limit.lower), abs(limit.upper))
             if all(bound % 5 == 0 and bound <= 720 for bound in bounds) and max(bounds) >= 15:
                 turns = (limit.upper - limit.lower) / math.tau
@@ -296,7 +299,7 @@ class _Joints:
 
 
 def _say(robot: Robot, root: Element, report: Report) -> None:
-    """What the world makes of single tags otherwise than written. Leaves no trace in the traced elements."""
+    """Report single tags that the simulation changes or ignores. This does not count as reading the elements."""
     plugin = robot.plugin or ControlPlugin()
     tags = {element.tag: element for element in reversed(list(root.walk()))}
     if plugin.control_period is not None:
@@ -319,7 +322,7 @@ def _say(robot: Robot, root: Element, report: Report) -> None:
 
 
 def _say_actuators(transmission: TransmissionInfo, root: Element, report: Report) -> None:
-    """The interface that counts is the joint's; an actuator may say the same, or nothing."""
+    """Report interfaces of actuators that differ from the joint's, which counts."""
     counts = transmission.joints[0].hardware_interfaces[0]
     whole = (tag for tag in _inside(root, "transmission") if _is_of(tag, transmission))
     for actuator in (actuator for tag in whole for actuator in _inside(tag, "actuator")):
@@ -331,7 +334,7 @@ def _say_actuators(transmission: TransmissionInfo, root: Element, report: Report
 
 
 def _is_of(tag: Element, transmission: TransmissionInfo) -> bool:
-    """Whether a transmission was read from this tag: all those that a macro makes are in the same line."""
+    """True when a transmission was read from this tag. All those that a macro makes have the same line."""
     joint = transmission.joints[0]
     own = [child for child in _inside(tag, "joint") if (plain(child).get("name") or "").strip() == joint.name]
     written = [plain(place).first_text for child in own for place in _inside(child, "hardwareInterface")]
@@ -343,12 +346,12 @@ def _is_of(tag: Element, transmission: TransmissionInfo) -> bool:
 
 
 def _inside(element: Element, tag: str) -> list[Element]:
-    """The children called `tag`, which do not count as read for it."""
+    """The children called `tag`; it does not count as reading them."""
     return plain(element).find_all(tag)
 
 
 def _tell_whole(robot: Robot, root: Element, namespace: str, findings: Findings) -> None:
-    """Findings on the root, the plugin, and on what the parser lets pass with a remark and the simulation refuses."""
+    """Add findings on the root, the plugin, and on what the parser accepts with a notice and the simulation refuses."""
     if not robot.is_fixed_to_world:
         link = robot.links[robot.root]
         text = "note: the root is free and falls to the ground; a root link called 'world', or --fixed, holds a robot"

@@ -1,4 +1,4 @@
-"""One check from what the user typed: finds out what the file is, and has it checked with what belongs to it."""
+"""Runs one check of what the user typed: finds the kind of the file, and calls the check for it."""
 
 from __future__ import annotations
 
@@ -31,23 +31,22 @@ def check(
     transmissions: str | None = None,
     imports: Sequence[str] = (),
 ) -> Findings:
-    """Everything that there is to say of a file.
+    """Check a file and return all findings.
 
     Args:
-        words: a path, the name of a shipped model or launch file, or package and file; one that says what to call
-            `text`, when that is given.
+        words: a path, the name of a shipped model or launch file, or package and file. If `text` is given, its name.
         arguments: of xacro or of the launch file.
         parameter_files: files of controllers for a model.
-        text: the file's content, when it came from elsewhere.
-        ask_others: whether yourdfpy is asked about models too.
-        strict: whether masses, inertias and shapes of models that spawn would mend are refused.
-        missing: takes in what the files name and is not there.
-        transmissions: how those of a model count, whatever it says.
-        imports: modules, or files that end with `.py`, whose controllers and hardware are known too.
+        text: the content of the file, if it is not read from a file.
+        ask_others: compare models with the reading of yourdfpy too.
+        strict: refuse masses, inertias and shapes of models that a spawn would correct.
+        missing: collects things that the files name and that do not exist.
+        transmissions: how a model's transmissions count; overrides the model.
+        imports: modules, or files that end with `.py`, with further controllers and hardware.
 
     Raises:
         BadFile: no such file. UnknownName: no such model, or no such file in the package. UnknownPackage. UsageError:
-            arguments that do not go with the file.
+            arguments that do not fit the file.
     """
     for module in imports:
         registry.add_module(module)
@@ -68,7 +67,7 @@ def check(
         title = source if text is not None else None
         read = text.decode("utf-8", "replace") if text is not None else source
         if text is None and (path := models.shipped().get(source)) is not None:
-            read = shown(path)  # the shortest path that leads there
+            read = shown(path)  # the path in its shortest form
         texts = {file: models.read_file(file) for file in parameter_files}
         asked = _asked([tree for file, content in texts.items() if (tree := _tree(content, str(file))) is not None])
         robot = model.check(read, arguments, packages, findings, ask_others, title, strict, transmissions, asked)
@@ -79,7 +78,7 @@ def check(
 
 
 def _resolved(words: Sequence[str], text: bytes | None, packages: Packages) -> tuple[kinds.Kind, Sequence[str]]:
-    """What the words mean; PACKAGE FILE becomes the path, unless it is a launch file, which launch finds itself."""
+    """The kind and the path for the words. PACKAGE FILE becomes a path, except for a launch file: launch finds that."""
     source = words[0]
     if len(words) > 1 and source not in models.shipped() and not is_file(Path(source)):
         if kinds.of_name(words[1]) in ("launch", None):
@@ -93,7 +92,7 @@ def _resolved(words: Sequence[str], text: bytes | None, packages: Packages) -> t
 def _refuse_what_does_not_fit(
     kind: kinds.Kind, words: Sequence[str], arguments: Mapping[str, str], parameter_files: Sequence[Path]
 ) -> None:
-    """Raises UsageError for words, files and arguments that a file of this kind does not take."""
+    """Raise UsageError for words, files and arguments that a file of this kind does not take."""
     source = words[0]
     if kind != "launch" and len(words) > 1:
         hint = "slidectl check --help shows the order of arguments"
@@ -110,7 +109,7 @@ def _refuse_what_does_not_fit(
 
 
 def _asked(trees: Sequence[Tree]) -> model.Asked:
-    """What files of parameters say, the last first."""
+    """Give the values of TRANSMISSIONS in parameter files, the last file first."""
 
     def asked(robot: Robot) -> Iterator[object]:
         namespace = namespace_of(robot, robot.name)
@@ -122,7 +121,7 @@ def _asked(trees: Sequence[Tree]) -> model.Asked:
 
 
 def _tree(text: bytes, file: str) -> Tree | None:
-    """The parameters of a file; None of one that is broken, which is told of when it is checked."""
+    """The parameters of a file; None when it is broken, which its own check reports."""
     from slidectl.description import yaml_tree
 
     try:
@@ -132,7 +131,7 @@ def _tree(text: bytes, file: str) -> Tree | None:
 
 
 def _kind(source: str, text: bytes | None) -> kinds.Kind:
-    """What one word means; a name that nothing has is an unknown model. Raises BadFile: XML of no kind."""
+    """The kind of one word; an unknown name is taken for a model. Raises BadFile: XML of an unknown kind."""
     if text is not None:
         return kinds.of_text(text, source)
     if source.startswith(sdf.SCHEME):

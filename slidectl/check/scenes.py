@@ -1,4 +1,4 @@
-"""Checks SDF and Gazebo worlds: what becomes of their models, and of the settings of a world."""
+"""Checks SDF files and Gazebo worlds: how their models and world settings are converted."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from slidectl.launch.nodes import gazebo
 
 
 def check(path: Path, packages: Packages, findings: Findings, text: bytes | None = None, strict: bool = False) -> bool:
-    """Add what there is to say of a file, or of `text` that came from elsewhere. Whether a model is in it."""
+    """Add the findings on a file, or on `text` instead of its content. Returns True when it has a model."""
     content = models.read_file(path) if text is None else text
     base = Path.cwd() if text is not None else path.absolute().parent
     try:
@@ -26,7 +26,7 @@ def check(path: Path, packages: Packages, findings: Findings, text: bytes | None
     if world is not None:
         findings.extend(world.notices)
         for name, value in vars(world.settings).items():
-            if value is not None and name != "paused":  # no file says that
+            if value is not None and name != "paused":  # a file cannot set that
                 said = f"{value}" if name != "ground" else "a plane" if value else "none"
                 findings.add("used", f"{name} of the world", said, world.file, 1)
     tell_scene(scene, findings, strict)
@@ -34,7 +34,7 @@ def check(path: Path, packages: Packages, findings: Findings, text: bytes | None
 
 
 def tell_scene(scene: sdf.Scene, findings: Findings, strict: bool = False) -> None:
-    """What becomes of each model, and whether it makes sense."""
+    """Add findings on each model: how it is converted, and whether it makes sense."""
     findings.extend(scene.notices)
     for model in scene.models:
         x, y, z = model.pose[0]

@@ -1,7 +1,7 @@
-"""What yourdfpy makes of the same robot: an independent reader, against which ours is held.
+"""Compares a robot with the reading of yourdfpy, an independent parser.
 
-Compares the tree, masses and limits. It only remarks: where readers differ, the simulation goes by ours. yourdfpy is
-imported only when it is asked, as it is heavy.
+It compares the tree, masses and limits, and only adds remarks: the simulation uses our reading. yourdfpy is a heavy
+import, so it is imported only when asked for.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from slidectl.description.xml_tree import Element
 
 
 def tell(xml: str, robot: Robot, root: Element, findings: Findings) -> None:
-    """What the other reader reads differently, or that it agrees. `xml` is the text that `root` was read from."""
+    """Add a finding for each difference, or one that there is none. `xml` is the text that `root` was read from."""
     whole = f"robot {robot.name!r}"
     before = logging.root.manager.disable
-    logging.disable(logging.CRITICAL)  # it logs, and it prints
+    logging.disable(logging.CRITICAL)  # yourdfpy logs, and it prints
     try:
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
             remarks = list(_differences(robot, xml, whole))
-    except Exception as error:  # whatever its parsers raise says the same: it cannot read the file
+    except Exception as error:  # any exception of its parsers means that it cannot read the file
         remarks = [(whole, f"cannot read it: {' '.join(str(error).split()) or type(error).__name__}")]
     finally:
         logging.disable(before)
@@ -33,7 +33,7 @@ def tell(xml: str, robot: Robot, root: Element, findings: Findings) -> None:
 
 
 def _differences(robot: Robot, xml: str, whole: str) -> Iterator[tuple[str, str]]:
-    """Subject and text of each thing that the two read differently."""
+    """Subject and text of each difference between the two readings."""
     import yourdfpy
 
     other = yourdfpy.URDF.load(io.BytesIO(xml.encode()), load_meshes=False)

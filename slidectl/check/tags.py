@@ -1,7 +1,7 @@
-"""What became of each tag and attribute: used, or what the parser says of it, or not even read.
+"""Finds the effect of each tag and attribute: used, reported by the parser, or not read at all.
 
-The parser gets elements that remember what is read of them, and a report that remembers what is said of which. So the
-parser itself tells which tags it uses, and nothing is listed a second time. No rules of URDF or launch files here.
+The parser gets elements that record which parts are read, and a report that records the element of each notice. So the
+parser itself shows which tags it uses, and no second list is needed. No rules of URDF or launch files here.
 """
 
 from __future__ import annotations
@@ -15,32 +15,32 @@ from slidectl.description.robot import Notice, Verdict
 from slidectl.description.xml_tree import TITLES, Element
 from slidectl.errors import BadFile
 
-# Not read, and yet not without use: there is but one version, and a doc is for people.
+# These are not read, but are not useless: there is only one version, and a doc is for people.
 _HARMLESS = {("robot", "version"), ("arg", "doc"), ("plugin", "name")}
 _CONDITIONS = {"if", "unless"}
 _ROOTS = ("robot", "launch")
 _LONGEST = 60
 
 Explain = Callable[[Element, str], Iterator[Notice] | None]
-"""The findings of an element that is worth more than one line, given the name of what it belongs to; None of others."""
+"""Takes an element and the name of its owner. Returns the findings if one line is not enough for it, else None."""
 
 
 class Trace:
-    """What happened to the elements of one tree. Elements go by identity."""
+    """Records how the elements of one tree are read. Elements are identified by id()."""
 
     def __init__(self) -> None:
         self.read: set[int] = set()
         self.read_attributes: dict[int, set[str]] = {}
         self.said: dict[int, list[tuple[str | None, Notice]]] = {}
-        """Of each element, what was said of an attribute of it (its name), or of itself (None)."""
+        """For each element the notices about it, each with the name of the attribute or None."""
         self.unused: set[int] = set()
-        """Parts of which nothing came: those that are dropped, left out or broken."""
+        """Elements that were dropped, left out or broken."""
         self.at_fault: Element | None = None
-        """The element of the last error that was made."""
+        """The element of the latest error."""
 
 
 class TracedAttributes(dict[str, str]):
-    """Attributes that note who is asked for. Going through their names is no reading."""
+    """Attributes that record which of them are read. Iterating over the names does not count as a read."""
 
     def __init__(self, attributes: dict[str, str], element: int, trace: Trace) -> None:
         super().__init__(attributes)
@@ -65,7 +65,7 @@ class TracedAttributes(dict[str, str]):
 
 
 class TracedElement(Element):
-    """An element that notes what is read of it. To go through all of them (`walk`) is no reading."""
+    """An element that records what is read of it. Iterating over all elements (`walk`) does not count as a read."""
 
     __slots__ = ("trace",)
 
@@ -89,7 +89,7 @@ class TracedElement(Element):
 
     @property
     def title(self) -> str:
-        """As Element.title: to be named is not to be read."""
+        """As Element.title; it does not count as a read."""
         return plain(self).title
 
     def error(self, message: str, hint: str | None = None, kind: type[BadFile] = BadFile) -> BadFile:
@@ -98,12 +98,12 @@ class TracedElement(Element):
 
 
 def plain(element: Element) -> Element:
-    """The element alone, without a trace: reading it leaves no mark. Its content is shared."""
+    """A copy of the element without a trace, so that reading it is not recorded. The content is shared."""
     return Element(element.tag, dict(element.attributes), element.file, element.line, element.content)
 
 
 class TracedReport(Report):
-    """A report that notes the element of each notice, leaves nothing out, and takes faults in."""
+    """A report that records the element of each notice, keeps all notices, and collects faults."""
 
     def __init__(self, trace: Trace) -> None:
         super().__init__()
@@ -116,7 +116,7 @@ class TracedReport(Report):
         self.trace.said.setdefault(id(element), []).append((attribute, notice))
 
     def attempt(self, read: Callable[..., Any], element: Element, *values: Any) -> Any:
-        """What is read of an element; None when it is broken, which is said then."""
+        """Call `read` for an element; a BadFile is collected, and None is returned."""
         try:
             result = read(element, *values)
         except BadFile as error:
@@ -127,7 +127,7 @@ class TracedReport(Report):
         return result
 
     def take(self, error: BadFile) -> None:
-        """An error of an element as a fault and a notice, once."""
+        """Add an error as a fault and as a notice, once."""
         if error not in self.faults:
             assert self.trace.at_fault is not None
             self.faults.append(error)
@@ -135,8 +135,8 @@ class TracedReport(Report):
 
 
 class Tags:
-    """The tags of one file. `explain` may speak for an element. `is_whole`: False when the reading has stopped early,
-    so that what is not read may have a use."""
+    """Adds findings for the tags of one file. `explain` may replace them. `is_whole`: False when the reading stopped
+    early, so that an unread tag may have an effect."""
 
     def __init__(self, trace: Trace, findings: Findings, explain: Explain, is_whole: bool = True) -> None:
         self.trace = trace
@@ -145,7 +145,7 @@ class Tags:
         self.is_whole = is_whole
 
     def classify(self, root: Element) -> None:
-        """Add a finding for everything in the tree, each once."""
+        """Add one finding for each element of the tree."""
         self._element(root, "", "")
 
     def _element(self, element: Element, above: str, owner: str) -> None:
@@ -155,7 +155,7 @@ class Tags:
             return
         bare = plain(element)
         name = bare.attributes.get("name")
-        # As the parser's notices name things: `link 'a'/<inertial>/<mass>`.
+        # The subject has the form of the parser's notices: `link 'a'/<inertial>/<mass>`.
         subject = f"{element.tag} {name!r}" if name is not None and not above else bare.title
         subject = f"{above}/{subject}" if above else subject
         if id(element) in self.trace.unused:
@@ -194,7 +194,7 @@ class Tags:
 
 
 def _content(bare: Element, spoken: Collection[str | None]) -> str:
-    """What stands in an element, as far as nothing else was said of it: attributes, text, and the tags inside."""
+    """The content of an element without what is reported elsewhere: attributes, text, and the tags inside."""
     titled = next((name for name in TITLES if name in bare.attributes), None)
     shown = [
         f'{name}="{value}"'

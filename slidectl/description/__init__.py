@@ -1,7 +1,7 @@
-"""A robot on paper: xacro and URDF files into plain data with the file and line of each thing.
+"""Robot descriptions: xacro and URDF files as plain data with the file and line of each element.
 
-`load` runs on the side of who owns the files (packages, xacro, meshes), `parse` anywhere. No physics, no mujoco.
-Heavy modules are imported by the functions that need them.
+`load` runs in the client's process, which has the files (packages, xacro, meshes); `parse` runs anywhere. No physics,
+no mujoco. Heavy modules are imported by the functions that need them.
 """
 
 from __future__ import annotations

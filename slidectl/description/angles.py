@@ -1,6 +1,6 @@
 """Angles in YAML, as rosparam reads them: `deg(90)` and `rad(pi/2)` without quotes, and the tags !degrees and !radians.
 
-`deg` takes one number, `rad` a small sum; what has brackets within its brackets is text.
+`deg` takes one number, `rad` an expression; text with brackets inside the brackets stays text.
 """
 
 from __future__ import annotations
@@ -11,24 +11,24 @@ from typing import Any
 
 DEGREES, RADIANS = "!degrees", "!radians"
 PATTERNS = ((DEGREES, re.compile(r"^deg\([^()]*\)$"), ["d"]), (RADIANS, re.compile(r"^rad\([^()]*\)$"), ["r"]))
-"""Tag, form without it, and the letters that this begins with: what add_implicit_resolver takes."""
+"""Tag, pattern of the form without a tag, and its first letters: the arguments of add_implicit_resolver."""
 
 _MAY_BE = re.compile(r"!degrees|!radians|(?:deg|rad)\(")
 
 
 def add_to(loader_or_dumper: Any) -> None:
-    """Make a class of PyYAML know the forms. A dumper with them puts a text that looks like an angle in quotes."""
+    """Add the forms to a class of PyYAML. A dumper with them writes a text that looks like an angle in quotes."""
     for tag, pattern, first in PATTERNS:
         loader_or_dumper.add_implicit_resolver(tag, pattern, first)
 
 
 def may_be_in(text: str) -> bool:
-    """Whether a text may hold an angle."""
+    """True when a text may contain an angle."""
     return _MAY_BE.search(text) is not None
 
 
 def angle(text: str, tag: str) -> float:
-    """The angle in rad. Raises ValueError or ArithmeticError when it is none."""
+    """The angle in rad. Raises ValueError or ArithmeticError when the text is not an angle."""
     if tag == DEGREES:
         try:
             return float(_inside(text, "deg")) * math.pi / 180.0

@@ -1,6 +1,6 @@
-"""A file of controllers (YAML, as for rosparam load), and where in the parameter tree it belongs.
+"""Files of controllers (YAML, as for rosparam load), and their place in the parameter tree.
 
-Reading is yaml_tree's; here is what a tree of controllers looks like, and how one file serves robots of any name.
+yaml_tree reads the text. This module knows how a tree of controllers looks, and uses one file for robots of any name.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from slidectl.description.parameter_trees import Tree, leaves, merge, nest
 from slidectl.description.robot import Notice
 
 ROS_2 = "ros__parameters"
-"""What the parameters of a node are under in files of ROS 2."""
+"""The key that holds the parameters of a node in files of ROS 2."""
 
 
 def read(path: str | Path, notices: list[Notice] | None = None) -> Tree:
-    """The tree of parameters in a file; what is odd in it is appended to `notices`.
+    """The tree of parameters in a file; doubtful things are appended to `notices`.
 
     Raises:
         BadFile: missing, not YAML, or with values that no parameter can have; names file and line.
@@ -34,21 +34,21 @@ def read(path: str | Path, notices: list[Notice] | None = None) -> Tree:
 
 
 def places(text: bytes, file: str) -> dict[str, tuple[str, int | None]]:
-    """File and line of every parameter of a file's text, by its path in the tree that `read` gives. Raises BadFile."""
+    """File and line of every parameter in a text, by its path in the tree that `read` returns. Raises BadFile."""
     from slidectl.description import yaml_tree
 
     return {plain_path(name): (file, line) for name, line in yaml_tree.places(text, file).items()}
 
 
 def plain(tree: Tree, replaced: list[str] | None = None) -> Tree:
-    """The tree without ROS 2's `ros__parameters`, as `plain_path` places what is in it; else the same tree.
+    """The tree without ROS 2's `ros__parameters`, its parameters moved to `plain_path`; else the same tree.
 
-    What is a value and a namespace of values there is appended to `replaced`, by its path.
+    The paths of values that are also namespaces of values then are appended to `replaced`.
     """
     found: Tree = {}
     moved = False
     for path, value in leaves(tree, "/"):
-        place = plain_path(path) or path  # one that says nothing but `ros__parameters: 5` stays
+        place = plain_path(path) or path  # `ros__parameters: 5` alone stays
         moved = moved or place != path
         lost = merge(found, nest(place, value))
         if replaced is not None:
@@ -57,10 +57,10 @@ def plain(tree: Tree, replaced: list[str] | None = None) -> Tree:
 
 
 def plain_path(path: str) -> str:
-    """Where a parameter of a path in a file of ROS 2 is in one of ROS 1.
+    """The path in a file of ROS 1 for a parameter's path in a file of ROS 2.
 
-    What is below `ros__parameters` of a node is directly below the node, and what a controller manager has there is
-    beside it; dots part names.
+    Parameters below `ros__parameters` of a node move directly below the node, those of a controller manager beside it.
+    Dots in names become slashes.
     """
     node, mark, name = path.partition(f"/{ROS_2}")
     if not mark or name[:1] not in ("", "/"):
@@ -69,17 +69,17 @@ def plain_path(path: str) -> str:
 
 
 def retarget(tree: Tree, namespace: str) -> tuple[Tree, str | None]:
-    """The tree to load at the root so that `namespace` has its controllers, and a notice when something was moved.
+    """The tree to load at the root so that `namespace` has its controllers; and a remark for the user, or None.
 
-    A file that names the namespace is loaded as it stands. One that names another single one is moved. One that
-    begins with the controllers themselves is put under the namespace.
+    A file that names the namespace is loaded as it is. If it names one other namespace, its controllers are moved. If
+    it begins with the controllers themselves, they are put under the namespace.
     """
     target = "/" + namespace.strip("/")
     if not tree or (isinstance(at(tree, target), dict) and target != "/"):
         return tree, None
     if holds_controllers(tree):
         return nest(target, tree), None
-    # Down from the root as long as there is but one way and no controllers.
+    # Go down from the root while there is a single key and there are no controllers.
     written, controllers = "", tree
     while isinstance(controllers, dict) and len(controllers) == 1 and not holds_controllers(controllers):
         ((name, controllers),) = controllers.items()
@@ -99,7 +99,7 @@ def holds_controllers(tree: object) -> bool:
 
 
 def at(tree: object, path: str) -> object:
-    """What is at the names of `path` in a tree, or None."""
+    """The value at `path` in a tree, or None."""
     branch = tree
     for name in path.strip("/").split("/"):
         branch = branch.get(name) if isinstance(branch, Mapping) else None

@@ -1,6 +1,6 @@
-"""A model made ready for the daemon: expanded by xacro, meshes found, its root held or freed, sources noted.
+"""Prepares a model for the daemon: expands xacro, finds meshes, fixes or frees the root, notes the sources.
 
-This is the client's side: it reads files, and evaluates what xacro evaluates. The result is plain URDF text.
+This runs in the client, which reads files and lets xacro evaluate expressions. The result is plain URDF text.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ _JOINT = "world_to_root"
 
 @dataclass(frozen=True)
 class Document:
-    """`xml` is URDF with the note of its sources."""
+    """A loaded model. `xml` is URDF with the note of its sources."""
 
     xml: str
     file: str
     """The model's file, or `<stdin>` or `<text>`."""
     report: tuple[Notice, ...] = field(default=())
-    """What xacro warned of, and arguments without effect. What URDF tags became of is in the parsed robot's report."""
+    """Warnings of xacro, and arguments without effect. The effects of URDF tags are in the parsed robot's report."""
 
     @property
     def urdf(self) -> str:
-        """The URDF alone, as any reader takes it: what is shown and stored."""
+        """The URDF without the note, as any reader takes it: for showing and storing."""
         return source_note.split(self.xml)[0]
 
 
@@ -50,11 +50,13 @@ def load(
     missing: Missing | None = None,
     as_written: bool = False,
 ) -> Document:
-    """The document of a model: a `.xacro` or `.urdf` path, a shipped model's name, `-` for stdin, or XML text.
+    """Load a model: a `.xacro` or `.urdf` path, a shipped model's name, `-` for stdin, or XML text.
 
-    Meshes that collide have to be there, unless `all_meshes` is false: then the parser may say so. `title` is what to
-    call a text in messages. `missing` takes in what the files name and is not there; without it that is an error.
-    `as_written`: the files of meshes are not looked for.
+    Args:
+        all_meshes: False: the mesh of a collision may be missing; the parser then reports it.
+        title: the name of a text in messages.
+        missing: collects things that the files name and that do not exist; without it they are errors.
+        as_written: do not look for the files of meshes.
 
     Raises:
         BadFile: missing, broken, or refused by xacro. UnknownName: no shipped model of that name.
@@ -82,7 +84,7 @@ def load(
 def _opened(
     source: str | Path, packages: Packages | None, title: str | None = None
 ) -> tuple[models.ModelText, Element, Path, Packages]:
-    """A model, its tree as it is written, the folder that it is in, and where packages are."""
+    """The model, its unexpanded tree, its folder, and the lookup of packages that starts there."""
     model = models.read(source)
     model = replace(model, file=title) if title is not None else model
     base = model.path.absolute().parent if model.path is not None else Path.cwd()
@@ -91,20 +93,20 @@ def _opened(
 
 
 def _is_xacro(model: models.ModelText, root: Element) -> bool:
-    """By its suffix, or because it has tags or attributes of xacro."""
+    """True when the suffix is `.xacro`, or the tree has tags or attributes of xacro."""
     return (model.path is not None and model.path.suffix.lower() == ".xacro") or has_xacro(root)
 
 
 def has_xacro(root: Element) -> bool:
-    """Whether there are tags or attributes of xacro."""
+    """True when the tree has tags or attributes of xacro."""
     return any(name.startswith("xacro:") for element in root.walk() for name in (element.tag, *element.attributes))
 
 
 def _find_meshes(root: Element, meshes: MeshFiles, missing: Missing | None) -> None:
-    """Find the files of meshes, for the note of the text: whoever reads the text with it needs no package path.
+    """Find the files of meshes and put them into the elements, so that the text can be read without a package path.
 
-    A `<collision>` whose mesh is not there is left out and noted in `missing`; without that, and where a mesh is only
-    looked at, the name stays, for the parser to report.
+    A `<collision>` with a missing mesh is removed and noted in `missing`. Without `missing`, and for visuals, the name
+    stays, and the parser reports it.
     """
     for above in list(root.walk()):
         for shape in (child for child in above.children if child.tag in ("visual", "collision")):
@@ -115,31 +117,31 @@ def _find_meshes(root: Element, meshes: MeshFiles, missing: Missing | None) -> N
                     element.set_mesh(path.as_uri())
                 elif uri and shape.tag == "collision" and missing is not None:
                     reason, _, hint = why.partition("\n")
-                    package = uri.partition("://")[2].partition("/")[0]  # of one that is not there, many may be missing
+                    package = uri.partition("://")[2].partition("/")[0]  # one absence for all its meshes
                     thing = f"package {package}" if hint else f"mesh {uri}"
                     error = NotThere(f"mesh {uri!r}: {reason}", element.file, element.line, hint or None, thing)
                     missing.note(error, "the <collision> is left out")
                     above.content[:] = [node for node in above.content if node is not shape]
                 elif uri.strip() and (expected := meshes.expected(uri, element.file)) is not None:
-                    # Whoever reads the text has no package path, and would say that the package is missing.
+                    # The reader of the text has no package path, and would report a missing package.
                     element.set_mesh(expected.absolute().as_uri())
 
 
-# --- what is written, with nothing evaluated --------------------------------------------------------------------------
+# --- the model before xacro -------------------------------------------------------------------------------------------
 
 
 @dataclass
 class Written:
-    """A model before xacro. `is_whole` is False when only xacro can tell what it includes."""
+    """A model before xacro. `is_whole` is False when only xacro can find out what it includes."""
 
     root: Element
     elements: list[Element] = field(default_factory=list)
-    """Its elements and those of the files that it includes by plain names or `$(find)`, in the order of xacro."""
+    """The elements of the model and of files that it includes by plain names or `$(find)`, in the order of xacro."""
     is_whole: bool = True
 
     @property
     def arguments(self) -> dict[str, Element]:
-        """The `<xacro:arg>` by name; the first one of a name counts, as for xacro."""
+        """The `<xacro:arg>` elements by name; as in xacro, the first one of a name counts."""
         found: dict[str, Element] = {}
         for element in self.elements:
             if element.tag == "xacro:arg" and (name := element.get("name")):
@@ -148,7 +150,7 @@ class Written:
 
 
 def written(source: str | Path, packages: Packages | None = None) -> Written:
-    """A model as it is written. Raises BadFile and UnknownName as load does; a fault of an include is left to xacro."""
+    """Read a model without evaluating it. Raises BadFile and UnknownName as load does, but not for includes."""
     _, root, base, packages = _opened(source, packages)
     found = Written(root)
     seen: set[Path] = set()
@@ -188,7 +190,7 @@ def declared_arguments(source: str | Path, packages: Packages | None = None) -> 
 
 
 def with_root_fixed(xml: str, file: str = "robot_description") -> str:
-    """The robot with its root fixed to a link called `world`; one that is so already stays as it is.
+    """The robot with its root fixed to a link called `world`; unchanged if the root is `world` already.
 
     Raises:
         BadFile: broken XML, no single root, or a link called `world` that is not the root.
@@ -212,12 +214,12 @@ def with_root_fixed(xml: str, file: str = "robot_description") -> str:
 
 
 def with_root_free(xml: str, file: str = "robot_description") -> str:
-    """The robot without its root link `world` and the fixed joint below it; a free one stays as it is.
+    """The robot without its root link `world` and the fixed joint below it; unchanged if its root is not `world`.
 
-    The link below takes the root's place, so the joint's origin is gone: the pose of spawning says where it stands.
+    The link below becomes the root. The joint's origin is lost: the pose of the spawn replaces it.
 
     Raises:
-        BadFile: broken XML, no single root, or a `world` that holds the robot by anything but one fixed joint.
+        BadFile: broken XML, no single root, or `world` has other joints than one fixed joint.
     """
     robot = xml_tree.read(xml, file)
     if _root_name(robot) != WORLD:
@@ -234,7 +236,7 @@ def with_root_free(xml: str, file: str = "robot_description") -> str:
 
 
 def with_transmissions(xml: str, how: str, file: str = "robot_description") -> str:
-    """The robot whose control plugin says how its transmissions count. Raises BadFile: broken XML. Refused."""
+    """Set `transmissions` of the control plugin to `how`. Raises BadFile: broken XML. Refused: unknown `how`."""
     robot = xml_tree.read(xml, file)
     set_transmissions(robot, transmissions_named(how))
     return xml_tree.write(robot)

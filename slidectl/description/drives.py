@@ -1,7 +1,7 @@
-"""Reads the plugins of a model that move it: gazebo_ros' drives of bases, and joints that follow others.
+"""Reads Gazebo plugins that move a model: gazebo_ros' drives of bases, and mimic joints.
 
-Tags and defaults are those of gazebo_ros_pkgs (noetic) and roboticsgroup_gazebo_plugins. What drives a base is in
-simulation/base_drives.py; a joint that follows is held by the world like one with a `<mimic>`.
+Tags and defaults are those of gazebo_ros_pkgs (noetic) and roboticsgroup_gazebo_plugins. The drives are simulated in
+simulation/base_drives.py; the world treats a joint with a mimic plugin like one with a `<mimic>`.
 """
 
 from __future__ import annotations
@@ -38,17 +38,17 @@ _VARIANCES = (0.00001, 0.00001, 0.001)
 
 
 class DriveReader:
-    """Reads such plugins of one robot."""
+    """Reads the drive and mimic plugins of one robot."""
 
     def __init__(self, report: Report, joints: Collection[str]) -> None:
         self.report = report
         self.joints = joints
         self.drives: list[BaseDrive] = []
         self.mimics: dict[str, tuple[Mimic, Element]] = {}
-        """By the joint that follows, with the plugin that says so."""
+        """By the joint that follows: its mimic, and the plugin element."""
 
     def read_drive(self, plugin: Element, library: str, place: str) -> None:
-        """Take in a plugin of `DRIVES`. Raises BadFile: a malformed number, or a length of a wheel that is none."""
+        """Read a plugin of `DRIVES`. Raises BadFile: a malformed number, or a size of a wheel that is not above 0."""
         own = _OF_PLANAR if library == PLANAR else _OF_WHEELS | (_OF_DIFF if library == DIFF else _OF_SKID)
         self._tell_unknown(plugin, _OF_ALL | own, place)
         namespace = plugin.find("robotNamespace")
@@ -93,7 +93,7 @@ class DriveReader:
             if plugin.find("legacyMode") is None:
                 text = "left and right change places without <legacyMode>false</legacyMode>, as in Gazebo"
                 self.report.wrong(plugin, text, place)
-        self._flag(plugin, "publishWheelTF", False, place)  # all joints are on /tf in any case
+        self._flag(plugin, "publishWheelTF", False, place)  # read for its notices: /tf has all joints in any case
         source = child_text(plugin, "odometrySource", "world").lower()
         if source not in ("encoder", "world"):
             self.report.wrong(plugin, f"<odometrySource> {source!r} is neither encoder nor world; it is world", place)
@@ -129,7 +129,7 @@ class DriveReader:
         }
 
     def read_mimic(self, plugin: Element, place: str) -> None:
-        """Take in a plugin of `MIMIC`. Raises BadFile: a malformed number."""
+        """Read a plugin of `MIMIC`. Raises BadFile: a malformed number."""
         self._tell_unknown(plugin, {"robotNamespace", *_OF_MIMIC, *_DONE_BY_CONSTRAINT}, place)
         for tag in _DONE_BY_CONSTRAINT:
             if (child := plugin.find(tag)) is not None:

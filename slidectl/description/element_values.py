@@ -1,6 +1,6 @@
-"""Attributes of elements as numbers and vectors, with errors that name the element, its file and its line.
+"""Attributes of elements as numbers and vectors. Errors name the element, its file and its line.
 
-Numbers are plain decimal ones, as in "1", "-0.5" and "1e-3", and finite. No meaning of tags here.
+Numbers are decimal, as "1", "-0.5" and "1e-3", and finite. This module does not know what tags mean.
 """
 
 from __future__ import annotations
@@ -14,19 +14,19 @@ from slidectl.description.xml_tree import Element, below
 from slidectl.errors import BadFile, UnknownName
 
 LONGEST_PERIOD_S = 2**31 - 1
-"""Where durations of ROS end."""
+"""The largest duration of ROS."""
 _INFINITE = ("inf", "infinity")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
 def unknown(element: Element, place: str, kind: str, name: str, known: Collection[str]) -> BadFile:
-    """The error for a name that does not exist: says which do, and suggests the closest."""
+    """The error for a name that does not exist: it lists the existing ones, and suggests the closest."""
     error = UnknownName(kind, name, list(known))
     return element.error(f"{place}: {error.message}", error.hint)
 
 
 def parse_number(text: str, element: Element, what: str, finite: bool = True) -> float:
-    """`text` as a number, and a finite one unless `finite` is False. `what` names the value in the error."""
+    """Convert `text` to a number, a finite one unless `finite` is False. `what` names the value in the error."""
     stripped = text.strip()
     if not finite and stripped.lower().lstrip("+-") in _INFINITE:
         return float(stripped)
@@ -47,7 +47,7 @@ def _why_not(text: str) -> str:
 
 
 def required(element: Element, name: str, owner: str) -> str:
-    """A mandatory attribute, not empty."""
+    """A mandatory attribute that must not be empty."""
     value = element.get(name)
     if value is None:
         raise element.error(f"{owner}: <{element.tag}> lacks the attribute {name!r}")
@@ -64,7 +64,7 @@ def number(element: Element, name: str, owner: str, default: float | None = None
 
 
 def not_negative(element: Element, name: str, owner: str, default: float | None = None) -> float:
-    """A number attribute that may not be negative."""
+    """A number attribute that must not be negative."""
     value = number(element, name, owner, default)
     if value < 0:
         raise element.error(f"{owner}: {name!r} of <{element.tag}> is {value:g}; it must not be negative")
@@ -72,13 +72,13 @@ def not_negative(element: Element, name: str, owner: str, default: float | None 
 
 
 def child_text(element: Element, tag: str, default: str) -> str:
-    """The text of a child; the default when there is none, or it is empty."""
+    """The text of a child; the default when the child is missing or empty."""
     child = element.find(tag)
     return child.first_text if child is not None and child.first_text else default
 
 
 def child_number(element: Element | None, tag: str, default: float, place: str, finite: bool = True) -> float:
-    """The number in a child; the default when there is no child, or it is empty."""
+    """The number in a child; the default when the child is missing or empty."""
     child = below(element, tag)
     if child is None or not child.first_text:
         return default
@@ -86,7 +86,7 @@ def child_number(element: Element | None, tag: str, default: float, place: str, 
 
 
 def child_count(element: Element | None, tag: str, default: int, place: str) -> int:
-    """The whole number in a child, as child_number."""
+    """The whole number in a child, read as by child_number."""
     value = child_number(element, tag, default, place)
     if element is not None and not value.is_integer():
         raise (element.find(tag) or element).error(f"{place}/<{tag}> is {value:g}; it must be a whole number")
@@ -94,7 +94,7 @@ def child_count(element: Element | None, tag: str, default: int, place: str) -> 
 
 
 def child_rate(element: Element, tag: str, default: float, place: str) -> float:
-    """The rate in a child, Hz, as child_number; 0 and an infinite one have no period between two times."""
+    """The rate in a child, Hz, read as by child_number. 0 and infinity mean that there is no fixed period."""
     rate = child_number(element, tag, default, place, finite=False)
     if rate < 0.0 or 0.0 < rate < 1.0 / LONGEST_PERIOD_S:
         text = f"{place}/<{tag}> is {rate:g} Hz; it must not be negative, nor its period above {LONGEST_PERIOD_S} s"
@@ -103,7 +103,7 @@ def child_rate(element: Element, tag: str, default: float, place: str) -> float:
 
 
 def numbers(element: Element, name: str, count: int, owner: str) -> tuple[float, ...]:
-    """A mandatory attribute of `count` numbers parted by blanks."""
+    """A mandatory attribute of `count` numbers, separated by blanks."""
     text = required(element, name, owner)
     parts = text.split()
     what = f"{owner}: {name!r} of <{element.tag}>"
@@ -119,7 +119,7 @@ def vector(element: Element, name: str, owner: str) -> Vector:
 
 
 def pose(origin: Element | None, owner: str) -> Pose:
-    """An `<origin xyz rpy>`; what is missing is zero."""
+    """The pose of an `<origin xyz rpy>`; missing parts are zero."""
     if origin is None:
         return Pose()
     zero = (0.0, 0.0, 0.0)

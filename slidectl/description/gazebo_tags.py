@@ -1,6 +1,6 @@
-"""`<gazebo>`: plugins of the model, and what is said of links. All else in there is reported as ignored.
+"""`<gazebo>` elements: plugins of the model, and properties of links. Everything else is reported as ignored.
 
-Texts are read as sdformat reads them: an attribute `value` goes before the text. Later tags win over earlier ones.
+Texts are read as by sdformat: an attribute `value` overrides the text. Later tags override earlier ones.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ if TYPE_CHECKING:
 
 _CONTROL_PLUGIN = "libgazebo_ros_control"
 SIM_TYPES = (ControlPlugin.robot_sim_type, "DefaultRobotHWSim")
-"""The default hardware, by its names."""
+"""The names of the default simulated hardware."""
 HARDWARE_ENTRY_POINTS = "slidectl.robot_hw"
-"""The group in which an installed package names its simulated hardware: a type, and `module:Class`."""
+"""The entry point group for simulated hardware of installed packages: a type, and `module:Class`."""
 TRANSMISSIONS = "gazebo_ros_control/transmissions"
-"""The parameter in a robot's namespace that says how transmissions count, where the model's plugin does not."""
+"""The parameter in a robot's namespace that sets how transmissions count, unless the model's plugin sets it."""
 _PARAMETERS = (
     "robotNamespace", "robotParam", "robotSimType", "controlPeriod", "eStopTopic", "legacyModeNS", "transmissions",
 )  # fmt: skip
@@ -43,7 +43,7 @@ class GazeboReader:
     """Reads the `<gazebo>` elements of one robot."""
 
     def __init__(self, report: Report, links: Collection[str], joints: Mapping[str, tuple[str, str]]) -> None:
-        """`joints` has the parent and the child link of each."""
+        """`joints` has the parent link and the child link of each joint."""
         self.report = report
         self.links = links
         self.joints = joints
@@ -53,7 +53,7 @@ class GazeboReader:
         self.drives = drives.DriveReader(report, joints)
 
     def read(self, element: Element) -> None:
-        """Take one `<gazebo>` in.
+        """Read one `<gazebo>` element.
 
         Raises:
             BadFile: a malformed number or an impossible name.
@@ -76,8 +76,8 @@ class GazeboReader:
                 self.report.ignored(child, f"has no effect here{hint}", f"<gazebo>/{child.title}")
 
     def _plugin(self, element: Element) -> bool:
-        """A plugin with a counterpart. Others are not loaded; one that is nearly called as the control plugin was meant
-        to be it."""
+        """Read a supported plugin; others are ignored. A file name close to the control plugin's is reported as a
+        typing error."""
         filename = (element.get("filename") or "").strip()
         place = f'<plugin name="{element.get("name") or ""}">'
         if library(element) in OF_MODEL:
@@ -89,7 +89,7 @@ class GazeboReader:
         elif library(element) != _CONTROL_PLUGIN:
             from difflib import get_close_matches
 
-            # All plugins of gazebo_ros are called alike, so this is stricter than usual suggestions.
+            # All plugins of gazebo_ros have similar names, so the cutoff is higher than for usual suggestions.
             if get_close_matches(filename, [_CONTROL_PLUGIN + ".so"], cutoff=0.85):
                 self.report.wrong(element, f"there is no plugin {filename}; did you mean {_CONTROL_PLUGIN}.so?", place)
             else:
@@ -139,7 +139,7 @@ class GazeboReader:
         if child.tag == "sensor":
             self.sensors.of_joint(joint, child, place)
         elif child.tag == "provideFeedback":
-            self._truth(child, place)  # sensors measure in any case
+            self._truth(child, place)  # read for its notices: sensors measure in any case
         else:
             self.report.ignored(child, "tags of joints have no effect here, but <sensor>", place)
         return True
@@ -148,7 +148,7 @@ class GazeboReader:
         self.surfaces[link] = replace(self.surfaces.get(link, Surface()), **fields)
 
     def _friction(self, child: Element, place: str) -> float:
-        """`Inf` is a value here, and what is below 0 means the same, as in Gazebo."""
+        """The friction coefficient. `Inf` is legal, and a negative value also means infinite, as in Gazebo."""
         value = element_values.parse_number(_text(child), child, place, finite=False)
         if value < 0:
             self.report.converted(child, f"{value:g} is below 0 and counts as infinite, as in Gazebo", place)
@@ -163,9 +163,9 @@ class GazeboReader:
 
 
 def leave_out_hardware(root: Element, missing: Missing) -> None:
-    """Take the tag away that asks for simulated hardware which is not there, so that the default one is meant.
+    """Remove `<robotSimType>` tags with unknown simulated hardware, so that the default is used, and note each.
 
-    Where nothing is left out and nothing else is missing the daemon judges: it may have imported more.
+    Only when something else is missing or --keep-going is set. Otherwise the daemon decides: it may have imported more.
     """
     if not missing and not missing.keeps_going:
         return
@@ -182,14 +182,14 @@ def leave_out_hardware(root: Element, missing: Missing) -> None:
 
 @cache
 def installed_hardware() -> dict[str, EntryPoint]:
-    """The types of hardware that installed packages name."""
+    """The entry points of simulated hardware in installed packages, by type."""
     from importlib.metadata import entry_points
 
     return {point.name: point for point in entry_points(group=HARDWARE_ENTRY_POINTS)}
 
 
 def set_transmissions(root: Element, how: Transmissions) -> None:
-    """Have the control plugin say so. A robot without one gets it."""
+    """Set `transmissions` of the control plugin; a robot without the plugin gets one."""
     plugin = next(iter(_control_plugins(root)), None)
     if plugin is None:
         attributes = {"name": "gazebo_ros_control", "filename": f"{_CONTROL_PLUGIN}.so"}
@@ -200,7 +200,7 @@ def set_transmissions(root: Element, how: Transmissions) -> None:
 
 
 def _control_plugins(root: Element) -> list[Element]:
-    """Those that count: not what stands in a `<gazebo>` of a link or joint."""
+    """The control plugins of the model; those inside a `<gazebo>` of a link or joint do not count."""
     models = (gazebo for gazebo in root.find_all("gazebo") if not gazebo.get("reference"))
     plugins = (plugin for gazebo in models for plugin in gazebo.find_all("plugin"))
     return [plugin for plugin in plugins if library(plugin) == _CONTROL_PLUGIN]
@@ -212,7 +212,7 @@ def _text(element: Element) -> str:
 
 
 def _namespace(plugin: Element, text: str | None) -> str | None:
-    """The namespace as written; only a legal graph name will do. An empty one means the root."""
+    """Check the namespace and return it as written; an empty one means the root. Raises BadFile unless it is legal."""
     if text is not None and not names.is_legal("/" + text.strip("/")):
         place = plugin.find("robotNamespace") or plugin
         raise place.error(f"robotNamespace {text!r} is not a legal name (letters, digits, '_' and '/')")
@@ -227,7 +227,7 @@ def _transmissions(plugin: Element, text: str | None) -> Transmissions | None:
 
 
 def transmissions_named(text: str) -> Transmissions:
-    """How transmissions count. Raises Refused."""
+    """Check the value of `transmissions`. Raises Refused."""
     if text not in get_args(Transmissions):
         raise Refused(f"transmissions are {' or '.join(get_args(Transmissions))}, not {quoted(text)}")
     return cast(Transmissions, text)

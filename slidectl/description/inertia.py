@@ -1,9 +1,9 @@
-"""Which masses and inertias a body can have, and the nearest possible ones to those that no body can have.
+"""Checks masses and inertias of bodies, and finds the nearest possible ones for impossible ones.
 
-The one judge of `check`, of `spawn` and of the physics. Pure arithmetic on six numbers and a mass; no XML.
+`check`, `spawn` and the physics all use these rules. Arithmetic on six numbers and a mass; no XML.
 
-An inertia is possible when its principal moments A <= B <= C are above 0 and C <= A + B (the triangle rule), but for
-the digits that files lose.
+An inertia is possible when its principal moments A <= B <= C are above 0 and C <= A + B (the triangle rule). Rounding
+errors of the numbers in files are tolerated.
 """
 
 from __future__ import annotations
@@ -16,34 +16,34 @@ Tensor = tuple[float, float, float, float, float, float]
 """ixx, ixy, ixz, iyy, iyz, izz in kg·m²."""
 
 LEAST = 1e-15
-"""kg and kg·m². A body that moves needs at least this mass and these principal moments: MuJoCo's mjMINVAL."""
+"""kg and kg·m². The least mass and principal moment of a moving body: MuJoCo's mjMINVAL."""
 
 SMALLEST_MASS = 1e-3
-"""kg. What a body without a mass gets: it falls, touches and is pushed at steps of 1 ms without trouble."""
+"""kg. The mass given to a body without one: it falls, touches and is pushed at steps of 1 ms without trouble."""
 
 SMALLEST_MOMENT = 1e-6
-"""kg·m². The least principal moment of a body without a mass: that of a gram at 3 cm."""
+"""kg·m². The least principal moment given to a body without a mass: one gram at a distance of 3 cm."""
 
 DENSEST = 22590.0
-"""Osmium, kg/m³."""
+"""kg/m³. The density of osmium."""
 
-# Exporters print few digits: a flat plate's moments may break the triangle rule by their rounding.
+# Exporters write few digits: rounding may make the moments of a flat plate break the triangle rule.
 _ROUNDING = 1e-3
-# Moments of which one is less than this share of the largest cannot be told from 0.
+# A moment below this share of the largest counts as 0.
 _NOTHING = 1e-12
-# A moment that had to be made up is at least this share of the largest: a needle turns too fast for steps of 1 ms.
+# A corrected moment is at least this share of the largest: a thinner body would turn too fast for steps of 1 ms.
 _THINNEST = 1e-6
 _IDENTITY: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 def principal_moments(inertia: Tensor) -> Vector:
-    """The eigenvalues of the symmetric tensor, rising; accurate to the last digits of the largest."""
+    """The eigenvalues of the symmetric tensor, rising; exact to the last digits of the largest."""
     return principal(inertia)[0]
 
 
 def principal(inertia: Tensor) -> tuple[Vector, Matrix]:
     """The principal moments, rising, and their axes as columns of a matrix (Jacobi's method, which is exact for
-    diagonal tensors and keeps close moments apart, unlike the closed form)."""
+    diagonal tensors and separates close moments, unlike the closed form)."""
     scale = max(map(abs, inertia))
     if scale == 0.0 or not math.isfinite(scale):
         return (scale, scale, scale), _IDENTITY
@@ -62,7 +62,7 @@ def principal(inertia: Tensor) -> tuple[Vector, Matrix]:
 
 
 def _turn(rows: list[list[float]], axes: list[list[float]], i: int, j: int) -> None:
-    """Turn about the third axis so that the element i, j vanishes (Golub and Van Loan, 8.5)."""
+    """Rotate about the third axis so that the element i, j becomes 0 (Golub and Van Loan, 8.5)."""
     theta = (rows[j][j] - rows[i][i]) / (2 * rows[i][j])
     tangent = math.copysign(1.0, theta) / (abs(theta) + math.hypot(theta, 1.0))
     cosine = 1 / math.hypot(tangent, 1.0)
@@ -81,12 +81,12 @@ def _vector(values: tuple[float, ...]) -> Vector:
 
 
 def is_mass(mass: float) -> bool:
-    """Whether anything weighs that."""
+    """True for a mass that a body can have."""
     return 0.0 < mass < math.inf
 
 
 def why_impossible(inertia: Tensor) -> str | None:
-    """Why no body has this inertia, as a clause; None when one can."""
+    """Why no body has this inertia, as a clause; None when a body can have it."""
     if not all(map(math.isfinite, inertia)):
         return "it is not finite"
     small, middle, large = principal_moments(inertia)
@@ -101,26 +101,26 @@ def why_impossible(inertia: Tensor) -> str | None:
 
 
 def can_move(mass: float, inertia: Tensor) -> bool:
-    """Whether a possible mass and inertia are large enough for a body that moves."""
+    """True when a possible mass and inertia are large enough for a moving body."""
     return mass >= LEAST and principal_moments(inertia)[0] >= LEAST
 
 
 def densest_ball(mass: float) -> float:
-    """The moment of inertia in kg·m² of a ball of the densest matter, below which no body is: 2/5 m r²."""
+    """The moment of inertia in kg·m² of a ball of the densest matter, the least that a body can have: 2/5 m r²."""
     return 0.4 * mass * math.pow(3 * mass / (4 * math.pi * DENSEST), 2 / 3)
 
 
 def nearest_possible(mass: float, inertia: Tensor) -> tuple[float, Tensor]:
-    """The nearest mass and inertia that a moving body can have; those that are possible come back as they are.
+    """The nearest mass and inertia that a moving body can have; possible ones are returned unchanged.
 
-    A mass below LEAST becomes SMALLEST_MASS. Of the inertia the principal axes stay, and the principal moments
-    A <= B <= C go to the nearest ones (least sum of squares) that keep the triangle rule:
+    A mass below LEAST becomes SMALLEST_MASS. The principal axes of the inertia stay, and the principal moments
+    A <= B <= C become the nearest ones (least sum of squares) that keep the triangle rule:
 
         A + e, B + e, C - e  with  e = max(0, C - A - B) / 3
-        0, m, m              with  m = max(0, (B + C) / 2), where A + e is negative still
+        0, m, m              with  m = max(0, (B + C) / 2), if A + e is still negative
 
-    Then each is raised to the floor: the moment of a ball of osmium of that mass, a millionth of the largest
-    moment, and SMALLEST_MOMENT where there was no mass.
+    Then each is raised to a lower bound: the moment of a ball of osmium of that mass, a millionth of the largest
+    moment, and SMALLEST_MOMENT if there was no mass.
     """
     weight = mass if mass >= LEAST else SMALLEST_MASS
     if weight == mass and why_impossible(inertia) is None and can_move(mass, inertia):
@@ -142,7 +142,7 @@ def _within_triangle(small: float, middle: float, large: float) -> Vector:
 
 
 def _tensor(moments: Vector, axes: Matrix) -> Tensor:
-    """The tensor of principal moments about axes that are the columns of a matrix."""
+    """The tensor with these principal moments about the axes that are the columns of the matrix."""
 
     def part(i: int, j: int) -> float:
         return sum(axes[i][k] * moments[k] * axes[j][k] for k in range(3))

@@ -1,6 +1,6 @@
-"""The interfaces by which joints of simulated hardware take commands: one row each, for all who read or drive one.
+"""The table of interfaces by which joints of simulated hardware take commands. All readers and drivers use it.
 
-Facts only. `control/hardware_interface.py` has the class of each row. The quantity of a row chooses the limits
+Data only. `control/hardware_interface.py` has the class of each row. The quantity of a row chooses the limits
 (`control/limits.py`) and the drive (`physics/robot_hw.py`).
 """
 
@@ -16,25 +16,25 @@ _PREFIX = "hardware_interface/"
 
 @dataclass(frozen=True)
 class JointInterface:
-    """One interface. Commands are in N or N·m, m or rad, and per s."""
+    """One hardware interface. Commands are in N or N·m, m or rad, and these per s or s²."""
 
     name: str
-    """As in `hardware_interface::NAME`, and in a transmission as `hardware_interface/NAME` or NAME."""
+    """NAME in `hardware_interface::NAME`; a transmission has `hardware_interface/NAME` or NAME."""
     quantity: Quantity
-    """What `command` of its handles is: what limits act on, and what drives the joint."""
+    """The quantity of the handles' `command`: the limits act on it, and it drives the joint."""
     phrase: str
-    """The quantity before a number."""
+    """The quantity before a number, in messages."""
     beside: tuple[str, ...] = ()
-    """The attributes of its handles that are commands beside `command`."""
+    """Further attributes of its handles that are commands."""
 
     @property
     def type_name(self) -> str:
-        """As controllers and the manager's services name it."""
+        """The name in controllers and in the services of the controller manager."""
         return f"hardware_interface::{self.name}"
 
     @property
     def written(self) -> str:
-        """As it is best written in a transmission."""
+        """The preferred name in a transmission."""
         return _PREFIX + self.name
 
 
@@ -48,7 +48,7 @@ POS_VEL_ACC = JointInterface(
 
 ALL = (EFFORT, POSITION, VELOCITY, POS_VEL, POS_VEL_ACC)
 KNOWN = ", ".join(interface.written for interface in ALL)
-"""What a transmission may ask for."""
+"""The names that a transmission may use, as one text."""
 
 
 def bare(written: str) -> str:
@@ -57,5 +57,5 @@ def bare(written: str) -> str:
 
 
 def find(written: str) -> JointInterface | None:
-    """The interface that a transmission asks for, with or without its prefix; None: simulated hardware has it not."""
+    """The interface of a transmission, with or without its prefix; None when simulated hardware does not have it."""
     return next((interface for interface in ALL if interface.name == bare(written)), None)

@@ -1,4 +1,4 @@
-"""The colours in which links are drawn: of Gazebo's materials, or of the materials of their visuals."""
+"""The colours of links in pictures: from Gazebo's materials, or from the materials of their visuals."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ Colour = tuple[float, float, float, float]
 """Red, green, blue and alpha, 0 to 1."""
 
 PLAIN: Colour = (0.7, 0.7, 0.7, 1.0)
-"""Of what has no colour."""
+"""The colour of a link without a material."""
 _GAZEBO = {
     "Red": (1.0, 0.0, 0.0), "Green": (0.0, 1.0, 0.0), "Blue": (0.0, 0.0, 1.0), "Yellow": (1.0, 1.0, 0.0),
     "Orange": (1.0, 0.5088, 0.0468), "Purple": (1.0, 0.0, 1.0), "Turquoise": (0.0, 1.0, 1.0), "White": (1.0, 1.0, 1.0),
@@ -18,12 +18,12 @@ _GAZEBO = {
 
 
 def of_link(link: Link) -> Colour:
-    """The one colour of a link."""
+    """The colour of a link as a whole."""
     return _of(link, link.visuals)
 
 
 def of_shape(link: Link, shape: Shape) -> Colour:
-    """The colour of a shape of a link. Gazebo's material of the link goes before that of the shape."""
+    """The colour of a shape of a link. Gazebo's material of the link overrides that of the shape."""
     return _of(link, (shape,))
 
 

@@ -1,6 +1,6 @@
-"""Where the file of a mesh is: `package://`, `model://`, `file://` and plain paths, absolute or relative.
+"""Finds the files of meshes: `package://`, `model://`, `file://` and plain paths, absolute or relative.
 
-Finds files and knows their kinds by suffix; meshes.py reads them.
+The kind of a file is known by its suffix; meshes.py reads the files.
 """
 
 from __future__ import annotations
@@ -18,24 +18,24 @@ _USABLE = "a path is relative to the robot's file, else it is absolute or begins
 
 
 class MissingMesh(BadFile):
-    """A mesh that collides is not there."""
+    """The mesh of a collision does not exist."""
 
 
 class UnknownMesh(BadFile):
-    """A mesh that collides is of a kind that is not read."""
+    """The mesh of a collision is of a kind that cannot be read."""
 
 
 class MeshFiles:
-    """Looks mesh files up; `base` is the folder of the robot's file, None when it came without one."""
+    """Finds mesh files. `base` is the folder of the robot's file, None when the robot is not from a file."""
 
     def __init__(self, packages: Packages, base: Path | None) -> None:
         self.packages = packages
         self.base = base
 
     def locate(self, uri: str, written_in: str) -> tuple[Path | None, str]:
-        """The file (absolute) or None, and in words why not. `written_in` is the file that names the mesh.
+        """The absolute path of the file and "", or None and the reason. `written_in` is the file that names the mesh.
 
-        Relative paths are looked up beside that file, and then beside the robot's own.
+        A relative path is looked up beside that file, then beside the robot's file.
         """
         path, why = file_reads.read(f"place of the mesh {uri}", lambda: self._look(uri.strip(), written_in))
         return Path(path) if path else None, why
@@ -52,7 +52,7 @@ class MeshFiles:
         return "", f"no such file; looked for {places}" if candidates else f"cannot be found: {_USABLE}"
 
     def expected(self, uri: str, written_in: str) -> Path | None:
-        """Where a file that is not there was looked for first; None where its package is not there either."""
+        """The first place where a missing file was looked for; None when its package is missing too."""
         try:
             return next(iter(self._candidates(uri.strip(), written_in)), None)
         except UnknownPackage:
@@ -77,7 +77,7 @@ class MeshFiles:
 
 
 class UnreadMeshes(MeshFiles):
-    """For whoever reads a robot for its joints alone: every mesh is taken to be there."""
+    """For readers that need only the joints of a robot: every mesh is assumed to exist."""
 
     def __init__(self) -> None:
         super().__init__(Packages(), None)

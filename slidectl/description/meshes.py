@@ -1,11 +1,11 @@
-"""Mesh files as triangles: STL (binary and text), OBJ and DAE, with numpy alone.
+"""Reads mesh files as triangles: STL (binary and text), OBJ and DAE, with numpy alone.
 
-trimesh takes a second to import, in each process that reads meshes. Files of others are read here, so all that a file
-can ask for has a bound. Nothing is fetched from elsewhere, and no material, texture or normal is read.
+trimesh takes a second to import, in each process that reads meshes. Mesh files may come from untrusted sources, so all
+sizes and counts are bounded. Nothing is downloaded, and materials, textures and normals are not read.
 
-Of a DAE (COLLADA) file the scene counts: geometries where its nodes put them. Units count, `<up_axis>` does not: Gazebo
-and RViz pay no heed to it, and robots are drawn for them. Nodes may be instanced again and again, so a file of 3 kB can
-ask for a million million of them: they are counted when visited.
+Of a DAE (COLLADA) file the scene counts: its nodes place the geometries. Units are applied; `<up_axis>` is ignored, as
+in Gazebo and RViz, for which robots are drawn. Nodes can be instanced repeatedly, so a file of 3 kB can describe 10^12
+of them: they are counted when visited.
 """
 
 from __future__ import annotations
@@ -31,34 +31,34 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _MOST_BYTES = 128 * 2**20
-"""Of a file in a binary format."""
+"""The largest file in a binary format, bytes."""
 _MOST_BYTES_OF_TEXT = 64 * 2**20
-"""Of a file in a text format, which takes several times its size in memory while it is read."""
+"""The largest file in a text format, bytes; reading takes several times its size in memory."""
 _MOST_FACES = 2_000_000
 _MOST_PARTS = 20_000
-"""Nodes of the scene with their transforms and instances, each counted as often as its node is instanced."""
+"""The most nodes of a scene with their transforms and instances; repeated instances count again."""
 _DEEPEST = 100
-"""Nodes within nodes."""
+"""The deepest nesting of nodes."""
 
 _TRANSFORMS = {"matrix": 16, "translate": 3, "rotate": 4, "scale": 3, "lookat": 9}
-"""The transforms of nodes, and how many numbers each has."""
+"""The transforms of nodes, each with its count of numbers."""
 _PRIMITIVES = ("triangles", "polylist", "polygons", "trifans", "tristrips")
 
 _STL_HEADER = 84
 _STL_FACET = 50
 _LONGEST_NUMBER = 64
-"""Bytes. numpy gives each text of an array the room of the longest."""
+"""The most bytes of a number: numpy stores each text of an array at the size of the longest."""
 _VERTEX = re.compile(rb"\bvertex\s+(\S{1,64})\s+(\S{1,64})\s+(\S{1,64})(?!\S)", re.IGNORECASE)
 _THINNEST = 1e-12
 _FARTHEST = 1e12
 _SMALLEST_BOX = 100 * LEAST
-"""m³. MuJoCo refuses hulls of less volume than LEAST."""
+"""m³. MuJoCo refuses convex hulls with a volume below LEAST."""
 FLAT = "it lies in one plane or is too small, and what is flat cannot collide; a thin <box> can"
-"""What is wrong with a mesh that collides and `is_flat`."""
+"""The message for a collision mesh that `is_flat`."""
 
 
 class BadMesh(BadFile):
-    """A mesh file that cannot be read, or that is over a bound; the message says which and over what."""
+    """A mesh file cannot be read or is over a bound; the message names the reason or the bound."""
 
     def __init__(self, message: str, path: str | Path) -> None:
         super().__init__(message, str(path))
@@ -68,13 +68,13 @@ class Triangles(NamedTuple):
     """A triangulated surface."""
 
     vertices: NDArray[np.float64]
-    """n x 3, m."""
+    """Positions (n, 3), m."""
     faces: NDArray[np.int32]
-    """m x 3, indices of vertices, counter-clockwise seen from outside."""
+    """Indices of vertices (m, 3), counter-clockwise seen from outside."""
 
 
 def load(path: str | Path, scale: Vector = (1.0, 1.0, 1.0)) -> Triangles:
-    """All triangles of a mesh file in one surface, in the file's own frame, times `scale`.
+    """Read all triangles of a mesh file as one surface, in the file's own frame, scaled by `scale`.
 
     Raises:
         BadMesh: of no known kind, unreadable, over a bound, or without a triangle.
@@ -106,24 +106,24 @@ def load(path: str | Path, scale: Vector = (1.0, 1.0, 1.0)) -> Triangles:
         raise BadMesh("the mesh has infinite coordinates", path)
     if np.abs(vertices).max() > _FARTHEST:
         raise BadMesh(f"the mesh has coordinates of more than {_FARTHEST:g} m", path)
-    # Mirroring turns triangles inside out; turn them back.
+    # Mirroring turns triangles inside out; reversing their corners corrects that.
     return Triangles(vertices, faces[:, ::-1].copy() if np.prod(scale) < 0 else faces)
 
 
 def is_flat(vertices: NDArray[np.float64]) -> bool:
-    """Whether points lie in a plane, but for the rounding of their numbers, or in a box of next to no volume.
+    """True when points lie in a plane (within rounding errors), or their bounding box has almost no volume.
 
-    The scale of an axis makes nothing flat: each axis is judged by its own length.
+    Each axis is scaled to its own length first, so that the scale of an axis makes nothing flat.
     """
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     with np.errstate(over="ignore"):
         if len(vertices) < 4 or float(np.prod(high - low)) < _SMALLEST_BOX:
             return True
-    # Halves, as the difference of two finite numbers need not be finite.
+    # Halves, because the difference of two finite numbers may overflow.
     spread = (vertices / 2 - low / 2) / (high / 2 - low / 2)
     centred = spread - spread.mean(axis=0)
-    # The singular values of the points are the roots of these eigenvalues, but for the rounding of a square: a body a
-    # millionth as thick as it is wide needs the exact way.
+    # The singular values of the points are the square roots of these eigenvalues, but squares lose digits: a body that
+    # is a million times wider than thick needs the exact method.
     spans = np.linalg.eigvalsh(np.dot(centred.T, centred))
     if spans[0] > 1e-10 * spans[2]:
         return False
@@ -132,13 +132,13 @@ def is_flat(vertices: NDArray[np.float64]) -> bool:
 
 
 def _check_faces(count: int, path: str | Path) -> None:
-    """Raises BadMesh when a mesh has more triangles than may be."""
+    """Raise BadMesh when a mesh has too many triangles."""
     if count > _MOST_FACES:
         raise BadMesh(f"the mesh has {count} triangles, and more than {_MOST_FACES} are refused", path)
 
 
 def _content(path: Path) -> bytes:
-    """All of a regular file of a size that may be. Never waits for one that is no file: a pipe, a device."""
+    """The content of a regular file within the size bound. Never waits for a pipe or a device."""
     try:
         size = os.stat(path).st_size
         content = read_regular(path, _MOST_BYTES) if size <= _MOST_BYTES else b""
@@ -146,7 +146,7 @@ def _content(path: Path) -> bytes:
         raise BadMesh("is no file: a mesh is not read from a folder, a pipe or a device", path) from None
     except (OSError, ValueError) as error:
         raise BadMesh(f"cannot read the mesh: {getattr(error, 'strerror', None) or error}", path) from None
-    # It may have grown, or lie about its size as those of /proc do.
+    # The file may have grown, or report a wrong size as files in /proc do.
     _check_size(max(size, len(content)), _MOST_BYTES, path)
     return content
 
@@ -157,7 +157,7 @@ def _check_size(size: int, most: int, path: Path) -> None:
 
 
 def _stl(content: bytes, path: Path) -> Triangles:
-    """Binary when the size is what the header says: the text form begins with `solid`, but so do some binary ones."""
+    """Read STL. It is binary when the size fits the header: some binary files begin with `solid` like the text form."""
     count = int.from_bytes(content[80:_STL_HEADER], "little") if len(content) >= _STL_HEADER else 0
     if count and len(content) == _STL_HEADER + _STL_FACET * count:
         _check_faces(count, path)
@@ -174,8 +174,8 @@ def _stl(content: bytes, path: Path) -> Triangles:
 
 
 def _merged(corners: NDArray[np.float64]) -> Triangles:
-    """Triangles from three corners each; corners at the same place become one vertex."""
-    # Equal to the bit: sorting rows as wholes takes a tenth of the time of np.unique(axis=0).
+    """Make triangles of three corners each; corners at the same place become one vertex."""
+    # Exact equality: comparing rows as wholes takes a tenth of the time of np.unique(axis=0).
     corners = np.ascontiguousarray(corners) + 0.0
     rows = corners.view([("x", "<f8"), ("y", "<f8"), ("z", "<f8")]).ravel()
     _, first, inverse = np.unique(rows, return_index=True, return_inverse=True)
@@ -183,7 +183,7 @@ def _merged(corners: NDArray[np.float64]) -> Triangles:
 
 
 def _obj(content: bytes, path: Path) -> Triangles:
-    """`v` and `f` lines; polygons are cut into fans. Negative numbers count back from the last vertex."""
+    """Read `v` and `f` lines; polygons are split into fans. Negative indices count back from the last vertex."""
     places: list[list[bytes]] = []
     faces: list[tuple[int, int, int]] = []
     for line in content.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines():
@@ -213,7 +213,7 @@ def _obj_index(word: bytes, count: int) -> int:
 
 
 def _used(vertices: NDArray[np.float64], faces: NDArray[np.int32], path: Path) -> Triangles:
-    """Only the vertices that a triangle has. Raises BadMesh for triangles with others than there are."""
+    """Remove vertices that no triangle uses. Raises BadMesh for triangles with indices out of range."""
     if faces.min() < 0 or faces.max() >= len(vertices):
         text = f"a triangle has the vertex {max(faces.max(), -faces.min())} of {len(vertices)}"
         raise BadMesh(f"cannot read the mesh: {text}", path)
@@ -229,14 +229,14 @@ def _dae(content: bytes, path: Path) -> Triangles:
     """All triangles of the file's scene, in metres.
 
     Raises:
-        BadMesh: no XML, no scene, over a bound. ValueError: numbers that are none.
+            BadMesh: not XML, no scene, or over a bound. ValueError: malformed numbers.
     """
     try:
         root = xml_tree.read(content, str(path), _MOST_BYTES_OF_TEXT)
     except BadFile as error:
         raise BadMesh(f"cannot read the mesh: {error.reason}", path) from None
     for element in root.walk():
-        element.tag = element.tag.rpartition(":")[2]  # without the prefix of a namespace
+        element.tag = element.tag.rpartition(":")[2]  # without a namespace prefix
     if root.tag != "COLLADA":
         raise BadMesh(f"cannot read the mesh: the outermost element is <{root.tag}>, expected <COLLADA>", path)
     return _Scene(root, path).triangles()
@@ -248,7 +248,7 @@ class _Scene:
         self.path = path
         self.by_id = {element.attributes["id"]: element for element in root.walk() if "id" in element.attributes}
         self.surfaces: dict[int, Triangles] = {}
-        """Of each geometry, by the identity of its element."""
+        """The surface of each geometry, by the id() of its element."""
         self.points_read = 0
 
     def triangles(self) -> Triangles:
@@ -272,7 +272,7 @@ class _Scene:
         return Triangles(np.concatenate(vertices) * self._metres(), np.concatenate(faces).astype(np.int32))
 
     def _metres(self) -> float:
-        """What one unit of the file is in metres."""
+        """The length of one unit of the file in metres."""
         unit = below(self.root, "asset", "unit")
         metres = float((unit.get("meter") if unit is not None else None) or 1.0)
         if not 0.0 < metres < math.inf:
@@ -280,7 +280,7 @@ class _Scene:
         return metres
 
     def _instances(self) -> Iterator[tuple[Element, NDArray[np.float64]]]:
-        """Each geometry of the scene, as often as it is there, with its place."""
+        """Each instance of a geometry in the scene, with its 4 x 4 placement."""
         count = 0
         waiting = [(node, np.eye(4), 0) for node in reversed(self._top_nodes())]
         while waiting:
@@ -312,7 +312,7 @@ class _Scene:
         return shown.find_all("node")
 
     def _geometry(self, instance: Element) -> Element:
-        """The geometry that is instanced; that of a skin or a morph as it is drawn at rest."""
+        """The instanced geometry; for a skin or a morph the geometry at rest."""
         target = self._target(instance, "url")
         for _ in range(_DEEPEST):
             if target.tag == "geometry":
@@ -344,7 +344,7 @@ class _Scene:
                     starts[id(source)] = total
                     vertices.append(self._points(source))
                     total += len(vertices[-1])
-                    # Many geometries may share one long list of points, and each would have a copy of it.
+                    # Many geometries may share one long list of points, and each makes its own copy.
                     self.points_read += len(vertices[-1])
                     if self.points_read > 3 * _MOST_FACES:
                         raise BadMesh(f"the mesh has more than {3 * _MOST_FACES} vertices", self.path)
@@ -364,7 +364,7 @@ class _Scene:
         return _used(np.concatenate(vertices), every, self.path) if len(every) else Triangles(np.zeros((0, 3)), every)
 
     def _positions(self, primitive: Element, inputs: list[Element]) -> tuple[Element, int]:
-        """The source of the positions of a primitive's corners, and where their indices are among those of a corner."""
+        """The source of a primitive's vertex positions, and the offset of their index within a corner's indices."""
         for entry in inputs:
             if entry.get("semantic") == "VERTEX":
                 for inner in self._target(entry, "source").find_all("input"):
@@ -389,7 +389,7 @@ class _Scene:
 
 
 def _corners(primitive: Element, offset: int, stride: int) -> NDArray[np.int64]:
-    """Triangles, as indices of positions; polygons are cut into fans, and their holes are filled."""
+    """The triangles as indices of positions (n, 3); polygons are split into fans, and their holes are filled."""
     kind = primitive.tag
     holed = [inner for outer in primitive.find_all("ph") for inner in outer.find_all("p")]
     rows = [np.zeros(0, np.int64)]
@@ -412,7 +412,7 @@ def _corners(primitive: Element, offset: int, stride: int) -> NDArray[np.int64]:
 
 
 def _fans(corners: NDArray[np.int64], sizes: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Each polygon of so many corners as triangles that all have its first. Raises ValueError: too few corners."""
+    """Split polygons of `sizes` corners into triangles around their first corners. Raises ValueError."""
     if len(sizes) and (sizes.min() < 0 or sizes.max() > len(corners) or sizes.sum() > len(corners)):
         raise ValueError(f"{len(sizes)} polygons have not the {len(corners)} corners that are there")
     counts = np.maximum(sizes - 2, 0)
@@ -430,7 +430,7 @@ def _integers(element: Element) -> NDArray[np.int64]:
 
 
 def _transform(element: Element) -> NDArray[np.float64] | None:
-    """The 4 x 4 matrix of a node's transform; None of other elements. Raises ValueError for numbers too few or many."""
+    """The 4 x 4 matrix of a node's transform; None for other elements. Raises ValueError: wrong count of numbers."""
     kind = element.tag
     if kind not in _TRANSFORMS:
         return None
@@ -446,7 +446,7 @@ def _transform(element: Element) -> NDArray[np.float64] | None:
     if kind == "translate":
         placed[:3, 3] = numbers
     elif kind == "rotate":
-        # About an axis by an angle in degrees: the formula of Rodrigues.
+        # Rotation about an axis by an angle in degrees (Rodrigues' formula).
         length = float(np.linalg.norm(numbers[:3]))
         if length > 0.0:
             x, y, z = numbers[:3] / length
@@ -454,7 +454,7 @@ def _transform(element: Element) -> NDArray[np.float64] | None:
             angle = math.radians(numbers[3])
             placed[:3, :3] += math.sin(angle) * cross + (1.0 - math.cos(angle)) * (cross @ cross)
     else:
-        # An eye, where it looks (-z) and what is up (y).
+        # The eye point, the point that it looks at (-z), and the up direction (y).
         eye, interest, up = numbers.reshape(3, 3)
         back = eye - interest
         side = np.cross(up, back)

@@ -1,8 +1,8 @@
-"""What the user's files name and is not there, gathered by all who read them, and told in one list.
+"""Collects things that the user's files name and that do not exist, and reports them in one list.
 
-Packages, included files, files of parameters, programs, meshes, hardware and controllers. Whoever meets such a thing
-notes it, leaves out what needs it, and reads on. Where nothing has been started yet, `refuse` ends the work with all
-that was noted, unless the user wants to go on without.
+These are packages, included files, parameter files, programs, meshes, hardware and controllers. A reader that finds one
+missing notes it, leaves out what needs it, and reads on. Before anything is started, `refuse` raises an error with all
+that was noted, unless the user wants to go on without them.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from typing import Literal
 from slidectl.errors import NotThere
 
 Forgiven = Literal["nothing", "nodes", "all"]
-"""What is left out without ending the work: `nodes` is --skip-unknown, `all` is --keep-going."""
+"""What may be left out without an error: `nodes` is --skip-unknown, `all` is --keep-going."""
 
 TO_GO_ON = "--keep-going leaves out what is not there"
 
 
 @dataclass(frozen=True)
 class Absence:
-    """One thing that is not there. `loss` is what is left out for it; empty when that is told elsewhere."""
+    """One missing thing. `loss` says what is left out because of it; it is empty when another notice says so."""
 
     error: NotThere
     loss: str
@@ -28,13 +28,13 @@ class Absence:
 
     @property
     def text(self) -> str:
-        """On one line, with file and line."""
+        """The absence on one line, with file and line."""
         first = str(self.error.message).partition("\n")[0]
         return f"{first.removesuffix('.')}; {self.loss}" if self.loss else first
 
 
 class Missing:
-    """The absences of one launch, spawn or check, in the order in which they were met; each stands once."""
+    """The absences of one launch, spawn or check, in the order of reading; each is kept once."""
 
     def __init__(self, forgiven: Forgiven = "nothing") -> None:
         self.forgiven = forgiven
@@ -49,11 +49,11 @@ class Missing:
 
     @property
     def keeps_going(self) -> bool:
-        """Whether everything that is not there is left out."""
+        """True when everything that is missing is left out."""
         return self.forgiven == "all"
 
     def note(self, error: NotThere, loss: str = "", is_node: bool = False) -> None:
-        """Take one in; a second mention of the same thing at the same place may only say what is left out for it."""
+        """Add an absence. A second one with the same message only adds its `loss`, if the first has none."""
         key = str(error.message)
         known = self._found.get(key)
         if known is None:
@@ -62,14 +62,14 @@ class Missing:
             self._found[key] = replace(known, loss=loss, is_node=is_node)
 
     def forgives(self, absence: Absence) -> bool:
-        """Whether the work goes on without it."""
+        """True when an absence is no error."""
         return self.keeps_going or (self.forgiven == "nodes" and absence.is_node)
 
     def refuse(self) -> None:
-        """End the work when something is not there that is not forgiven.
+        """Raise an error when something is missing that may not be left out.
 
         Raises:
-            NotThere: the first absence, with the others in its hint.
+            NotThere: the first absence; its hint lists the others.
         """
         found: dict[str, Absence] = {}
         for absence in self.found:
@@ -85,5 +85,5 @@ class Missing:
         raise NotThere(error.reason, error.file, error.line, "\n".join([*lines, TO_GO_ON]), error.thing)
 
     def lines(self) -> list[str]:
-        """What was left out, for a list: `file:line: what is not there; what is left out for it`."""
+        """The things that are left out, each as `file:line: what is missing; what is left out because of it`."""
         return [absence.text for absence in self.found if self.forgives(absence)]

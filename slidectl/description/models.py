@@ -1,6 +1,6 @@
-"""What the user calls a model, as a text with a name.
+"""Reads the text of a model: from a file, a shipped model's name, standard input, or the text itself.
 
-A file, a shipped model's name, standard input, or the text itself. Nothing is expanded or parsed here.
+Nothing is expanded or parsed here.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ SUFFIXES = (".xacro", ".urdf", ".xml")
 
 @dataclass(frozen=True)
 class ModelText:
-    """The raw text of a model; `path` is None when it came without a file."""
+    """The raw text of a model; `path` is None when it is not from a file."""
 
     text: bytes | str
     file: str
@@ -30,7 +30,7 @@ class ModelText:
 
 
 def read(source: str | Path) -> ModelText:
-    """The text that `source` means.
+    """Read the text that `source` means.
 
     Raises:
         BadFile: no such file, or one that cannot be read. UnknownName: no shipped model of that name.
@@ -44,10 +44,10 @@ def read(source: str | Path) -> ModelText:
 
 
 def read_file(path: Path, *, pipes: bool = False) -> bytes:
-    """The bytes of a user's file, or the first of too many. `pipes` as for read_regular.
+    """Read a user's file, at most MOST_BYTES + 1 bytes. `pipes` is as in read_regular.
 
     Raises:
-        NotThere: missing. BadFile: a folder, no regular file, or not readable.
+            NotThere: missing. BadFile: a folder, not a regular file, or not readable.
     """
     try:
         return read_regular(path, MOST_BYTES, pipes=pipes)
@@ -60,17 +60,17 @@ def read_file(path: Path, *, pipes: bool = False) -> bytes:
 
 
 def read_regular(path: Path, most_bytes: int, *, pipes: bool = False) -> bytes:
-    """The bytes of a file, or one more than `most_bytes` of them.
+    """Read a file, at most `most_bytes` + 1 bytes.
 
-    Only regular files are read: a FIFO, a socket or a device may never end, or never begin. With `pipes` a FIFO is
-    read too, which is for files that the user names himself: a shell makes one of `<(xacro robot.xacro)`.
+    Only regular files are read: a FIFO, a socket or a device may block or never end. With `pipes` a FIFO is read too.
+    Use that only for files that the user names: a shell makes a FIFO for `<(xacro robot.xacro)`.
 
     Raises:
-        BadFile: it is none. OSError, ValueError: it is a folder, or cannot be read.
+        BadFile: not a regular file. OSError, ValueError: a folder, or not readable.
     """
     is_pipe = pipes and stat.S_ISFIFO(os.stat(path).st_mode)
     _check_kind(path, os.stat(path).st_mode, is_pipe)
-    # Without O_NONBLOCK the open itself would wait for a writer, if a FIFO has come into the file's place by now.
+    # Without O_NONBLOCK the open would wait for a writer, if a FIFO has replaced the file since the check.
     descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | (0 if is_pipe else os.O_NONBLOCK))
     with open(descriptor, "rb") as stream:
         _check_kind(path, os.fstat(descriptor).st_mode, is_pipe)
@@ -78,20 +78,20 @@ def read_regular(path: Path, most_bytes: int, *, pipes: bool = False) -> bytes:
 
 
 def _check_kind(path: Path, mode: int, is_pipe: bool) -> None:
-    """Raises BadFile unless it is a regular file, or a pipe that may be; of a folder IsADirectoryError."""
+    """Raise BadFile unless it is a regular file, or a pipe that is allowed; IsADirectoryError for a folder."""
     if stat.S_ISREG(mode) or (is_pipe and stat.S_ISFIFO(mode)):
         return
-    if stat.S_ISDIR(mode):  # `open` would say so too, and leave the descriptor open
+    if stat.S_ISDIR(mode):  # `open` would raise this too, but leave the descriptor open
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     kind = "a pipe" if stat.S_ISFIFO(mode) else "a socket" if stat.S_ISSOCK(mode) else "a device"
     raise BadFile(f"is {kind}, and only regular files are read", str(path))
 
 
 def find(source: str | Path) -> Path:
-    """The file of a model: a bare name means a shipped one, anything else is a path.
+    """The file of a model: a bare name means a shipped model, anything else is a path.
 
     Raises:
-        UnknownName: a bare name that is neither shipped nor a file here.
+            UnknownName: a bare name that is neither a shipped model nor a file.
     """
     text = os.fspath(source)
     known = shipped()
@@ -104,7 +104,7 @@ def find(source: str | Path) -> Path:
 
 
 def looks_like_path(text: str) -> bool:
-    """True for what can only be meant as a file."""
+    """True for a text that can only be a path."""
     return "/" in text or os.sep in text or text.startswith(("~", ".")) or text.lower().endswith(SUFFIXES)
 
 

@@ -1,8 +1,8 @@
-"""Where a ROS package's folder is: `$(find NAME)` and `package://NAME/...`.
+"""Finds the folders of ROS packages, for `$(find NAME)` and `package://NAME/...`.
 
-Given names first, then the folders of SLIDECTL_PACKAGE_PATH and ROS_PACKAGE_PATH, then upwards from the file that asks
-and from the working folder, in a workspace's `src` too, and last the packages that are shipped: samples, and
-counterparts of some that else come with ROS. No ROS installation is consulted beyond that.
+The order: given names; folders of SLIDECTL_PACKAGE_PATH and ROS_PACKAGE_PATH; upwards from the file that asks and from
+the working folder, including the `src` of a workspace; last the shipped packages (samples, and counterparts of some
+packages of ROS). No ROS installation is used beyond that.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ _DEEPEST = 8
 _VARIABLES = ("SLIDECTL_PACKAGE_PATH", "ROS_PACKAGE_PATH")
 _LEAVE_OUT = ("CATKIN_IGNORE", "AMENT_IGNORE", "COLCON_IGNORE", "rospack_nosubdirs")
 _MARKS = ("package.xml", "manifest.xml")
-"""Files that make a folder a package; the second one is of packages from before catkin."""
+"""Files that make a folder a package; packages from before catkin have the second one."""
 
 
 class UnknownPackage(UnknownName):
-    """No package of that name; the hint says where was looked."""
+    """No package has that name; the hint lists where it was looked for."""
 
     def __init__(self, name: str, known: list[str], looked: list[str]) -> None:
         super().__init__("package", name, known)
@@ -39,10 +39,10 @@ class Packages:
         self.starts = (Path(start).absolute(),) if start is not None else ()
         self._found: dict[Path, dict[str, Path]] = {}
         self.own: dict[str, Path] = {}
-        """The user's packages that were found in the place of shipped ones; shared by all that start elsewhere."""
+        """The user's packages that are used instead of shipped ones; shared with the copies of `starting_at`."""
 
     def starting_at(self, folder: str | Path) -> Packages:
-        """The same lookup, walking upwards from `folder`, and then from where this one does."""
+        """The same lookup, which walks upwards from `folder` first, and then from the present folders."""
         other = Packages(self.named)
         other.starts = tuple(dict.fromkeys((Path(folder).absolute(), *self.starts)))
         other._found, other.own = self._found, self.own
@@ -52,7 +52,7 @@ class Packages:
         """The folder of the package, absolute.
 
         Raises:
-            UnknownPackage: nowhere; the message lists where it looked.
+                UnknownPackage: not found; the hint lists where it was looked for.
         """
         found = self.candidates(name)
         if found:
@@ -61,14 +61,14 @@ class Packages:
         raise UnknownPackage(name, [*self.names(), *self._shipped()], self._looked())
 
     def note_own(self, name: str, folder: Path) -> None:
-        """Remember that the package of this folder is used, when a shipped one has the name, too."""
+        """Record that a folder is used as the package if a shipped package has the same name."""
         if folder != self._shipped().get(name, folder):
             self.own[name] = folder
 
     def candidates(self, name: str) -> list[Path]:
-        """All folders that could be the package; `find` takes the first.
+        """All folders that may be the package, in order; `find` takes the first.
 
-        A list: an interrupt is lost in a generator that is closed before its end.
+        It returns a list, because an interrupt is lost in a generator that is closed before its end.
         """
         below = [self._packages_below(folder) for folder in self._search_path()]
         found = [packages[name] for packages in (self.named, *below) if name in packages]
@@ -76,7 +76,7 @@ class Packages:
         return found + [shipped for known, shipped in self._shipped().items() if known == name]
 
     def names(self) -> list[str]:
-        """The names of all packages that can be found without walking upwards."""
+        """The names of all packages that are found without walking upwards."""
         below = (name for folder in self._search_path() for name in self._packages_below(folder))
         return sorted({*self.named, *below})
 
@@ -96,7 +96,7 @@ class Packages:
         return self._packages_below(paths.share("launch"))
 
     def _above(self, name: str, start: Path) -> Iterator[Path]:
-        """The package that holds the starting folder, or one beside a folder above it."""
+        """Folders at or above `start` that are the package, and packages beside these folders."""
         for folder in (start, *start.parents):
             if folder.name == name or (_is_package(folder) and package_name(folder) == name):
                 yield folder
@@ -127,15 +127,15 @@ def _folder(path: str | Path) -> Path:
 
 
 def is_file(path: Path) -> bool:
-    """Whether a file is there that we may see; no name, however odd, is an error."""
+    """True when a file exists and is accessible. No path raises an error."""
     try:
         return path.is_file()
-    except (OSError, ValueError):  # in a folder that we may not enter, too long, or holding a null character
+    except (OSError, ValueError):  # a folder without access, a path that is too long, or a null character
         return False
 
 
 def shown(path: str | Path) -> str:
-    """A file's name in messages: relative when it lies below the working folder."""
+    """The name of a file in messages: relative when it is below the working folder."""
     absolute = Path(os.path.abspath(path))
     try:
         return str(absolute.relative_to(Path.cwd()))
@@ -148,7 +148,7 @@ def _is_package(folder: Path) -> bool:
 
 
 def _crawl(top: Path) -> Iterator[Path]:
-    """The package folders below `top`; a package's own subfolders are not searched, as rospack does."""
+    """The package folders below `top`; as in rospack, folders inside a package are not searched."""
     for folder, names, files in os.walk(top, followlinks=True):
         depth = len(Path(folder).relative_to(top).parts)
         if any(mark in files for mark in _MARKS):

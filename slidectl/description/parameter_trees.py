@@ -1,4 +1,4 @@
-"""Trees of parameters: mappings in mappings. Slashes part the names of a path; lists and empty mappings are values."""
+"""Trees of parameters: nested mappings. Slashes separate the names of a path; lists and empty mappings are values."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ Tree = dict[str, Any]
 
 
 def nest(path: str, value: Any) -> Any:
-    """`value` below the names of `path`, which slashes part; under an empty path, the value itself."""
+    """Put `value` below the names of `path`; for an empty path return the value itself."""
     for name in reversed([part for part in path.split("/") if part]):
         value = {name: value}
     return value

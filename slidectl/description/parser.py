@@ -1,8 +1,8 @@
-"""URDF text into a Robot: links, joints, materials, how they hang together, and what they weigh.
+"""Parses URDF text into a Robot: links, joints, materials, the tree of links, and the masses.
 
-Rules of urdfdom for what is mandatory, of sdformat for limits the wrong way round. Safe for texts from anybody: nothing
-is evaluated, fetched or written. What has no effect is in the robot's report. `<transmission>` is transmissions.py,
-`<gazebo>` gazebo_tags.py, masses and inertias rigid_bodies.py.
+urdfdom's rules say what is mandatory, sdformat's what swapped limits mean. Texts may come from untrusted sources:
+nothing is evaluated, downloaded or written. The robot's report lists what has no effect. `<transmission>` is in
+transmissions.py, `<gazebo>` in gazebo_tags.py, masses and inertias are in rigid_bodies.py.
 """
 
 from __future__ import annotations
@@ -45,10 +45,10 @@ from slidectl.description.xml_tree import Element
 from slidectl.errors import listing
 
 DEEPEST = 1000
-"""Joints between the root and a link. MuJoCo takes a few more, and looks at a longer chain for minutes to refuse it."""
+"""The most joints between the root and a link. MuJoCo allows a few more, and takes minutes to refuse a longer chain."""
 TOO_DEEP = f"its child hangs more than {DEEPEST} joints below the root"
 STARTS_OUTSIDE = "the joint starts at 0, outside of its limits"
-"""How the notice of such a joint begins: whoever puts it elsewhere at once need not hear of it."""
+"""The beginning of the notice for such a joint. A caller that spawns the joint at another position may drop it."""
 
 _CHILDREN = {"link", "joint", "material", "transmission", "gazebo"}
 _GEOMETRIES = {"box": ("size",), "cylinder": ("radius", "length"), "sphere": ("radius",), "mesh": ("filename", "scale")}
@@ -66,11 +66,11 @@ def parse(
     base: Path | None = None,
     strict: bool = False,
 ) -> Robot:
-    """The robot that a URDF text describes.
+    """Parse the robot that a URDF text describes.
 
-    `file` is the name in messages, unless the text carries a note of its sources. `packages` and `base` (the folder
-    for relative paths) find meshes. Impossible masses and inertias, and shapes without a size, are mended or left out,
-    with a notice; `strict` refuses them.
+    `file` is its name in messages, unless the text has a note of its sources. `packages` and `base` (the folder for
+    relative paths) find meshes. Impossible masses and inertias are corrected, and shapes without a size are left out,
+    each with a notice; `strict` refuses them.
 
     Raises:
         BadFile: with file and line, and the link or joint by name.
@@ -79,10 +79,10 @@ def parse(
 
 
 def parse_tree(root: Element, meshes: MeshFiles, report: Report, strict: bool = False) -> Robot:
-    """The robot of a tree of elements; what becomes of them is written into `report` on the way.
+    """Parse a tree of elements; notices are added to `report`.
 
     Raises:
-        BadFile: as parse. Where the report takes faults in, they are all in there, and this is the first.
+        BadFile: as parse. If the report collects faults, it has them all, and this is the first.
     """
     if root.tag != "robot":
         raise root.error(f"the outermost element is <{root.tag}>, expected <robot>")
@@ -94,7 +94,7 @@ def parse_tree(root: Element, meshes: MeshFiles, report: Report, strict: bool = 
     joint_reader = _JointReader(report)
     links, link_at = _named(root, "link", link_reader.read, report)
     joints, joint_at = _named(root, "joint", joint_reader.read, report)
-    # With a part that cannot be read there are gaps: how the rest hangs together would be judged wrongly.
+    # If a part cannot be read, the tree has gaps, and checks of the structure would report errors that are none.
     is_whole = len(links) == len(root.find_all("link")) and len(joints) == len(root.find_all("joint"))
     structure = _Structure(links, joints, link_at, joint_at, report)
     base = structure.check(root) if is_whole else None
@@ -121,7 +121,7 @@ def parse_tree(root: Element, meshes: MeshFiles, report: Report, strict: bool = 
     reader = TransmissionReader(report, joints, is_whole, is_real)
     read = (report.attempt(reader.read, element) for element in root.find_all("transmission"))
     transmissions = tuple(info for info in read if info is not None)
-    # A position joint goes to its command, which is bounded by the limits, in the first steps.
+    # A position joint moves to its command, which the limits bound, in the first steps.
     moved = {joint.name for _, joint in driving(transmissions) if takes_positions(joint)}
     for joint in joints.values():
         limit = joint.limit if joint.type in _WITH_RANGE and joint.name not in moved else None
@@ -138,7 +138,7 @@ def parse_tree(root: Element, meshes: MeshFiles, report: Report, strict: bool = 
 def _named(
     root: Element, tag: str, read: Callable[[Element], Any], report: Report
 ) -> tuple[dict[str, Any], dict[str, Element]]:
-    """The parts that can be read by name, and their elements by name."""
+    """Read the elements `tag`. Returns the readable parts and their elements by name."""
     parts: dict[str, Any] = {}
     places: dict[str, Element] = {}
 
@@ -156,19 +156,19 @@ def _named(
 
 
 def _end(joint: Element, tag: str) -> str:
-    """A link of a joint, empty where it does not say which."""
+    """The name of the parent or child link of a joint; empty when it is missing."""
     element = joint.find(tag)
     return (element.get("link") or "") if element is not None else ""
 
 
 def place_of_limit(joint: str) -> str:
-    """The subject of notices on a joint's range."""
+    """The subject of notices about a joint's range."""
     return f"joint {joint!r}/<limit>"
 
 
 def is_put_inside(subject: str, text: str, joints: Collection[str]) -> bool:
-    """Whether a notice says that a joint starts outside of its limits, and it is one of those that were put elsewhere,
-    which is inside: all else is refused."""
+    """True for the notice that one of `joints` starts outside of its limits. These joints are spawned at positions in
+    their limits, as other positions are refused."""
     return text.startswith(STARTS_OUTSIDE) and subject in map(place_of_limit, joints)
 
 
@@ -185,8 +185,8 @@ def _origin(report: Report, element: Element, owner: str) -> Pose:
 class _LinkReader:
     """Reads `<link>` and `<material>` elements of one robot. `strict` refuses shapes without a size.
 
-    As in urdfdom, a visual that names a material without defining it means the global one, and a definition inside a
-    visual becomes global when there is none of that name yet.
+    As in urdfdom, a visual that names a material without defining it uses the global one, and a definition inside a
+    visual becomes global if there is none of that name yet.
     """
 
     def __init__(self, report: Report, meshes: MeshFiles, strict: bool) -> None:
@@ -228,7 +228,7 @@ class _LinkReader:
         return tuple(shape for shape in shapes if shape is not None)
 
     def _shape(self, element: Element, owner: str) -> Shape | None:
-        """A visual or a collision; None when it has no size."""
+        """Read a visual or a collision; None when it has no size."""
         is_visual = element.tag == "visual"
         known = {"origin", "geometry", "material"} if is_visual else {"origin", "geometry"}
         self.report.unknown(element, {"name"}, known, f"{owner}/<{element.tag}>")
@@ -243,7 +243,7 @@ class _LinkReader:
         return Shape(geometry, origin, element.get("name"), material, element.line, element.file)
 
     def _leave_out(self, element: Element, owner: str, why: str) -> None:
-        """Report a shape without a size, or refuse it."""
+        """Report a shape without a size, or raise BadFile."""
         if self.strict:
             raise element.error(f"{owner}: {why}")
         self.report.converted(element, f"{why}; the shape is left out", f"{owner}/{element.title}")
@@ -272,7 +272,7 @@ class _LinkReader:
                 raise shape.error(f"{owner}: edges of a <box> must be above 0, not {shape.get('size')!r}")
         else:
             sizes = tuple(element_values.not_negative(shape, name, owner) for name in attributes)
-        # The physics takes half lengths, and half of the smallest number is 0.
+        # The physics uses half lengths, and half of the smallest float is 0.
         if min(sizes) / 2 == 0.0:
             written = ", ".join(f"{name} {shape.get(name)!r}" for name in attributes)
             self._leave_out(shape, owner, f"<{shape.tag}> with {written} has no volume")
@@ -282,7 +282,7 @@ class _LinkReader:
         return Sphere(sizes[0]) if shape.tag == "sphere" else Cylinder(sizes[0], sizes[1])
 
     def _mesh(self, shape: Element, owner: str, needed: bool) -> Mesh | None:
-        """A mesh. One that is only looked at may be missing (it moves nothing); one that collides may not."""
+        """Read a mesh. The file of a visual may be missing (it does not affect motion), that of a collision may not."""
         filename = shape.get("filename")
         if filename is not None and not filename.strip():
             self._leave_out(shape, owner, "attribute 'filename' of <mesh> is empty")
@@ -303,7 +303,7 @@ class _LinkReader:
         return Mesh(uri, str(path) if path is not None else None, scale)
 
     def global_material(self, element: Element) -> Material:
-        """Take in a `<material>` child of `<robot>`."""
+        """Read a `<material>` child of `<robot>`."""
         material = self._material(element, element_values.required(element, "name", "material"))
         if material.name in self.materials:
             self.report.wrong(element, "is defined twice; the first one counts")
@@ -380,7 +380,7 @@ class _JointReader:
         )
 
     def _part(self, element: Element, tag: str, read: Callable[..., Any], *values: Any) -> Any:
-        """What is read of the child of that name; None when there is none."""
+        """Read the child `tag` by calling `read`; None when there is no such child."""
         child = self.report.only(element, tag)
         return None if child is None else self.report.attempt(read, child, *values)
 
@@ -404,7 +404,7 @@ class _JointReader:
         if not 0.0 < length < math.inf:
             raise axis.error(f"{owner}: <axis> is {axis.get('xyz')!r}, which is no direction")
         if abs(length - 1.0) <= 1e-9:
-            # Left as written: dividing by a length that is 1 but for its rounding would only move the last digit.
+            # Left as written: if the length is 1 within rounding errors, dividing would only change the last digit.
             return x, y, z
         self.report.converted(axis, f"made a unit vector; its length is {length:g}", f"{owner}/<axis>")
         return x / length, y / length, z / length
@@ -475,11 +475,11 @@ class _JointReader:
         )
 
 
-# --- how they hang together -------------------------------------------------------------------------------------------
+# --- the tree of links ------------------------------------------------------------------------------------------------
 
 
 class _Structure:
-    """The links and joints of one robot, and the elements that they were read from. Linear in the size."""
+    """Checks the links and joints of one robot, and knows their elements. Takes time linear in the size."""
 
     def __init__(
         self,
@@ -497,10 +497,10 @@ class _Structure:
         self.above: dict[str, Joint] = {}
 
     def check(self, robot: Element) -> str | None:
-        """The name of the root link; None where the report takes it in that there is none.
+        """Check the structure. Returns the name of the root link; None when the report has collected an error.
 
         Raises:
-            BadFile: the links form no tree, a mimic joint follows nobody, or a chain of joints is too long.
+            BadFile: the links are no tree, a mimic joint follows a missing joint, or a chain of joints is too long.
         """
         if not self.links:
             raise robot.error("the robot has no link")
@@ -514,7 +514,7 @@ class _Structure:
         return root
 
     def _take(self, element: Element) -> bool:
-        """Put a joint into the tree."""
+        """Add a joint to the tree."""
         joint = self.joints[element.attributes["name"]]
         for role, name in (("parent", joint.parent), ("child", joint.child)):
             if name not in self.links:
@@ -537,7 +537,7 @@ class _Structure:
         return roots[0]
 
     def _check_way_up(self, link: str, clear: set[str]) -> None:
-        """From `link` upwards there is an end. `clear` holds the links of which that is known."""
+        """Raise BadFile for a loop above `link`. `clear` holds the links that are known to have no loop above them."""
         way: dict[str, Joint] = {}
         while link in self.above and link not in clear:
             if link in way:
@@ -548,7 +548,7 @@ class _Structure:
         clear.update(way)
 
     def check_mimic(self, element: Element) -> bool:
-        """Whether the joint of this element follows one that it can follow. Raises BadFile."""
+        """Check that the mimic joint of this element follows an existing joint that moves. Raises BadFile."""
         joint = self.joints[element.attributes["name"]]
         if joint.mimic is None:
             return True
@@ -569,7 +569,7 @@ class _Structure:
 
 
 def too_deep(root: str, joints: Mapping[str, Joint]) -> Joint | None:
-    """A joint whose child hangs too far below the root for the simulation, or None."""
+    """A joint whose child is more than DEEPEST joints below the root, or None."""
     below: dict[str, list[Joint]] = {}
     for joint in joints.values():
         below.setdefault(joint.parent, []).append(joint)

@@ -1,6 +1,6 @@
 """The report of a robot description: one notice for each thing that is converted, ignored or wrong.
 
-Parsers of elements write into a Report while they read. It only collects: what is an error is raised by them.
+Readers of elements write into a Report while they read. It only collects; readers raise errors themselves.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from slidectl.errors import BadFile, closest
 MOST_NOTICES = 1000
 _MOST_COMPARED = 1000
 
-# Tags of neighbouring formats, with what does the same here.
+# Tags of related formats, with the tag that replaces them here.
 _FOREIGN = {
     "ros2_control": "it is ROS 2's; here joints are driven by <transmission>s",
     "plugin": "it belongs into a <gazebo> without a reference",
@@ -26,7 +26,7 @@ _FOREIGN = {
 
 
 def needs_telling(verdict: str, subject: str) -> bool:
-    """Whether a notice is told in full at spawn: what is wrong, and masses and inertias that were mended."""
+    """True for a notice that `spawn` prints in full: "wrong", or a corrected mass or inertia."""
     return verdict == "wrong" or (verdict == "converted" and "/<inertial>" in subject)
 
 
@@ -35,7 +35,7 @@ class Report:
 
     def __init__(self) -> None:
         self.faults: list[BadFile] = []
-        """Errors that `attempt` has taken in; here there are none."""
+        """Errors that `attempt` has caught; always empty in this class."""
         self._notices: list[Notice] = []
         self._untold = 0
         self._compared = 0
@@ -46,20 +46,20 @@ class Report:
         element: Element,
         text: str,
         subject: str | None = None,
-        attribute: str | None = None,  # noqa: ARG002 - for a report that follows attributes one by one
+        attribute: str | None = None,  # noqa: ARG002 - for a subclass that traces single attributes
     ) -> None:
-        """One line about `element`, or about one `attribute` of it; `subject` replaces the element's own tag."""
+        """Add a notice about `element`, or about one `attribute` of it; `subject` replaces the element's title."""
         if len(self._notices) < MOST_NOTICES:
             self._notices.append(Notice(verdict, subject or element.title, text, element.file, element.line))
         else:
             self._untold += 1
 
     def attempt(self, read: Callable[..., Any], element: Element, *values: Any) -> Any:
-        """What `read` gives for an element. A check takes its BadFile in and gets None; here it is raised."""
+        """Call `read` for an element and return its result. A check catches its BadFile and returns None."""
         return read(element, *values)
 
     def notices(self, root: Element) -> tuple[Notice, ...]:
-        """All of them; of a hopeless file, the first ones and how many more there are."""
+        """All notices up to MOST_NOTICES; one more tells how many are left out."""
         if not self._untold:
             return tuple(self._notices)
         text = f"{self._untold} more notices are left out"
@@ -89,15 +89,15 @@ class Report:
                 self.ignored(child, f"is unknown here and has no effect{hint}", f"{place}/{child.title}")
 
     def meant(self, name: str, known: Iterable[str], form: str = "{!r}") -> str:
-        """`; did you mean ...?` with the known name nearest to one, or nothing.
+        """`; did you mean ...?` with the known name closest to `name`, or an empty text.
 
-        Comparing spellings takes its time: it is done for so many names of one file, and with so many known ones.
+        Comparing is slow, so only a limited number of names per file is compared, with a limited number of known names.
         """
         self._compared += 1
         return did_you_mean(name, islice(known, _MOST_COMPARED), form) if self._compared <= _MOST_COMPARED else ""
 
     def only(self, element: Element, tag: str) -> Element | None:
-        """The first child called `tag`, or None; each further one is reported as ignored, as urdfdom reads it."""
+        """The first child called `tag`, or None; as in urdfdom, each further one is reported as ignored."""
         found = element.find_all(tag)
         for extra in found[1:]:
             self.ignored(
@@ -107,18 +107,18 @@ class Report:
 
 
 def is_namespace(attribute: str) -> bool:
-    """True for the attribute that only names an XML namespace."""
+    """True for an attribute that declares an XML namespace."""
     return attribute == "xmlns" or attribute.startswith("xmlns:")
 
 
 def did_you_mean(name: str, known: Iterable[str], form: str = "{!r}") -> str:
-    """`; did you mean ...?` with the known name that is nearest in spelling, or nothing."""
+    """`; did you mean ...?` with the known name closest in spelling, or an empty text."""
     near = closest(name, known)
     return f"; did you mean {form.format(near)}?" if near else ""
 
 
 def one_line(text: str) -> str:
-    """A message and its hints on one line: a semicolon between what no full stop or question mark ends."""
+    """A message and its hints on one line, joined by semicolons where no full stop or question mark ends a line."""
     first, *more = (line.strip() for line in text.splitlines() or [""])
     for line in more:
         first += line and (f" {line}" if first.endswith((".", "?", "!")) else f"; {line}")

@@ -1,8 +1,8 @@
-"""Links that fixed joints hold together, and what they weigh as one body.
+"""Combines links that fixed joints connect into one body, and checks and corrects its mass and inertia.
 
-Gazebo lumps such links before it judges their inertia, and so does this: a link on a fixed joint may weigh nothing, or
-have an inertia that no body has, as long as the whole can be simulated. A body that cannot is mended, with a notice.
-What a body can weigh is inertia.py's; how joints join bodies is parser.py's.
+As in Gazebo, a link on a fixed joint may have no mass, or an impossible inertia, as long as the whole body can be
+simulated. Other bodies are corrected, with a notice.
+inertia.py knows which masses and inertias are possible; parser.py checks the tree of links.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from slidectl.rotations import Matrix, from_rpy, matrix
 WORLD = "world"
 
 LARGEST = 1e300
-"""kg, kg·m² and m. Sums and products of what a whole body weighs stay finite up to here."""
+"""kg, kg·m² and m. Up to here, sums and products for a whole body stay finite."""
 
 _MOMENTS = "ixx ixy ixz iyy iyz izz"
 
 
 @dataclass(frozen=True)
 class RigidBody:
-    """Links that move as one."""
+    """Links that fixed joints connect."""
 
     links: tuple[str, ...]
-    """The head first, on whose parent joint the others depend; each link behind its parent."""
+    """The head first, then each link after its parent. The head is the only link whose parent joint is not fixed."""
     mover: Joint | None
-    """The joint that moves the head; None at the root."""
+    """The joint that moves the head; None for the root body."""
 
     @property
     def head(self) -> str:
@@ -41,15 +41,15 @@ class RigidBody:
 
     @property
     def moves(self) -> bool:
-        """False for what is fixed to the world."""
+        """False for a body that is fixed to the world."""
         return self.mover is not None or self.head != WORLD
 
 
 def lumped(parts: Sequence[tuple[Inertial, Matrix, Vector]]) -> Inertial:
-    """Mass, centre of mass and inertia about it of links that move as one, in the frame of their body.
+    """Combine links into one body: its mass, centre of mass and the inertia about it, in the frame of the body.
 
-    Each part is what a link weighs, and the attitude and place of the link in that frame. The masses add up, and so do
-    the tensors, turned into the frame and shifted by Steiner's theorem; negative ones too, as in Gazebo.
+    Each part has a link's inertial, and the link's rotation and position in that frame. Masses are added, and so are
+    the tensors, rotated into the frame and shifted by Steiner's theorem; negative values too, as in Gazebo.
     """
     made = [_Part(*part) for part in parts]
     mass = sum(part.mass for part in made)
@@ -64,7 +64,7 @@ def lumped(parts: Sequence[tuple[Inertial, Matrix, Vector]]) -> Inertial:
 
 
 def rigid_bodies(root: str, joints: Mapping[str, Joint]) -> list[RigidBody]:
-    """All bodies of a robot, the root's first. Linear in the number of joints."""
+    """All bodies of a robot, that of the root first. Takes time linear in the number of joints."""
     welded: dict[str, list[str]] = {}
     for joint in joints.values():
         if joint.type == "fixed":
@@ -73,14 +73,14 @@ def rigid_bodies(root: str, joints: Mapping[str, Joint]) -> list[RigidBody]:
     movers = (joint for joint in joints.values() if joint.type != "fixed")
     for head, mover in [(root, None), *((joint.child, joint) for joint in movers)]:
         links = [head]
-        for link in links:  # it grows on the way
+        for link in links:  # the loop appends to the list
             links.extend(welded.get(link, ()))
         bodies.append(RigidBody(tuple(links), mover))
     return bodies
 
 
 def why_unfit(inertial: Inertial) -> str | None:
-    """Why no body weighs what one link is said to weigh, as a clause; None when one can."""
+    """Why no body can have a link's mass and inertia, as a clause; None when one can."""
     if not inertia.is_mass(inertial.mass):
         return f"has a mass of {inertial.mass:g} kg; it must be above 0"
     why = inertia.why_impossible(inertial.inertia)
@@ -88,7 +88,7 @@ def why_unfit(inertial: Inertial) -> str | None:
 
 
 def can_be_simulated(body: RigidBody, links: Mapping[str, Link]) -> bool:
-    """Whether a body can be taken as it is written: each link on its own, and where it moves, some link with it all."""
+    """True when no link is unfit and, if the body moves, some link has enough mass and inertia for the whole body."""
     weighing = [inertial for link in body.links if (inertial := links[link].inertial) is not None]
     if any(why_unfit(inertial) for inertial in weighing):
         return False
@@ -97,7 +97,7 @@ def can_be_simulated(body: RigidBody, links: Mapping[str, Link]) -> bool:
 
 @dataclass(frozen=True)
 class _Unfit:
-    """A link that no body weighs as, and the tag below `<inertial>` that says so."""
+    """A link with an impossible mass or inertia, and the tag below `<inertial>` that has it."""
 
     link: str
     tag: str
@@ -109,7 +109,7 @@ class _Unfit:
 
 
 class Weigher:
-    """Mends the bodies of one robot, with a notice for each link that nobody can simulate as it is written."""
+    """Corrects the bodies of one robot, with a notice for each link that cannot be simulated as written."""
 
     def __init__(
         self,
@@ -119,7 +119,7 @@ class Weigher:
         report: Report,
         strict: bool = False,
     ) -> None:
-        """`strict` refuses what would be mended."""
+        """`strict` refuses what would be corrected."""
         self.links = dict(links)
         self.joints = joints
         self.link_at = link_at
@@ -128,10 +128,10 @@ class Weigher:
         self._above = {joint.child: joint for joint in joints.values()}
 
     def weigh(self, root: str) -> dict[str, Link]:
-        """The links, with inertias that can be simulated; of sound bodies the very same.
+        """The links, with inertias that can be simulated; those of correct bodies are unchanged.
 
         Raises:
-            BadFile: numbers so large that their sums are none; or, when it is strict, anything to be mended.
+            BadFile: the sums overflow; or, with `strict`, anything needs a correction.
         """
         for body in rigid_bodies(root, self.joints):
             self.report.attempt(self._weigh, self.link_at[body.head], body)
@@ -155,7 +155,7 @@ class Weigher:
         return True
 
     def _refuse_too_large(self, body: RigidBody, whole: Inertial) -> None:
-        """Raises BadFile when links that are each possible come to a body that no arithmetic can turn and shift."""
+        """Raise BadFile when the body's sums are too large for later arithmetic, although each link is possible."""
         if not all(abs(part) <= LARGEST for part in (whole.mass, *whole.inertia, *whole.origin.xyz)):
             raise self.link_at[body.head].error(f"link {body.head!r}: its masses or inertias are too large")
 
@@ -181,7 +181,7 @@ class Weigher:
         self.links[bearer] = replace(self.links[bearer], inertial=mended)
 
     def _give_least(self, body: RigidBody) -> None:
-        """A body that moves, and of which nobody said what it weighs."""
+        """Give a moving body that has no mass at all the smallest mass and inertia."""
         place = self.link_at[body.head]
         who = f"moved by joint {body.mover.name!r}," if body.mover is not None else "the root,"
         why = f"{who} has no <inertial>, nor has a link fixed to it"
@@ -207,9 +207,9 @@ class Weigher:
         return element.find("inertial") or element
 
     def _lumped(self, body: RigidBody) -> Inertial | None:
-        """Mass, centre of mass and inertia about it of all links of a body, in the head's frame; None: nobody has any.
+        """The inertial of a whole body in the head's frame; None when no link has one.
 
-        A single one is as it is written, in its own frame.
+        The only inertial of a body is returned as written, in its own link's frame.
         """
         weighing = [(link, inertial) for link in body.links if (inertial := self.links[link].inertial) is not None]
         if not weighing:
@@ -217,7 +217,7 @@ class Weigher:
         first = weighing[0][1]
         if len(weighing) == 1:
             return replace(first, mended=True)
-        # Attitude and place of each link in the frame of the head; each link stands behind its parent.
+        # Rotation and position of each link in the frame of the head; each link comes after its parent.
         seen: dict[str, tuple[Matrix, Vector]] = {body.head: (matrix(from_rpy((0.0, 0.0, 0.0))), (0.0, 0.0, 0.0))}
         for link in body.links[1:]:
             joint = self._above[link]
@@ -228,7 +228,7 @@ class Weigher:
 
 
 class _Part:
-    """What one link adds to a body: all in the head's frame."""
+    """The contribution of one link to a body, in the head's frame."""
 
     def __init__(self, inertial: Inertial, turn: Matrix, shift: Vector) -> None:
         self.mass = inertial.mass
@@ -239,7 +239,7 @@ class _Part:
         self.tensor: Tensor = (rows[0][0], rows[0][1], rows[0][2], rows[1][1], rows[1][2], rows[2][2])
 
     def about(self, centre: Vector) -> Tensor:
-        """Its tensor about another point."""
+        """Its inertia tensor about another point."""
         x, y, z = (own - other for own, other in zip(self.centre, centre, strict=True))
         m, (ixx, ixy, ixz, iyy, iyz, izz) = self.mass, self.tensor
         return (
@@ -258,7 +258,7 @@ def _weight(inertial: Inertial) -> str:
 
 
 def _change(before: Inertial, after: Inertial) -> str:
-    """Old and new values of what had to be mended; nothing when nothing had."""
+    """Old and new values of what was corrected; empty when nothing was."""
     parts = []
     if after.mass != before.mass:
         parts.append(f"a mass of {after.mass:g} instead of {before.mass:g} kg")

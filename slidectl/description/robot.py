@@ -1,6 +1,6 @@
-"""A robot on paper: what URDF says, as plain data with the line of each thing.
+"""The data model of a robot: what URDF says, as plain data with file and line.
 
-No parsing and no physics here. SI units, angles in radians, `rpy` fixed-axis roll pitch yaw as in URDF.
+No parsing and no physics here. SI units, angles in radians, `rpy` is fixed-axis roll pitch yaw as in URDF.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ from slidectl.errors import Refused
 Vector = tuple[float, float, float]
 JointType = Literal["revolute", "continuous", "prismatic", "fixed", "floating", "planar"]
 MOVING = ("revolute", "continuous", "prismatic")
-"""Types of joints with one position."""
+"""The types of joints that move with one degree of freedom."""
 Verdict = Literal["used", "converted", "ignored", "wrong"]
 Transmissions = Literal["gazebo", "real"]
-"""Whether joints are driven as gazebo_ros_control does it, or through their transmissions."""
+"""How joints are driven: as in gazebo_ros_control, or through their real transmissions."""
 
 
 @dataclass(frozen=True)
 class Notice:
-    """One line of the report: what became of a tag, an attribute or a value."""
+    """One line of the report: the effect of a tag, an attribute or a value."""
 
     verdict: Verdict
     subject: str
-    """What it is about, as `<gazebo reference="link2">/<kp>`."""
+    """The thing that it is about, such as `<gazebo reference="link2">/<kp>`."""
     text: str
-    """What happened and why, a clause without a full stop."""
+    """What happens and why, as a clause without a full stop."""
     file: str
     line: int | None
 
@@ -46,7 +46,7 @@ class Notice:
 
 @dataclass(frozen=True)
 class Pose:
-    """A place and an attitude in the parent's frame: metres, and fixed-axis roll pitch yaw in radians."""
+    """Position and rotation in the parent's frame: metres, and fixed-axis roll pitch yaw in radians."""
 
     xyz: Vector = (0.0, 0.0, 0.0)
     rpy: Vector = (0.0, 0.0, 0.0)
@@ -61,7 +61,7 @@ class Inertial:
     inertia: tuple[float, float, float, float, float, float]
     line: int | None = None
     mended: bool = False
-    """True: nobody wrote it so; it is that of several links, or the nearest that a body can have."""
+    """True when the values are not from the file: those of several links combined, or corrected ones."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ class Sphere:
 @dataclass(frozen=True)
 class Mesh:
     uri: str
-    """As written in the file."""
+    """The name of the mesh as written in the file."""
     path: str | None
     """The file on disk, absolute; None when it could not be found (then the report says so)."""
     scale: Vector = (1.0, 1.0, 1.0)
@@ -114,10 +114,10 @@ class Shape:
 
 @dataclass(frozen=True)
 class Surface:
-    """What `<gazebo reference="LINK">` says of a link; None where it says nothing."""
+    """The properties in `<gazebo reference="LINK">`; None where a tag is missing."""
 
     mu1: float | None = None
-    """0 or more; may be infinite."""
+    """Friction coefficient, 0 or more; may be infinite."""
     mu2: float | None = None
     turn_gravity_off: bool = False
     self_collide: bool | None = None
@@ -175,9 +175,9 @@ class Joint:
     axis: Vector = (1.0, 0.0, 0.0)
     limit: Limit | None = None
     damping: float = 0.0
-    """N·s/m or N·m·s/rad."""
+    """Viscous damping, N·s/m or N·m·s/rad."""
     friction: float = 0.0
-    """N or N·m."""
+    """Dry friction, N or N·m."""
     safety: Safety | None = None
     mimic: Mimic | None = None
     line: int | None = None
@@ -200,9 +200,9 @@ class TransmissionActuator:
     reduction: float | None = None
     role: str = ""
     max_effort: float = math.inf
-    """N or N·m."""
+    """The largest effort, N or N·m."""
     rotor_inertia: float = 0.0
-    """kg·m² (kg of an actuator that slides)."""
+    """Inertia of the rotor, kg·m²; mass of a linear actuator, kg."""
 
 
 @dataclass(frozen=True)
@@ -216,18 +216,18 @@ class TransmissionInfo:
     line: int | None = None
     file: str | None = None
     is_real: bool = False
-    """True: it lies between its actuators and joints. Else the interface of its joint alone counts."""
+    """True: it is computed between its actuators and joints. False: only the interface of its joint counts."""
 
 
 @dataclass(frozen=True)
 class ControlPlugin:
-    """The `libgazebo_ros_control.so` plugin's parameters; None where the tag is absent."""
+    """The parameters of the `libgazebo_ros_control.so` plugin; None where a tag is missing."""
 
     robot_namespace: str | None = None
     robot_param: str = "robot_description"
     robot_sim_type: str = "gazebo_ros_control/DefaultRobotHWSim"
     control_period: float | None = None
-    """s."""
+    """Control period, s."""
     estop_topic: str | None = None
     line: int | None = None
     file: str | None = None
@@ -236,18 +236,18 @@ class ControlPlugin:
 
 @dataclass(frozen=True)
 class Sensor:
-    """What all kinds share."""
+    """The common fields of all kinds of sensors."""
 
     name: str
     link: str
-    """The link that it is on."""
+    """The link that carries it."""
     topic: str
-    """Relative to the robot's namespace, unless it begins with a slash; empty: only controllers ask for it."""
+    """Relative to the robot's namespace, unless it begins with a slash. Empty: only controllers read the sensor."""
     frame: str
     rate_hz: float
-    """0: in each step of the world."""
+    """Rate, Hz; 0: in each step of the world."""
     origin: Pose
-    """In the link's frame."""
+    """The sensor's pose in the link's frame."""
     noise: float
     """Standard deviation of the Gaussian noise, in the unit of what is measured."""
     mean: float = 0.0
@@ -260,33 +260,33 @@ class Laser(Sensor):
 
     samples: int = 640
     min_angle: float = 0.0
-    """rad, about the sensor's z axis from its x axis."""
+    """Angle of the first ray, rad, about the sensor's z axis from its x axis."""
     max_angle: float = 0.0
     min_range: float = 0.0
-    """m."""
+    """Shortest distance, m."""
     max_range: float = math.inf
 
 
 @dataclass(frozen=True)
 class Camera(Sensor):
-    """`<sensor type="camera">` with libgazebo_ros_camera.so: looks along its x axis. sensor_msgs/Image, CameraInfo.
+    """`<sensor type="camera">` with libgazebo_ros_camera.so. It looks along its x axis. sensor_msgs/Image, CameraInfo.
 
-    The noise is that of a channel, of which the brightest value is 1.
+    The noise is added to each channel, whose range is 0 to 1.
     """
 
     MOST_PIXELS: ClassVar[int] = 4096
-    """In a row, or a column."""
+    """The largest width and height."""
     info_topic: str = "camera_info"
     width: int = 320
     height: int = 240
     field_of_view: float = 1.047
-    """Horizontal, rad."""
+    """Horizontal field of view, rad."""
     near: float = 0.1
-    """m."""
+    """Near clipping distance, m."""
     far: float = 100.0
     encoding: str = "rgb8"
     baseline: float = 0.0
-    """m, to the first camera of a pair."""
+    """Distance to the first camera of a stereo pair, m."""
 
 
 @dataclass(frozen=True)
@@ -294,12 +294,12 @@ class Imu(Sensor):
     """libgazebo_ros_imu_sensor.so in a `<sensor type="imu">`, or a plugin of a model. sensor_msgs/Imu."""
 
     feels_gravity: bool = True
-    """Whether the acceleration holds the reaction to gravity; libgazebo_ros_imu.so leaves it out."""
+    """True when the acceleration includes the reaction to gravity; libgazebo_ros_imu.so leaves it out."""
 
 
 @dataclass(frozen=True)
 class GroundTruth(Sensor):
-    """libgazebo_ros_p3d.so: place and velocity of a link as the world has them. nav_msgs/Odometry."""
+    """libgazebo_ros_p3d.so: exact position and velocity of a link. nav_msgs/Odometry."""
 
 
 @dataclass(frozen=True)
@@ -311,14 +311,14 @@ class Bumper(Sensor):
 class ForceTorque(Sensor):
     """`<sensor type="force_torque">` of a joint, or libgazebo_ros_ft_sensor.so. geometry_msgs/WrenchStamped.
 
-    It measures what goes through the joint, in the axes of its child link; `link` is that.
+    It measures the wrench through the joint, by default in the axes of the child link, which `link` names.
     """
 
     joint: str = ""
     in_parent: bool = False
-    """In the axes of the parent link instead."""
+    """True: in the axes of the parent link."""
     on_child: bool = False
-    """What the parent puts on the child, instead of what the child puts on the parent."""
+    """True: the wrench of the parent on the child; False: that of the child on the parent."""
 
 
 @dataclass(frozen=True)
@@ -330,54 +330,54 @@ class JointStates(Sensor):
 
 @dataclass(frozen=True)
 class BaseDrive:
-    """A plugin that moves the robot by velocities (geometry_msgs/Twist) and tells where it is (nav_msgs/Odometry)."""
+    """A plugin that moves the robot at commanded velocities (geometry_msgs/Twist) and publishes nav_msgs/Odometry."""
 
     name: str
     namespace: str | None
-    """Where its topics are; None: where the robot is."""
+    """The namespace of its topics; None: that of the robot."""
     command_topic: str
     odometry_topic: str
     odometry_frame: str
     base_frame: str
     odometry_rate_hz: float
-    """0: in each step of the world."""
+    """Rate of odometry, Hz; 0: in each step of the world."""
     has_odometry: bool
     has_odometry_tf: bool
     tells_height: bool
-    """Whether the odometry's z is that of the robot, and not 0."""
+    """True: z in the odometry is the robot's; False: it is 0."""
     pose_variances: Vector
-    """Of x and y in m², of the heading in rad²."""
+    """Variances of x and y in m², and of the heading in rad²."""
     twist_variances: Vector | None
 
 
 @dataclass(frozen=True)
 class WheelDrive(BaseDrive):
-    """libgazebo_ros_diff_drive.so and libgazebo_ros_skid_steer_drive.so: the wheels of a side turn at one velocity."""
+    """libgazebo_ros_diff_drive.so and libgazebo_ros_skid_steer_drive.so: the wheels of a side have one velocity."""
 
     left: tuple[str, ...] = ()
-    """Joints of the wheels that turn faster when the base turns right."""
+    """Joints of the wheels that turn faster when the base turns to the right."""
     right: tuple[str, ...] = ()
     separation: float = 0.0
-    """m."""
+    """Distance between the sides' wheels, m."""
     diameter: float = 0.0
-    """m."""
+    """Diameter of the wheels, m."""
     torque: float = 0.0
-    """The most on each wheel, N·m."""
+    """The largest torque on each wheel, N·m."""
     acceleration: float = 0.0
-    """Of the wheels along the ground, m/s²; 0: as much as the torque makes."""
+    """The largest acceleration of the wheels along the ground, m/s²; 0: no limit except the torque."""
     update_rate_hz: float = 0.0
-    """How often commands take effect; 0: in each step of the world."""
+    """How often commands take effect, Hz; 0: in each step of the world."""
     measures_wheels: bool = False
-    """Odometry is made of the turns of the wheels, not of the robot's place in the world."""
+    """True: odometry is computed from the wheels' rotation; False: from the robot's pose in the world."""
     has_joint_states: bool = False
 
 
 @dataclass(frozen=True)
 class PlanarMove(BaseDrive):
-    """libgazebo_ros_planar_move.so: the whole robot has the velocity, whatever acts on it."""
+    """libgazebo_ros_planar_move.so: the whole robot has the commanded velocity, whatever forces act on it."""
 
     timeout_s: float = -1.0
-    """A command counts for so long; below 0: until the next."""
+    """How long a command is valid, s; below 0: until the next."""
 
 
 @dataclass(frozen=True)
@@ -388,7 +388,7 @@ class Robot:
     links: Mapping[str, Link]
     joints: Mapping[str, Joint]
     root: str
-    """Name of the one link that is nobody's child."""
+    """The name of the only link that is not the child of a joint."""
     transmissions: Sequence[TransmissionInfo] = ()
     plugin: ControlPlugin | None = None
     report: Sequence[Notice] = field(default=())
@@ -408,12 +408,12 @@ class Robot:
 
     @property
     def is_fixed_to_world(self) -> bool:
-        """A root link called `world` is the world itself."""
+        """True when the root link is called `world`: it is the world itself."""
         return self.root == "world"
 
 
 def check_position(joint: Joint, position: float) -> None:
-    """Raises Refused unless the joint can be there (rad or m)."""
+    """Raise Refused unless the joint can be at `position` (rad or m)."""
     if not math.isfinite(position):
         raise Refused(f"position of {joint.name} must be a finite number, not {position}")
     limit = joint.limit if joint.type in ("revolute", "prismatic") else None
@@ -423,7 +423,7 @@ def check_position(joint: Joint, position: float) -> None:
 
 
 def namespace_of(robot: Robot, name: str) -> str:
-    """The plugin's `robotNamespace` with a leading slash, else `/name`. An empty one is the root, `/`.
+    """The plugin's `robotNamespace` with a leading slash, else `/name`. An empty one means the root, `/`.
 
     Raises:
         BadName: a `name` that cannot be a namespace.

@@ -1,9 +1,9 @@
-"""The models of an SDF file or a Gazebo world as URDF: what stands around a robot.
+"""Converts the models of an SDF file or a Gazebo world to URDF: the surroundings of a robot.
 
-A model becomes one URDF document a part that hangs together: links without a joint between them are bodies of their
-own, as they are in Gazebo. A static model hangs on the link `world`. Pose elements nest as in SDF: model, link, shape.
-Shapes, masses, friction, gravity and the joints that URDF has are taken; everything else is reported with its line.
-Nothing is spawned here, and worlds' physics settings are launch's.
+Each part of a model that joints connect becomes one URDF document: unconnected links are separate bodies in Gazebo. A
+static model is fixed to the link `world`. Pose elements nest as in SDF: model, link,
+shape. Shapes, masses, friction, gravity and the joint types of URDF are converted; everything else is reported with its
+line. Nothing is spawned here; the launch package reads the physics settings of worlds.
 
 Source of the frames: the SDF 1.4 to 1.9 specification (`<pose>` is x y z roll pitch yaw in the parent's frame; a
 joint's frame is given in its child's; `<axis>` is in the joint's frame since 1.5, in the model's before).
@@ -39,15 +39,15 @@ _VARIABLES = ("GAZEBO_MODEL_PATH", "GZ_SIM_RESOURCE_PATH")
 _HOME = "~/.gazebo/models"
 
 _JOINTS = ("revolute", "continuous", "prismatic", "fixed")
-"""Kinds of joint that URDF has too."""
+"""The joint types that URDF also has."""
 _UNLIMITED = 1e16
 _QUIET = ("allow_auto_disable", "enable_wind", "kinematic", "velocity_decay", "must_be_base_link", "audio_source")
-"""What changes nothing in a world of rigid bodies."""
+"""Tags without effect in a world of rigid bodies; they are not reported."""
 
 
 @dataclass(frozen=True)
 class SdfModel:
-    """One part of a world that moves, or stands still, as a whole."""
+    """One connected part of a model: one robot."""
 
     name: str
     first: str
@@ -55,7 +55,7 @@ class SdfModel:
     xml: str
     """URDF with the note of its sources."""
     pose: Pose
-    """Of the part's root link, in the world."""
+    """The pose of the part's root link in the world."""
     is_static: bool
     file: str
     line: int
@@ -63,7 +63,7 @@ class SdfModel:
 
 @dataclass
 class Scene:
-    """The models of a file, whether it has a ground plane, and what became of the rest."""
+    """The models of a file, True if it has a ground plane, and notices about the rest."""
 
     models: list[SdfModel] = field(default_factory=list)
     has_ground: bool = False
@@ -75,9 +75,9 @@ class Scene:
         return list(dict.fromkeys(model.first for model in self.models))
 
     def named(self, name: str | None) -> list[SdfModel]:
-        """The parts, with `name` for the model; further parts keep what their names have more than the first one's.
+        """The parts, with the model renamed to `name`. Further parts keep the suffix that they add to the first's name.
 
-        Raises UsageError: a name, and not one model.
+        Raises UsageError: a name is given, but there is not exactly one model.
         """
         if name is None:
             return self.models
@@ -94,7 +94,7 @@ class SdfFiles:
         self.base = base
 
     def folder(self, name: str, element: Element) -> Path:
-        """The folder of a model. Raises NotThere."""
+        """Find the folder of a model. Raises NotThere."""
         looked = list(dict.fromkeys(self._folders(element)))
         for place in looked:
             if (place / name).is_dir():
@@ -108,14 +108,14 @@ class SdfFiles:
             raise NotThere(text, element.file, element.line, hint, f"model {name}") from None
 
     def model_file(self, uri: str, element: Element) -> Path:
-        """The SDF file of an `<include>`. Raises NotThere."""
+        """Find the SDF file of an `<include>`. Raises NotThere."""
         place = self.resolve(uri, element)
         if not place.is_dir():
             return place
         return place / (_named_in_config(place / "model.config") or "model.sdf")
 
     def resolve(self, uri: str, element: Element) -> Path:
-        """The file or folder that a uri means. Raises NotThere."""
+        """The file or folder of a uri. Raises NotThere."""
         scheme, separator, rest = uri.partition("://")
         if not separator:
             return self._beside(element) / uri
@@ -139,17 +139,17 @@ class SdfFiles:
 
 
 def is_scene(source: str) -> bool:
-    """Whether a user means SDF by this word: a file of that kind, or `model://NAME`."""
+    """True when the text means SDF: a file with such a suffix, or `model://NAME`."""
     return source.startswith(SCHEME) or source.lower().endswith(SUFFIXES)
 
 
 def is_urdf(text: str) -> bool:
-    """Whether the text is a URDF. Raises BadFile: no XML."""
+    """True when the text is URDF. Raises BadFile: not XML."""
     return xml_tree.read(text, "model_xml").tag == "robot"
 
 
 def find(source: str, packages: Packages | None = None) -> Path:
-    """The file that the word means. Raises NotThere."""
+    """The file that `source` means. Raises NotThere."""
     if not source.startswith(SCHEME):
         return Path(os.path.expanduser(source))
     try:
@@ -163,7 +163,7 @@ def find(source: str, packages: Packages | None = None) -> Path:
 def read(path: Path, packages: Packages | None = None, missing: Missing | None = None) -> Scene:
     """The scene of an SDF or world file.
 
-    `missing` takes in the models and meshes that it names and are not there, which are left out.
+    `missing` collects the models and meshes that it names and that do not exist; these are left out.
 
     Raises:
         BadFile: missing, not SDF, or broken (file, line). NotThere: a model or a mesh, without `missing`.
@@ -180,7 +180,7 @@ def parse(
     base: Path | None = None,
     missing: Missing | None = None,
 ) -> Scene:
-    """As read, of a text; `base` is the folder for relative paths."""
+    """As read, for a text; `base` is the folder for relative paths."""
     root = xml_tree.read(text, file)
     if root.tag not in ("sdf", "gazebo", "world", "model"):
         raise root.error(f"this is no SDF: its outermost element is <{root.tag}>, expected <sdf>")
@@ -193,7 +193,7 @@ def parse(
 
 
 class _SceneReader:
-    """Walks worlds, models and includes."""
+    """Reads worlds, models and includes into a scene."""
 
     def __init__(self, files: SdfFiles, missing: Missing | None) -> None:
         self.files = files
@@ -207,19 +207,19 @@ class _SceneReader:
         self.scene.notices.append(Notice(verdict, element.title, text, element.file, element.line))
 
     def say_unknown(self, element: Element, known: Collection[str]) -> None:
-        """Report the children of an element that are read nowhere."""
+        """Report the children of an element that are not read."""
         for child in element.children:
             if child.tag not in known:
                 self.say("ignored", child, f"has no effect in <{element.tag}>: there is nothing like it here")
 
     def absent(self, error: NotThere, loss: str) -> None:
-        """Note what is not there, or raise it where nobody takes that in."""
+        """Note a missing thing in `missing`, or raise the error without it."""
         if self.missing is None:
             raise error
         self.missing.note(error, loss)
 
     def take(self, root: Element, version: str) -> None:
-        """The first world, and models beside it."""
+        """Read the first world, and the models beside it."""
         worlds = [root] if root.tag == "world" else root.find_all("world")
         for extra in worlds[1:]:
             self.say("wrong", extra, "only the first world of a file is used")
@@ -239,7 +239,7 @@ class _SceneReader:
         return None
 
     def include(self, element: Element, states: dict[str, Pose]) -> None:
-        """The model of an `<include>` with what the tag says over it."""
+        """Read the model of an `<include>`, whose tags override the model's."""
         short = _short(child_text(element, "uri", ""))
         if short == SUN:
             return
@@ -255,7 +255,7 @@ class _SceneReader:
 
     @contextmanager
     def included(self, element: Element) -> Iterator[tuple[Element, str]]:
-        """The `<model>` that an `<include>` names, and its version of SDF. Raises BadFile, NotThere."""
+        """The `<model>` of an `<include>`, and its version of SDF. Raises BadFile, NotThere."""
         uri = child_text(element, "uri", "")
         if not uri:
             raise element.error("<include> lacks <uri>")
@@ -283,7 +283,7 @@ class _SceneReader:
         at: Pose | None = None,
         static: bool | None = None,
     ) -> None:
-        """One model: its links and joints, and those of the models nested in it."""
+        """Read one model: its links and joints, and those of nested models."""
         title = name or element.get("name") or "model"
         if title == GROUND_PLANE or is_ground(element):
             self.scene.has_ground = True
@@ -292,10 +292,10 @@ class _SceneReader:
         place = at if at is not None else _pose_of(element)
         is_static = static if static is not None else _truth(element.find("static"))
         part.read(element, ORIGIN, "")
-        self.scene.models += list(part.parts(place, is_static))  # all of them, or none where something is not there
+        self.scene.models += list(part.parts(place, is_static))  # all parts, or none if a file is missing
 
     def free_name(self, wanted: str) -> str:
-        """A name of a robot that no other part of the scene has."""
+        """A legal and unused robot name, made from `wanted`."""
         base = re.sub(r"[^A-Za-z0-9_]+", "_", wanted).strip("_") or "model"
         base = base if not base[0].isdigit() else f"model_{base}"
         name, number = base, 1
@@ -310,7 +310,7 @@ class _SceneReader:
 class _SdfLink:
     element: Element
     pose: Pose
-    """In the model's frame."""
+    """The link's pose in the model's frame."""
 
 
 @dataclass
@@ -320,11 +320,11 @@ class _SdfJoint:
     parent: str
     child: str
     frame: Pose
-    """In the child's frame."""
+    """The joint's pose in the child's frame."""
 
 
 class _ModelReader:
-    """Links and joints of one model, nested ones included, and the URDF of its parts."""
+    """Reads the links and joints of one model, including nested ones, and makes the URDF of its parts."""
 
     def __init__(self, scene: _SceneReader, name: str, element: Element, version: str) -> None:
         self.scene = scene
@@ -339,7 +339,7 @@ class _ModelReader:
     # --- reading -----------------------------------------------------------------------------------------------------
 
     def read(self, model: Element, frame: Pose, prefix: str) -> None:
-        """Take in the links and joints of a model whose frame is `frame`; names of nested ones begin with `prefix`."""
+        """Read the links and joints of a model whose pose is `frame`; names in nested models begin with `prefix`."""
         for element in model.children:
             if element.tag == "link":
                 name = prefix + (element.get("name") or "link")
@@ -380,7 +380,7 @@ class _ModelReader:
     # --- parts -------------------------------------------------------------------------------------------------------
 
     def parts(self, place: Pose, is_static: bool) -> Iterator[SdfModel]:
-        """The model's parts, with their poses in the world where the model's frame is `place`."""
+        """The parts of the model, with poses in the world; `place` is the pose of the model's frame."""
         if not self.links:
             raise self.element.error(f"model {self.name!r} has no <link>")
         above = self._above()
@@ -399,7 +399,7 @@ class _ModelReader:
             yield self._part(name, root, members, above, place)
 
     def _above(self) -> dict[str, _SdfJoint]:
-        """The joint above each link. Raises BadFile: unknown links, loops, or a link that hangs on two joints."""
+        """The parent joint of each link. Raises BadFile: unknown links, loops, or a link with two parent joints."""
         above: dict[str, _SdfJoint] = {}
         for joint in self.joints.values():
             for link in (joint.parent, joint.child):
@@ -415,7 +415,7 @@ class _ModelReader:
         return above
 
     def _static(self, place: Pose) -> SdfModel:
-        """All links fixed to the world; joints do not move in a static model."""
+        """The model with all links fixed to the world: joints of a static model do not move."""
         urdf = self._urdf(self.name)
         urdf.content.append(_made("link", self.element, name="world"))
         for name, link in self.links.items():
@@ -454,7 +454,7 @@ class _ModelReader:
     # --- URDF --------------------------------------------------------------------------------------------------------
 
     def _link(self, name: str, link: _SdfLink, shift: Pose) -> Iterator[Element]:
-        """The link in URDF, and its `<gazebo>`; `shift` is SDF's link frame seen from URDF's."""
+        """The URDF link and its `<gazebo>`; `shift` is the pose of SDF's link frame in URDF's link frame."""
         made = _made("link", link.element, self._inertial(link.element, shift), name=name)
         gazebo = _made("gazebo", link.element, reference=name)
         for element in link.element.children:
@@ -477,7 +477,7 @@ class _ModelReader:
             yield gazebo
 
     def _inertial(self, link: Element, shift: Pose) -> Element:
-        """Mass 1 kg and moments 1 kg m2 where SDF says nothing, which are its defaults."""
+        """The `<inertial>`; defaults are SDF's, 1 kg and moments of 1 kg·m²."""
         inertial = link.find("inertial")
         element = inertial or link
         pose = _pose_of(inertial) if inertial is not None else ORIGIN
@@ -495,7 +495,7 @@ class _ModelReader:
         )
 
     def _shape(self, element: Element, shift: Pose) -> Element | None:
-        """A `<visual>` or `<collision>`; None for one that URDF has no shape for."""
+        """A `<visual>` or `<collision>`; None when URDF has no such shape."""
         geometry = element.find("geometry")
         found = geometry.children[0] if geometry is not None and geometry.children else None
         if found is None or found.tag == "empty":
@@ -546,7 +546,7 @@ class _ModelReader:
         return None
 
     def _friction(self, collision: Element) -> list[Element]:
-        """mu and mu2 of `surface/friction/ode`, as `<mu1>` and `<mu2>`."""
+        """The `<mu1>` and `<mu2>` for mu and mu2 of `surface/friction/ode`."""
         found = below(collision, "surface", "friction", "ode")
         if found is None:
             return []
@@ -582,7 +582,7 @@ class _ModelReader:
         return made
 
     def _axis(self, axis: Element | None, joint_frame: Pose) -> tuple[float, ...]:
-        """The axis in the joint's frame."""
+        """The axis as a vector in the joint's frame."""
         element = below(axis, "xyz")
         if axis is None or element is None:
             return (0.0, 0.0, 1.0)
@@ -595,7 +595,7 @@ class _ModelReader:
 
 
 def _made(tag: str, at: Element, *content: Element | str, **attributes: str) -> Element:
-    """An element of URDF that stands where `at` was written."""
+    """Make a URDF element with the file and line of `at`."""
     return Element(tag, attributes, at.file, at.line, list(content))
 
 
@@ -604,7 +604,7 @@ def _origin(pose: Pose, at: Element) -> Element:
 
 
 def _root(link: str, above: dict[str, _SdfJoint]) -> str:
-    """The link that a link hangs on in the end. Raises BadFile for a loop."""
+    """The topmost link above a link. Raises BadFile for a loop."""
     seen = set()
     while link in above:
         if link in seen:
@@ -616,7 +616,7 @@ def _root(link: str, above: dict[str, _SdfJoint]) -> str:
 
 
 def _states(world: Element) -> dict[str, Pose]:
-    """The poses of models in the first `<state>` of a world, which go before those of the models themselves."""
+    """The poses of models in the first `<state>` of a world; they override the poses of the models."""
     state = world.find("state")
     if state is None:
         return {}
@@ -625,7 +625,7 @@ def _states(world: Element) -> dict[str, Pose]:
 
 
 def is_ground(element: Element) -> bool:
-    """A `<model>` that is called so or whose only shape is a plane, or the `<include>` of the one that is called so."""
+    """True for a `<model>` or `<include>` of the ground plane by its name, and for a `<model>` with planes only."""
     if element.tag == "include":
         return _short(child_text(element, "uri", "")) == GROUND_PLANE
     shapes = [shape for inner in element.walk() if inner.tag == "geometry" for shape in inner.children]
@@ -633,12 +633,12 @@ def is_ground(element: Element) -> bool:
 
 
 def _short(uri: str) -> str:
-    """The name of a model in a uri, as its folder is called: Fuel has `Ground Plane`."""
+    """The folder name of a model in a uri, normalised: Fuel has `Ground Plane`."""
     return uri.rstrip("/").rpartition("/")[2].lower().replace(" ", "_")
 
 
 def _named_in_config(path: Path) -> str | None:
-    """The SDF file that a model.config names, the newest version of several; None without one."""
+    """The SDF file that a model.config names, the newest version of several; None when it names none."""
     if not is_file(path):
         return None
     root = xml_tree.read(models.read_file(path), str(path))
@@ -671,7 +671,7 @@ def _number(element: Element) -> float:
 
 
 def _limit(limit: Element | None, tag: str, default: float) -> float:
-    """A bound of a joint; SDF writes 1e16, or `inf`, where there is none."""
+    """A bound of a joint; SDF uses 1e16 or `inf` for no bound."""
     element = below(limit, tag)
     if element is None:
         return default
@@ -686,7 +686,7 @@ def _values(element: Element, count: int) -> tuple[float, ...]:
 
 
 def _pose_of(element: Element) -> Pose:
-    """The `<pose>` of an element, the identity without one."""
+    """The `<pose>` of an element; the identity when there is none."""
     pose = element.find("pose")
     return _pose(pose) if pose is not None else ORIGIN
 
@@ -704,7 +704,7 @@ def _pose(element: Element) -> Pose:
 
 
 def _colour(material: Element | None) -> str:
-    """`r g b a` of the diffuse colour, else the ambient one; empty without either."""
+    """`r g b a` of the diffuse colour, else of the ambient colour; empty when neither exists."""
     for tag in ("diffuse", "ambient"):
         element = below(material, tag)
         if element is not None and element.first_text:

@@ -1,6 +1,6 @@
-"""Reads the sensors that a model declares: `<sensor>` tags of links and joints, and plugins of gazebo_ros that measure.
+"""Reads the sensors of a model: `<sensor>` tags of links and joints, and sensor plugins of gazebo_ros.
 
-Defaults are those of the plugins. What sensors measure is published by simulation/sensor_topics.py.
+Defaults are those of the plugins. simulation/sensor_topics.py publishes the measurements.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from slidectl.description.xml_tree import Element, below
 
 _FORCE_PLUGIN = "libgazebo_ros_ft_sensor"
 _FORCE_TORQUE = {"frame": ("child", "parent"), "measure_direction": ("child_to_parent", "parent_to_child")}
-"""Tags of `<force_torque>` with their values, the default first."""
+"""Tags of `<force_torque>` with their values; the first value is the default."""
 _OF_LINK = {
     "ray": ("libgazebo_ros_laser", "libgazebo_ros_gpu_laser"),
     "gpu_ray": ("libgazebo_ros_gpu_laser", "libgazebo_ros_laser"),
@@ -34,12 +34,12 @@ _OF_LINK = {
     "contact": ("libgazebo_ros_bumper",),
     "camera": ("libgazebo_ros_camera",),
 }
-"""Type of `<sensor>` -> the plugins that publish it."""
+"""Maps the type of a `<sensor>` to the plugins that publish it."""
 OF_MODEL = (
     "libgazebo_ros_p3d", "libgazebo_ros_imu", "libhector_gazebo_ros_imu", "libgazebo_ros_joint_state_publisher",
     _FORCE_PLUGIN,
 )  # fmt: skip
-"""Plugins of a model that measure."""
+"""Sensor plugins of a model."""
 _KNOWN_TAGS = {
     "visualize", "always_on", "update_rate", "pose", "plugin", "topic", "ray", "imu", "contact", "camera",
     "force_torque",
@@ -47,7 +47,7 @@ _KNOWN_TAGS = {
 _ENCODINGS = {
     "R8G8B8": "rgb8", "RGB_INT8": "rgb8", "B8G8R8": "bgr8", "BGR_INT8": "bgr8", "L8": "mono8", "L_INT8": "mono8",
 }  # fmt: skip
-"""Formats of pixels, and what sensor_msgs/Image calls them."""
+"""Maps pixel formats to encodings of sensor_msgs/Image."""
 _CAMERA_TOPICS = (("imageTopicName", "image_raw"), ("cameraInfoTopicName", "camera_info"))
 _DISTORTIONS = ("distortionK1", "distortionK2", "distortionK3", "distortionT1", "distortionT2")
 
@@ -56,14 +56,14 @@ class SensorReader:
     """Reads the sensors of one robot."""
 
     def __init__(self, report: Report, links: Collection[str], joints: Mapping[str, tuple[str, str]]) -> None:
-        """`joints` has the parent and the child link of each."""
+        """`joints` has the parent link and the child link of each joint."""
         self.report = report
         self.links = links
         self.joints = joints
         self.sensors: list[Sensor] = []
 
     def of_link(self, link: str, sensor: Element, place: str) -> None:
-        """Take in a `<sensor>` of `<gazebo reference="link">`; report one that nothing here measures.
+        """Read a `<sensor>` of `<gazebo reference="link">`; an unsupported one is reported.
 
         Raises:
             BadFile: a malformed number.
@@ -160,7 +160,7 @@ class SensorReader:
         )  # fmt: skip
 
     def of_joint(self, joint: str, sensor: Element, place: str) -> None:
-        """Take in a `<sensor>` of `<gazebo reference="joint">`; report one that nothing here measures.
+        """Read a `<sensor>` of `<gazebo reference="joint">`; an unsupported one is reported.
 
         Raises:
             BadFile: a malformed number.
@@ -201,7 +201,7 @@ class SensorReader:
         )
 
     def of_model(self, plugin: Element, place: str) -> None:
-        """Take in a plugin of `OF_MODEL`. Raises BadFile: a malformed number."""
+        """Read a plugin of `OF_MODEL`. Raises BadFile: a malformed number."""
         kind = library(plugin)
         name, rate = plugin.get("name") or kind, child_rate(plugin, "updateRate", 0.0, place)
         noise = child_number(plugin, "gaussianNoise", 0.0, place)
@@ -237,7 +237,7 @@ class SensorReader:
 
 
 def library(plugin: Element) -> str:
-    """The library that a `<plugin>` names, without folder and suffix."""
+    """The library of a `<plugin>`, without folder and suffix."""
     return (plugin.get("filename") or "").strip().rpartition("/")[2].removesuffix(".so")
 
 
@@ -260,7 +260,7 @@ def _pose(element: Element, place: str) -> Pose:
 
 
 def _moved(plugin: Element, origin: Pose, place: str) -> Pose:
-    """The origin, or the one of xyzOffset(s) and rpyOffset(s)."""
+    """The pose from xyzOffset(s) and rpyOffset(s); missing parts are those of `origin`."""
     found = {tag: plugin.find(tag) or plugin.find(f"{tag}s") for tag in ("xyzOffset", "rpyOffset")}
     xyz = _vector(found["xyzOffset"], place) if found["xyzOffset"] is not None else origin.xyz
     rpy = _vector(found["rpyOffset"], place) if found["rpyOffset"] is not None else origin.rpy

@@ -1,9 +1,9 @@
-"""The note at the end of an expanded robot: where each of its elements was written, and which files its meshes are.
+"""The source note at the end of an expanded robot: file and line of each element, and the files of its meshes.
 
-A processing instruction. With it the daemon, which only gets the expanded text, names the user's own file and line in
-its messages and finds the meshes without package paths. The text of a robot carries it between our own programs only:
-not every reader of URDF takes an instruction behind the root, and it holds paths of this machine. Whoever shows or
-stores a robot splits it off first. Places and meshes are in the order of the elements in the text.
+It is a processing instruction. With it the daemon, which gets only the expanded text, names the user's file and line in
+messages and finds meshes without package paths. Only slidectl's own programs exchange it: some readers of URDF reject
+an instruction after the root, and it has paths of this machine. Split it off before a robot is shown or stored. Places
+and meshes are in the order of the elements in the text.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ Place = tuple[str, int]
 
 
 class Note(NamedTuple):
-    """`places` of all elements; `meshes` are the files of `<mesh>` elements, by the element's number."""
+    """`places` has file and line of each element; `meshes` the files of `<mesh>` elements, by the element's number."""
 
     places: list[Place]
     meshes: dict[int, str]
 
 
 def encode(places: Sequence[Place], meshes: Mapping[int, str]) -> str:
-    """The whole instruction, `<?slidectl-source ...?>`, on one line."""
+    """The instruction `<?slidectl-source ...?>` on one line."""
     files = list(dict.fromkeys(file for file, _ in places))
     runs: list[list[int]] = []
     for file, line in places:
@@ -42,7 +42,7 @@ def encode(places: Sequence[Place], meshes: Mapping[int, str]) -> str:
 
 
 def decode(data: str) -> Note | None:
-    """The note of an instruction's data, or None when it is no note of ours."""
+    """Decode the data of an instruction; None when it is not a valid note."""
     try:
         note = json.loads(data)
         places = [(str(note["files"][run[0]]), int(line)) for run in note["lines"] for line in run[1:]]
@@ -52,18 +52,18 @@ def decode(data: str) -> Note | None:
 
 
 def split(xml: str) -> tuple[str, str]:
-    """The robot alone, and the instruction behind it (empty when there is none)."""
-    # The last line alone is searched: a note may be long, and a text without one longer.
+    """The robot without the note, and the note (empty when there is none)."""
+    # Only the last line is searched, because both the note and the text may be long.
     start = xml.rfind(f"<?{TARGET} ")
     found = _AT_END.match(xml, start) if start >= 0 else None
     return (xml[:start], found.group().strip()) if found else (xml, "")
 
 
 def join(xml: str, note: str) -> str:
-    """The robot with the instruction behind it."""
+    """The robot followed by the note."""
     return f"{xml.rstrip()}\n{note}\n" if note else xml
 
 
 def digest(xml: str) -> str:
-    """What a robot's text is known by: the same for the text as it stands, printed into a pipe, or stripped."""
+    """A checksum of the robot's text, the same with and without the note and outer blanks."""
     return hashlib.sha256(split(xml)[0].strip().encode("utf-8", "surrogatepass")).hexdigest()

@@ -1,7 +1,7 @@
-"""`<transmission>`, by the rules of ros_control's TransmissionParser.
+"""Reads `<transmission>` by the rules of ros_control's TransmissionParser.
 
-What that parser drops with an error is dropped here with a notice. Unless transmissions are to be real, the interface
-of their joint alone counts, and the rest is reported. The maths is in control/transmission_interface.py.
+What that parser drops with an error is dropped here with a notice. Without real transmissions only the interface of
+the joint counts, and the rest is reported. The computation is in control/transmission_interface.py.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ _IF_REAL = "counts only with real transmissions: slidectl spawn --transmissions 
 
 
 def takes_positions(joint: TransmissionJoint) -> bool:
-    """Whether a joint of a transmission takes commands by its position."""
+    """True when a transmission's joint takes position commands."""
     interface = interfaces.find(joint.hardware_interfaces[0])
     return interface is not None and interface.quantity == "position"
 
 
 def driving(transmissions: Iterable[TransmissionInfo]) -> list[tuple[TransmissionInfo, TransmissionJoint]]:
-    """The transmissions that simulated hardware makes use of, each with a joint and the interfaces that count.
+    """The transmissions that drive joints of simulated hardware, each with a joint and the interfaces that count.
 
-    All joints of real transmissions, with all interfaces; of the others those with one joint. Of several interfaces of
-    a joint the first counts then, in one transmission as in several. Several transmissions by the same interface all
-    drive the joint.
+    All joints of real transmissions, with all their interfaces. Of the others, those with one joint: then only the
+    first interface of the joint counts, within one transmission and among several. Several transmissions with the same
+    interface all drive the joint.
     """
     counts: dict[str, str] = {}
     found: list[tuple[TransmissionInfo, TransmissionJoint]] = []
@@ -53,13 +53,13 @@ def driving(transmissions: Iterable[TransmissionInfo]) -> list[tuple[Transmissio
 
 
 class _DroppedError(Exception):
-    """The whole transmission is dropped; the text says why."""
+    """The whole transmission is dropped; the text is the reason."""
 
 
 class TransmissionReader:
     """Reads the `<transmission>` elements of one robot, in the order of the file.
 
-    `knows_all`: whether a joint that is not among `joints` is not there at all. `is_real`: whether they are applied.
+    `knows_all`: a joint that is not in `joints` does not exist. `is_real`: the transmissions are real.
     """
 
     def __init__(self, report: Report, joints: dict[str, Joint], knows_all: bool, is_real: bool) -> None:
@@ -70,11 +70,11 @@ class TransmissionReader:
         self.driven: dict[str, tuple[Element, str]] = {}
 
     def read(self, element: Element) -> TransmissionInfo | None:
-        """One transmission, or None when the parser of ros_control would drop it.
+        """Read one transmission; None when the parser of ros_control would drop it.
 
         Raises:
-            BadFile: it drives a joint that is not there, or that cannot move. Those of several joints drive none,
-            unless they are real; then a number that is none, and a joint of two transmissions are errors too.
+            BadFile: the joint does not exist or cannot move. A transmission with several joints drives none, unless it
+            is real; then malformed numbers, and a joint with two transmissions, are errors too.
         """
         try:
             info = self._info(element)
@@ -99,7 +99,7 @@ class TransmissionReader:
         self.report.unknown(element, {"name", "type"}, {"type", "joint", "actuator"})
         kind = self.report.only(element, "type")
         if kind is None:
-            # The older files of PR2 had it as an attribute.
+            # The older files of PR2 have the type as an attribute.
             hint = "; an attribute does not do" if "type" in element.attributes else ""
             text = f"<type> is missing{hint}; add <type>transmission_interface/SimpleTransmission</type>"
             raise _DroppedError(text)
@@ -112,7 +112,7 @@ class TransmissionReader:
     def _children(
         self, element: Element, tag: str, article: str, read: Callable[[Element, str, str], Any]
     ) -> list[Any]:
-        """What is read of the children of that name that are valid; there is one at least."""
+        """Read the valid children `tag`. Raises _DroppedError when none is left."""
         found = element.find_all(tag)
         if any("name" not in child.attributes for child in found):
             raise _DroppedError(f"{article} <{tag}> has no name")
@@ -149,7 +149,7 @@ class TransmissionReader:
         return TransmissionActuator(name, _interfaces(child), reduction, child_text(child, "role", ""), effort, inertia)
 
     def _rotor_inertia(self, actuator: Element, place: str) -> float:
-        """As the text of `<rotorInertia>`, or as Drake reads it of URDF."""
+        """The rotor inertia: the text of `<rotorInertia>`, or Drake's attribute."""
         text = self._if_real(actuator, "rotorInertia", place)
         drake = self._if_real(actuator, "drake:rotor_inertia", place)
         if text is None:
@@ -167,7 +167,7 @@ class TransmissionReader:
         return None
 
     def _number(self, child: Element, tag: str, place: str) -> float | None:
-        """An optional number. Unless transmissions are real it changes nothing: reported when it says anything."""
+        """An optional number. Without real transmissions it has no effect, and is reported unless it is the default."""
         found = self.report.only(child, tag)
         if found is None:
             return None
@@ -184,7 +184,7 @@ class TransmissionReader:
         return value
 
     def _check_simulated(self, element: Element, info: TransmissionInfo) -> None:
-        """What gazebo_ros_control makes of a transmission of one joint that its parser has accepted."""
+        """Report how gazebo_ros_control treats a valid transmission with one joint."""
         (joint,) = info.joints
         on_paper = self._on_paper(element, joint)
         if on_paper is None:
@@ -202,7 +202,7 @@ class TransmissionReader:
             )
             self.report.ignored(element.find("type") or element, text, f"{element.title}/<type>")
         self._check_interface(element, joint)
-        # A position joint is moved without an effort, unless it has gains: these are in other files.
+        # A position joint moves without an effort, unless it has gains; these are in other files.
         limits = {"effort": on_paper.limit.effort, "velocity": on_paper.limit.velocity} if on_paper.limit else {}
         for what, value in limits.items():
             if value == 0 and not (what == "effort" and takes_positions(joint)):
@@ -210,7 +210,7 @@ class TransmissionReader:
                 self.report.wrong(element, text)
 
     def _on_paper(self, element: Element, joint: TransmissionJoint) -> Joint | None:
-        """The joint of the robot; None: it could not be read. Raises BadFile: it is not there, or cannot move."""
+        """The joint of the robot; None when it could not be read. Raises BadFile: it does not exist or cannot move."""
         place = f"transmission {element.attributes['name']!r}"
         child = next(child for child in element.find_all("joint") if child.attributes["name"].strip() == joint.name)
         on_paper = self.joints.get(joint.name)
@@ -221,7 +221,7 @@ class TransmissionReader:
         return on_paper
 
     def _check_real(self, element: Element, joint: TransmissionJoint) -> None:
-        """What can be said of a joint of a real transmission without its maths."""
+        """Check a joint of a real transmission, as far as this needs no computation."""
         self._on_paper(element, joint)
         first, _ = self.driven.setdefault(joint.name, (element, ""))
         if first is not element:
@@ -233,7 +233,7 @@ class TransmissionReader:
 
     def _check_interface(self, element: Element, joint: TransmissionJoint) -> None:
         place = f'{element.title}/<joint name="{joint.name}">'
-        # The tags of the one joint that was not skipped.
+        # The tags of the one joint that was valid.
         joints = [child for child in element.find_all("joint") if (child.get("name") or "").strip() == joint.name]
         tags = ([tag for tag in child.find_all("hardwareInterface") if tag.first_text] for child in joints)
         written, *others = next(filter(None, tags))

@@ -1,20 +1,21 @@
-"""Runs xacro on a tree of elements. All that touches the insides of the xacro package stands in this file.
+"""Runs xacro on a tree of elements. Only this file touches the insides of the xacro package.
 
-xacro 2.1 has no public way to place errors by line, to look packages up without ament, to compute expressions without
-Python's `eval`, or to end. So these names of its modules are replaced while a model is expanded, and put back after it:
+xacro 2.1 has no public way to report errors by line, to look packages up without ament, to compute expressions without
+Python's `eval`, or to bound the work. So these names of its modules are replaced while a model is expanded:
 
-* `eval_all`, `check_attrs`, `handle_macro_call`, `process_include` are wrapped: they tell which element xacro looks at
-  (for file and line of an error), count the steps, and leave out what is not there;
+* `eval_all`, `check_attrs`, `handle_macro_call`, `process_include` are wrapped: they record the element that xacro
+  works on (for file and line of an error), count the steps, and leave out what does not exist;
 * `parse` reads included files within bounds, into nodes that know their lines;
-* `warning`, `error`, `message`, `print_location` print; here a warning is a notice, and nothing steers the terminal;
-* `safe_eval`, and `eval` in `substitution_args`, let Python compute; here our evaluator does, which runs nobody's code;
-* `__builtins__`, `math`, `load_yaml` and `tokenize` are what `create_global_symbols` gives to expressions: ours end;
+* `warning`, `error`, `message`, `print_location` print; here warnings become notices, and no terminal codes are sent;
+* `safe_eval`, and `eval` in `substitution_args`, call Python's `eval`; here our evaluator does it, which is safe;
+* `__builtins__`, `math`, `load_yaml` and `tokenize` are passed to expressions by `create_global_symbols`; ours are
+  bounded;
 * `_global_symbols`, `all_includes`, `substitution_args_context`, and `_eval_dict` and `_eval_find` of
-  `substitution_args`, are the state of a run, which xacro keeps in modules: each run has its own.
+  `substitution_args`, are the state of a run, which xacro keeps in modules: here each run has its own.
 
 `resolve_macro`, `replace_node`, `init_stacks`, `filestack`, `XacroException`, `NameSpace`, the wrappers of YAML values
-and `ConstructUnits` are used as they are. pyproject.toml names the versions for which this holds, and a test compares
-xacro's functions with those that were read for it.
+and `ConstructUnits` are used unchanged. pyproject.toml pins the versions for which this holds, and a test compares
+xacro's functions with the versions that were reviewed.
 """
 
 from __future__ import annotations
@@ -45,24 +46,24 @@ from slidectl.errors import BadFile, NotThere, Refused, SlidectlError, listing
 from slidectl.expressions import FUNCTIONS, MATH, compute
 
 MOST_MEMORY = 1 << 30
-"""Bytes that a run may take on top of what the process has."""
+"""The most memory of a run on top of that of the process, bytes."""
 MOST_STEPS = 30_000
-"""Elements that xacro looks at; a humanoid takes some ten thousand."""
+"""The most elements that xacro works on; a humanoid takes about ten thousand."""
 MOST_SECONDS = 30.0
-"""Of the processor's time, so that a busy machine refuses no more than an idle one."""
+"""The most time of a run, s of processor time, so that the limit does not depend on other load."""
 MOST_YAML_VALUES = 50_000
 _MOST_DIGITS = 400
 
 _PREFIX = "xacro:"
 _NOWHERE = "/no-such-package/"
-"""Stands for the folder of a package that is not there, so that the rest of the file is read, too."""
+"""Replaces the folder of a missing package, so that the rest of the file is still read."""
 _WRAPPED = ("eval_all", "check_attrs", "handle_macro_call", "process_include")
 _PLAIN = (bool, int, float, complex, str, bytes, list, tuple, dict, set, frozenset, type(None))
 _DOTTED = (xacro.NameSpace, xacro.YamlDictWrapper)
 _NUMBERS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
 
-# The tags that xacro took without their prefix until ROS Kinetic, each with an attribute that it must have: tags of
-# other languages with the same names are left alone.
+# The tags that xacro took without their prefix until ROS Kinetic, each with a mandatory attribute, which separates them
+# from tags of other languages with the same names.
 _BARE = {
     "macro": "name", "property": "name", "include": "filename", "if": "value", "unless": "value",
     "insert_block": "name",
@@ -72,19 +73,19 @@ _BARE = {
 def expand(
     root: Element, path: Path | None, arguments: Mapping[str, str], packages: Packages, missing: Missing
 ) -> tuple[Element, list[Notice]]:
-    """The expanded tree and xacro's warnings. `path` is the file, for relative includes; None for a text without one.
+    """Expand a tree. Returns the result and xacro's warnings. `path` is the file, for relative includes, or None.
 
-    Packages and included files that are not there are noted in `missing`, and left out, with the macros that they
-    would have brought.
+    Missing packages and included files are noted in `missing` and left out, together with calls of macros that they may
+    define.
 
     Raises:
-        BadFile: whatever xacro does not accept, with file and line; what is not there, where xacro needs it.
+        BadFile: an error of xacro, with file and line; also a missing thing that xacro cannot do without.
     """
     return _Run(root, path, arguments, packages, missing).expand()
 
 
 class _Arguments(dict[str, str]):
-    """xacro's arguments; remembers which names were asked for or declared."""
+    """The arguments for xacro; records which names were used or declared."""
 
     def __init__(self, given: Mapping[str, str]) -> None:
         super().__init__(given)
@@ -100,7 +101,7 @@ class _Arguments(dict[str, str]):
 
 
 class _Run:
-    """One run. `here` is the node that xacro looks at, `calls` the macro calls that it is in."""
+    """One run. `here` is the node that xacro works on, `calls` the macro calls around it."""
 
     def __init__(
         self, root: Element, path: Path | None, arguments: Mapping[str, str], packages: Packages, missing: Missing
@@ -112,9 +113,9 @@ class _Run:
         self.missing = missing
         self.arguments = _Arguments(arguments)
         self.unknown: dict[str, NotThere] = {}
-        """The packages that are not there."""
+        """The packages that do not exist."""
         self.lacks_macros = False
-        """Whether an include is left out, so that macros may be unknown for it."""
+        """True when an include was left out: unknown macros may have been defined there."""
         self.bare_macros: set[str] = set()
         self.notices: list[Notice] = []
         self.calls: list[_Node] = []
@@ -129,8 +130,8 @@ class _Run:
             with self.replaced_insides(), contextlib.redirect_stdout(sys.stderr), _bounded_memory():
                 xacro.init_stacks(str(self.path.absolute()) if self.path is not None else None)
                 xacro.process_doc(self.document, mappings=self.arguments)
-        except Exception as error:  # expressions of the file may raise anything at all
-            self.missing.refuse()  # what xacro stumbles over is most often the lack of it
+        except Exception as error:  # expressions of the file may raise any exception
+            self.missing.refuse()  # something missing is the most frequent reason
             raise self.explained(error) from (None if isinstance(error, SlidectlError) else error)
         declared = listing(self.arguments.asked)
         for name in self.given.keys() - self.arguments.asked:
@@ -138,11 +139,11 @@ class _Run:
             self.notices.append(Notice("ignored", f"{name}:=", text, self.root.file, None))
         return _to_element(self.top), self.notices
 
-    # --- what stands in the place of xacro's own ----------------------------------------------------------------------
+    # --- replacements of xacro's own functions ------------------------------------------------------------------------
 
     @contextlib.contextmanager
     def replaced_insides(self) -> Iterator[None]:
-        """xacro with our functions in the place of its own, until the end of the block."""
+        """Replace names in xacro's modules by ours until the end of the block."""
         self.original = {name: getattr(xacro, name) for name in _WRAPPED}
         own = (*_WRAPPED, "parse", "warning", "error", "message", "print_location", "safe_eval", "load_yaml")
         state = {
@@ -150,7 +151,7 @@ class _Run:
             "all_includes": [],
             "substitution_args_context": {"filename": str(self.path) if self.path is not None else None},
         }
-        # Of Python's mathematics some functions never end.
+        # Some functions of Python's math module may take forever.
         names = {name: value for name, value in substitution_args._eval_dict.items() if name not in vars(math)}
         evaluation = {
             "eval": self.eval_argument,
@@ -161,7 +162,7 @@ class _Run:
             _replaced(xacro, {**state, **{name: getattr(self, name) for name in own}}),
             _replaced(substitution_args, evaluation),
         ):
-            # What xacro takes from here it gives to expressions; they are not what its own functions call.
+            # xacro passes these to expressions; its own code does not call them.
             taken = {**vars(builtins), **FUNCTIONS, "type": _type}
             with _replaced(xacro, {"__builtins__": taken, "math": SimpleNamespace(**MATH)}):
                 self.symbols = xacro.create_global_symbols()
@@ -205,7 +206,7 @@ class _Run:
         return result
 
     def process_include(self, node: Any, macros: Any, symbols: Any, function: Any) -> None:
-        """An include; one whose file is not there is noted and left out."""
+        """Include a file; a missing file is noted and left out."""
         before, depth = self.here, len(xacro.filestack)
         try:
             self.original["process_include"](node, macros, symbols, function)
@@ -224,7 +225,7 @@ class _Run:
         self.here = before
 
     def parse(self, text: Any, filename: str) -> minidom.Document:
-        """Reads an included file; a missing one is xacro's own exception, which optional includes catch."""
+        """Read an included file. For a missing file it raises XacroException, which optional includes catch."""
         assert text is None
         try:
             content = models.read_regular(Path(filename), xml_tree.MOST_BYTES)
@@ -237,19 +238,19 @@ class _Run:
         self.notices.append(Notice("wrong", "xacro", _printable(words), self.here.file, self.here.line))
 
     def error(self, *words: object, **_: object) -> None:
-        self.warning(*words)  # a function of its own, as xacro tells expressions of it by its name
+        self.warning(*words)  # not an alias: xacro passes it to expressions under the function's own name
 
     def message(self, *words: object, **_: object) -> None:
         print(_printable(words), file=sys.stderr)
 
     def print_location(self) -> None:
-        """The place of a warning is in its notice."""
+        """Print nothing: the notice of a warning has its place."""
 
     def safe_eval(self, expression: str, names: Mapping[str, Any], _locals: object = None) -> Any:
         return compute(expression, names, _DOTTED)
 
     def eval_argument(self, expression: str, _globals: object, names: Any) -> Any:
-        """A `$(eval ...)`. `names` gives arguments and functions, and behind them are Python's own functions."""
+        """Evaluate a `$(eval ...)`. `names` has arguments and functions; Python's own functions are added."""
         return compute(expression, ChainMap(names, FUNCTIONS), _DOTTED)
 
     def find(self, package: str) -> str:
@@ -262,9 +263,9 @@ class _Run:
             return f"{_NOWHERE}{package}"
 
     def load_yaml(self, filename: str) -> Any:
-        """The values of a YAML file, with dotted access and units (`!degrees 90`). `filename` may be a relative one.
+        """The values of a YAML file, with dotted access and units (`!degrees 90`). `filename` may be relative.
 
-        PyYAML follows aliases of aliases, and merges of merges, until memory is gone: they are counted first.
+        PyYAML expands nested aliases and merges until the memory is full, so values are counted first.
         """
         import yaml
 
@@ -273,7 +274,7 @@ class _Run:
         path = Path(xacro.abs_filename_spec(filename))
 
         class Loader(yaml.SafeLoader):
-            """Of one file: xacro adds the units to the class that others use, too."""
+            """The loader of one file: xacro adds the units to PyYAML's own class, which others use too."""
 
         for unit in xacro.ConstructUnits:
             Loader.add_constructor(unit.value.tag, self.unit_reader(unit.value.conversion_constant))
@@ -296,7 +297,7 @@ class _Run:
     # --- nodes and errors ---------------------------------------------------------------------------------------------
 
     def prefixed(self, root: Element) -> minidom.Document:
-        """The nodes of a file, in which tags without the prefix have one, with one notice."""
+        """Convert a file to nodes. Tags without the prefix get it, with one notice."""
         bare = list(_bare(root))
         if bare:
             names = ", ".join(f"<{name}>" for name in sorted({element.tag for element in bare}))
@@ -313,7 +314,7 @@ class _Run:
         return document
 
     def explained(self, error: Exception) -> BadFile:
-        """Why xacro stopped: what was raised first, and in which expressions; at the place that xacro looked at."""
+        """Make an error from the first exception and the expressions around it, at the node that xacro works on."""
         expressions: list[str] = []
         cause: BaseException = error
         while isinstance(cause, xacro.XacroException) and isinstance(cause.exc, BaseException):
@@ -328,7 +329,7 @@ class _Run:
         return BadFile(text + self.called(), *place)
 
     def called(self) -> str:
-        """Where the innermost macro that fails was called."""
+        """Where the innermost failing macro was called, for a message."""
         outer = [call for call in self.calls if call is not self.here]
         if not outer:
             return ""
@@ -337,7 +338,7 @@ class _Run:
 
 
 class _Node(minidom.Element):
-    """A minidom element with the file and line of its tag, which its clones have too: macros are made by cloning."""
+    """A minidom element with file and line of its tag. Clones keep them: macros are expanded by cloning."""
 
     def __init__(self, tag: str, file: str, line: int) -> None:
         super().__init__(tag)
@@ -356,7 +357,7 @@ class _Node(minidom.Element):
 
 
 def _set(node: minidom.Element, name: str, value: str) -> None:
-    """Set an attribute; without a namespace of its own, minidom takes `xacro:name` and `name` for one."""
+    """Set an attribute. minidom would confuse `xacro:name` with `name` without the namespace."""
     prefix, colon, _ = name.partition(":")
     if colon:
         node.setAttributeNS(prefix, name, value)
@@ -392,7 +393,7 @@ def _to_element(node: _Node) -> Element:
 
 
 def _bare(element: Element) -> Iterator[Element]:
-    """Tags without a prefix. What is inside `<gazebo>` is another language, and may have the same names."""
+    """Elements without the prefix. Inside `<gazebo>` tags of the same names have another meaning."""
     if _BARE.get(element.tag, "") in element.attributes:
         yield element
     for child in element.children if element.tag != "gazebo" else ():
@@ -409,7 +410,7 @@ def _is_unknown(name: str, macros: Any, symbols: Any) -> bool:
 
 @contextlib.contextmanager
 def _replaced(module: ModuleType, names: Mapping[str, Any]) -> Iterator[None]:
-    """A module with other values of some names; at the end of the block all its names are as they were."""
+    """Replace names of a module; at the end of the block all its names are restored."""
     before = dict(vars(module))
     vars(module).update(names)
     try:
@@ -422,7 +423,7 @@ def _replaced(module: ModuleType, names: Mapping[str, Any]) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _bounded_memory() -> Iterator[None]:
-    """Inside, more than MOST_MEMORY is a MemoryError. For the whole process: nothing else must run meanwhile."""
+    """Limit new memory to MOST_MEMORY inside the block. The limit holds for the whole process: nothing else may run."""
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)
     with open("/proc/self/statm", encoding="ascii") as statm:
         limit = int(statm.read().split()[0]) * resource.getpagesize() + MOST_MEMORY
@@ -436,7 +437,7 @@ def _bounded_memory() -> Iterator[None]:
 
 
 def _check_size(root: Any, file: str) -> None:
-    """Raises BadFile for more values than anybody needs, counted as often as aliases repeat them, and long numbers."""
+    """Raise BadFile for too many values, counting what aliases repeat, and for long numbers."""
     count = 0
     pending = [root]
     while pending:
@@ -454,14 +455,14 @@ def _check_size(root: Any, file: str) -> None:
 
 
 def _type(value: Any) -> type:
-    """The type of a plain value: that of a function could make others."""
+    """The type of a plain value; other types could construct new types."""
     if not issubclass(type(value), _PLAIN):
         raise TypeError("python.type() here is for numbers, texts, lists and mappings")
     return type(value)
 
 
 def _tokenize(text: str, sep: str = ",; ", skip_empty: bool = True) -> list[str]:
-    """xacro's function of this name. `sep` is what stands between the brackets of a regular expression, and no more."""
+    """xacro's function `tokenize`. `sep` may only be a set of characters, not another regular expression."""
     if "]" in sep[1:]:
         raise ValueError("']' can only be the first of the letters to part a text at")
     items = re.split(f"[{sep}]", text)

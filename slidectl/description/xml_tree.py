@@ -1,8 +1,8 @@
-"""XML into a small tree in which every element knows its file and line, nothing dangerous is let in, and back.
+"""Reads XML into a small tree in which every element knows its file and line, and writes it.
 
-Entity declarations, huge and absurdly deep inputs are refused; nothing is ever fetched. On expat, because it gives
-the line on which a tag begins and lets entities be refused where they are declared. In a text that is written each tag
-begins a line of its own, so that a line of it names one element. No meaning of tags here.
+Entity declarations, and too large or too deep inputs, are refused; nothing is downloaded. It uses expat, which gives
+the line where a tag begins and can refuse entities at their declaration. In written text each tag begins its own line,
+so that a line names one element. This module does not know what tags mean.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _MISMATCH = expat.errors.codes[expat.errors.XML_ERROR_TAG_MISMATCH]
 _INVALID = expat.errors.codes[expat.errors.XML_ERROR_INVALID_TOKEN]
 
 TITLES = ("reference", "name", "filename")
-"""The attributes by which elements of one tag are told from each other."""
+"""The attributes that identify elements with the same tag, in messages."""
 
 
 class Comment(str):
@@ -33,7 +33,7 @@ class Comment(str):
 
 @dataclass(slots=True, eq=False)
 class Element:
-    """One element; `content` holds children, texts and comments in order; `line` is where its tag begins."""
+    """One element. `content` has children, texts and comments in order; `line` is where its tag begins."""
 
     tag: str
     attributes: dict[str, str]
@@ -41,7 +41,7 @@ class Element:
     line: int
     content: list[Element | str] = field(default_factory=list)
     mesh_name: str | None = None
-    """The `filename` of a mesh as it is written, where the attribute holds the file that was found for it."""
+    """The `filename` of a mesh as written, when the attribute has been replaced by the file that was found."""
 
     @property
     def children(self) -> list[Element]:
@@ -60,7 +60,7 @@ class Element:
         return self.attributes.get(name)
 
     def walk(self) -> Iterator[Element]:
-        """This element and all below it, in the order of the file."""
+        """This element and all its descendants, in the order of the file."""
         pending = [self]
         while pending:
             element = pending.pop()
@@ -69,12 +69,12 @@ class Element:
 
     @property
     def text(self) -> str:
-        """All its own text, without comments and children."""
+        """Its own text, without comments and children."""
         return "".join(node for node in self.content if isinstance(node, str) and not isinstance(node, Comment))
 
     @property
     def first_text(self) -> str:
-        """The text as TinyXML's GetText sees it: only when nothing stands before it; blanks condensed."""
+        """The text as in TinyXML's GetText: only the text before children and comments; blanks are condensed."""
         for node in self.content:
             if isinstance(node, (Element, Comment)):
                 break
@@ -84,14 +84,14 @@ class Element:
 
     @property
     def title(self) -> str:
-        """The tag as a report shows it, with the attribute that tells it from its like."""
+        """The tag in reports, with an identifying attribute."""
         for name in TITLES:
             if name in self.attributes:
                 return f'<{self.tag} {name}="{self.attributes[name]}">'
         return f"<{self.tag}>"
 
     def set_mesh(self, file: str) -> None:
-        """Let a mesh's `filename` be the file that was found for it."""
+        """Replace a mesh's `filename` by the file that was found for it."""
         if self.mesh_name is None:
             self.mesh_name = self.attributes["filename"]
         self.attributes["filename"] = file
@@ -102,14 +102,14 @@ class Element:
 
 
 def below(element: Element | None, *tags: str) -> Element | None:
-    """The first child of a tag, in that the first one of the next, and so on; None where one is not there."""
+    """The descendant reached by the first children with these tags, one after the other; None when one is missing."""
     for tag in tags:
         element = element.find(tag) if element is not None else None
     return element
 
 
 def read(source: str | bytes, file: str, most_bytes: int = MOST_BYTES) -> Element:
-    """The root element of an XML text. `file` is the name that messages show.
+    """Parse an XML text and return the root element. `file` is its name in messages.
 
     Raises:
         BadFile: not well-formed, an entity or document type with declarations, too large or too deep.
@@ -120,7 +120,7 @@ def read(source: str | bytes, file: str, most_bytes: int = MOST_BYTES) -> Elemen
 
 
 class _Reader:
-    """Expat's handlers."""
+    """Builds the tree in expat's handlers."""
 
     def __init__(self, file: str) -> None:
         self.file = file
@@ -154,7 +154,7 @@ class _Reader:
         return self.root
 
     def advice(self, code: int, source: str | bytes) -> str | None:
-        """What to do about the slips that are made most."""
+        """A hint about frequent mistakes."""
         if code == _MISMATCH and self.open:
             return f"</{self.open[-1].tag}> is missing: its element begins in line {self.open[-1].line}"
         if code != _INVALID:
@@ -164,7 +164,7 @@ class _Reader:
         return _slip(source.encode() if isinstance(source, str) else source, self.parser.ErrorByteIndex)
 
     def without_leading_blanks(self, source: str | bytes) -> str | bytes:
-        """Blanks before `<?xml` (a here-document's first line) are no reason to refuse a robot."""
+        """Remove blanks before `<?xml` (such as the first line of a here-document), which XML does not allow."""
         stripped: str | bytes
         if isinstance(source, str):
             stripped = source.lstrip("\ufeff \t\r\n")
@@ -214,7 +214,7 @@ class _Reader:
 
 
 def _slip(source: bytes, place: int) -> str | None:
-    """What was meant at the place (a byte, counted without leading blanks) where XML says no."""
+    """A hint about the mistake at `place` (a byte index without leading blanks), where the syntax error is."""
     text = source.lstrip(b"\xef\xbb\xbf \t\r\n")
     before, here = text[:place], text[place : place + 1]
     if before.rfind(b"<!--") > before.rfind(b"-->"):
@@ -227,7 +227,7 @@ def _slip(source: bytes, place: int) -> str | None:
 
 
 def is_utf8(text: bytes) -> bool:
-    """Whether bytes are text in UTF-8."""
+    """True when the bytes are valid UTF-8."""
     try:
         text.decode()
     except UnicodeDecodeError:
@@ -236,9 +236,9 @@ def is_utf8(text: bytes) -> bool:
 
 
 def _place(root: Element, note: source_note.Note) -> None:
-    """Give the elements the places where they were written, and meshes their files.
+    """Set the places of elements, and the files of meshes, from the note.
 
-    A note that does not fit the text is of another text.
+    A note with another number of elements belongs to another text and is ignored.
     """
     elements = list(root.walk())
     if len(elements) != len(note.places):
@@ -251,15 +251,15 @@ def _place(root: Element, note: source_note.Note) -> None:
 
 # --- writing ----------------------------------------------------------------------------------------------------------
 
-# The standard library's own escaping lives in a module that imports the whole of HTTP.
+# The standard library's escaping is in a module that imports its whole HTTP package.
 _IN_TEXTS = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;", "\r": "&#13;"})
 _IN_ATTRIBUTES = {**_IN_TEXTS, **str.maketrans({'"': "&quot;", "\n": "&#10;", "\t": "&#9;"})}
 
 
 def write(root: Element) -> str:
-    """The text, with the note of sources at its end.
+    """Write the tree as text, with the source note at its end.
 
-    Comments are dropped except beside a text, where they have a meaning (see Element.first_text).
+    Comments are dropped, except beside a text, where they have an effect (see Element.first_text).
     """
     pieces = ['<?xml version="1.0" encoding="utf-8"?>\n']
     places: list[source_note.Place] = []
@@ -291,7 +291,7 @@ def write(root: Element) -> str:
 
 
 def _text(element: Element) -> str:
-    """The text of an element without children; comments stay where a text stands beside them."""
+    """The text of an element without children, with its comments; empty when it has no text."""
     if not element.text.strip():
         return ""
     texts = (node for node in element.content if isinstance(node, str))

@@ -1,7 +1,7 @@
-"""YAML 1.1 text into a tree of parameters, as rosparam reads it, with file and line in every error.
+"""Reads YAML 1.1 text into a tree of parameters, as rosparam does, with file and line in every error.
 
-`deg(90)` and `rad(pi/2)` become radians. What a parameter cannot be (nothing, a date, a key that is no text) is
-refused; what reads differently from what it looks like is a notice. yaml is imported here: import this lazily.
+`deg(90)` and `rad(pi/2)` become radians. Values that no parameter can have (null, a date, a key that is not text) are
+refused; text that looks like another type gives a notice. This module imports yaml: import it lazily.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ DEEPEST = 60
 NO_MAPPING = "expected names with values, as `name: value`"
 
 REPLACED = "is a value, and a namespace of values too: the last one counts"
-"""Of a path that `merge` returns."""
+"""The notice for a path that `merge` returns."""
 _LOOKS_LIKE_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)[eE][+-]?\d+|[+-]?(inf|nan)", re.IGNORECASE)
 _MERGE = "tag:yaml.org,2002:merge"
 _PLAIN = ("tag:yaml.org,2002:map", "tag:yaml.org,2002:seq")
@@ -32,25 +32,25 @@ _KINDS = {"null": "nothing", "timestamp": "a date", "binary": "binary"}
 
 
 class _Loader(yaml.SafeLoader):
-    """PyYAML's safe loader that also knows angles, without touching the one that others use."""
+    """PyYAML's safe loader with angles; a subclass, so that other users of PyYAML are not affected."""
 
 
 add_to(_Loader)
 
 
 def read(text: str | bytes, file: str, notices: list[Notice] | None = None, *, rooted: bool = False) -> Tree:
-    """The parameters of all documents in `text`, later ones over earlier ones. `file` is its name in messages.
+    """The parameters of all documents in `text`; later documents override earlier ones. `file` is its name in messages.
 
-    `rooted`: of a name that begins with a slash the slash is kept, as it leaves the namespace.
+    `rooted`: keep the leading slash of a name, which means that it is not relative to the namespace.
 
     Raises:
-        BadFile: not YAML, no mapping of names, or a value that no parameter can have.
+        BadFile: not YAML, not a mapping of names, or a value that no parameter can have.
     """
     return _Reader(file, notices if notices is not None else [], rooted=rooted).read(text)
 
 
 def read_value(text: str, file: str) -> Any:
-    """One value of any shape, as `rosparam set` reads it; empty text is None."""
+    """Read one value of any shape, as `rosparam set` does; empty text is None."""
     reader = _Reader(file, [])
     nodes = reader.nodes(text)
     if len(nodes) > 1:
@@ -59,9 +59,9 @@ def read_value(text: str, file: str) -> Any:
 
 
 def read_rosparam(text: str, file: str, notices: list[Notice]) -> Any:
-    """What a `<rosparam>` of a launch file holds: one value of any shape; empty text and null are None.
+    """Read the content of a `<rosparam>` in a launch file: one value of any shape; empty text and null are None.
 
-    Of a name that begins with a slash the slash is kept, as it leaves the namespace; `_ns` is a name like any other.
+    The leading slash of a name is kept, which means that it is not relative; `_ns` has no special meaning.
     """
     reader = _Reader(file, notices, rooted=True)
     nodes = documents(text, file)
@@ -73,7 +73,7 @@ def read_rosparam(text: str, file: str, notices: list[Notice]) -> Any:
 def places(text: str | bytes, file: str) -> dict[str, int]:
     """The line of every value by its path, as `/slider/joint1_position_controller/pid/p` or `/a/extra_joints[0]/name`.
 
-    Of a name that is written twice the last line counts, as its value does.
+    For a name that is written twice it is the last line, as the last value counts.
 
     Raises:
         BadFile: not YAML.
@@ -86,7 +86,7 @@ def places(text: str | bytes, file: str) -> dict[str, int]:
 
 
 def documents(text: str | bytes, file: str, loader: type[yaml.SafeLoader] = _Loader) -> list[yaml.Node]:
-    """The nodes of all documents. Reading takes seconds for each MiB, so there is an end to it. Raises BadFile."""
+    """The nodes of all documents. The size is bounded, as reading takes seconds per MiB. Raises BadFile."""
     if len(text) > MOST_BYTES:
         raise BadFile(f"is larger than {MOST_BYTES // 2**20} MiB", file)
     try:
@@ -102,23 +102,23 @@ def documents(text: str | bytes, file: str, loader: type[yaml.SafeLoader] = _Loa
 
 
 def _namespace(document: yaml.Node) -> str:
-    """What a document's `_ns` puts all its names under, as a path."""
+    """The namespace of a document, which its `_ns` sets, as a path."""
     pairs = document.value if isinstance(document, yaml.MappingNode) else []
     written = next((str(value.value) for key, value in pairs if _text(key) == "_ns"), "")
     return "".join(f"/{name}" for name in written.split("/") if name)
 
 
 class MergedPairs:
-    """The keys and values of the mappings of one file, with what `<<` merges into them."""
+    """The keys and values of the mappings of one file, with those that `<<` merges into them."""
 
     def __init__(self, file: str) -> None:
         self.file = file
         self.flat: dict[int, list[Pair]] = {}
 
     def of(self, node: yaml.MappingNode) -> list[Pair]:
-        """Keys and values with what `<<` merges in; what is written in the mapping itself goes before that.
+        """Keys and values including merged ones; those of the mapping itself override merged ones.
 
-        PyYAML's own flattening is exponential in the depth of merges within merges; this one reads each mapping once.
+        PyYAML's own flattening is exponential in the depth of nested merges; this one reads each mapping once.
         """
         if id(node) not in self.flat:
             own = [(key, value) for key, value in node.value if key.tag != _MERGE]
@@ -131,7 +131,7 @@ class MergedPairs:
         return self.flat[id(node)]
 
     def _merged(self, node: yaml.Node) -> list[Pair]:
-        """What one `<<` gives: a mapping's pairs, or those of a list of mappings, the first going first."""
+        """The pairs of one `<<`: of a mapping, or of a list of mappings, of which earlier ones override later ones."""
         sources: list[Any] = node.value if isinstance(node, yaml.SequenceNode) else [node]
         for source in sources:
             if not isinstance(source, yaml.MappingNode):
@@ -200,14 +200,14 @@ class _Reader:
         return tree
 
     def nested(self, key: str, value: Any) -> Tree:
-        """The value below the names of its key."""
+        """The value as a tree below the names in its key."""
         tree: Tree = nest(key, value)
         if self.rooted and key.startswith("/"):
             tree = {f"/{name.lstrip('/')}": below for name, below in tree.items()}
         return tree
 
     def place(self, node: yaml.Node, path: str, found: dict[str, int], depth: int) -> None:
-        """Note the lines of what is below `node`, as deep and as far as values are read."""
+        """Record the lines of everything below `node`, within the bounds for values."""
         self.count += 1
         if self.count > MOST_VALUES or depth > DEEPEST:
             return
@@ -258,7 +258,7 @@ def _is_empty(node: yaml.Node) -> bool:
 
 
 def _advice(error: yaml.MarkedYAMLError) -> str | None:
-    """What to do about the slips that are made most."""
+    """A hint about frequent mistakes."""
     problem = str(error.problem)
     if "'\\t'" in problem:
         return "a tab is no blank in YAML: use spaces"
@@ -278,7 +278,7 @@ def _text(key: yaml.Node) -> str:
 
 
 def _problem(error: Exception) -> str:
-    """What is wrong, without the place: that is ours to say."""
+    """The reason of an error, without its position."""
     return str(getattr(error, "problem", None) or " ".join(str(error).split()))
 
 

@@ -1,4 +1,4 @@
-"""Launch files: roslaunch XML into a plan, and a plan carried out through the client.
+"""Launch files: reads roslaunch XML into a plan, and carries out the plan through the client.
 
-`load` reads files and starts nothing. It works on the simulation only through `slidectl.client`.
+`load` reads files and starts nothing. This package uses the simulation only through `slidectl.client`.
 """

@@ -1,6 +1,6 @@
-"""A plan carried out: a daemon, parameters, nodes in order; then watched; then ended in reverse order.
+"""Carries out a plan: daemon, parameters, nodes in order; then watches it; then ends it in reverse order.
 
-Tasks say what each node does. After `shut_down` nothing that was started here is left.
+Tasks know what to do for each node. After `shut_down` nothing that was started here is left.
 """
 
 from __future__ import annotations
@@ -25,30 +25,30 @@ from slidectl.launch.plan import LaunchPlan, Leaf, Location, Node, RosparamComma
 from slidectl.launch.task import HOOK_LIMIT_S, Run, StepFailed, Task
 from slidectl.writing import write_whole
 
-# Nobody tells when a robot comes or a parameter is set, so look now and then.
+# There is no event for a new robot or parameter, so waiting tasks are tried again periodically.
 _LOOK_AGAIN_S = 0.2
 _LOOK_SELDOM_S = 0.5
 _STATUS_EVERY_S = 1.0
 _FIRST_MOMENT_S = 0.1
-"""How long programs are watched before everything is said to run: what cannot work dies at once."""
+"""How long programs are watched before the launch counts as up: broken programs usually end at once."""
 
 
 class DaemonAccess(Protocol):
-    """How to get at a daemon, and to get rid of it."""
+    """Starts, finds and stops a daemon."""
 
     def begin(self, settings: WorldSettings) -> bool:
-        """Begin to start a daemon with such a world, unless one runs already: then False."""
+        """Begin to start a daemon with these settings. Returns False when one is running already."""
 
     def connect(self) -> tuple[Client, bool]:
-        """Wait until it answers; the connection, and whether the daemon is the one that was begun here."""
+        """Wait until the daemon answers. Returns a connection, and True if `begin` has started this daemon."""
 
     def stop(self) -> None:
-        """Stop the one that was begun here; it need not answer yet."""
+        """Stop the daemon that `begin` has started; it may not answer yet."""
 
 
 @dataclass
 class _Waiting:
-    """A task that could not start yet."""
+    """A task that cannot start yet."""
 
     task: Task
     reason: str
@@ -57,7 +57,7 @@ class _Waiting:
 
 
 class Execution:
-    """One launch, from `bring_up` over `watch` to `shut_down`, which must come, whatever happened before."""
+    """One launch. Call `bring_up`, then `watch`, and always `shut_down` at the end, also after an error."""
 
     def __init__(self, run: Run, tasks: Sequence[Task], daemon: DaemonAccess) -> None:
         self.run = run
@@ -72,15 +72,15 @@ class Execution:
         self._ended: dict[Process, int] = {}
         self._over = False
         self._found: set[tuple[str, int]] = set()
-        """Robots that were there before, with the sessions of those who asked for them."""
+        """Name and process session of the robots that were in the world before the launch."""
 
     # --- up -------------------------------------------------------------------------------------------------------
 
     def bring_up(self) -> None:
-        """Returns when everything runs.
+        """Start everything. Returns when everything runs.
 
         Raises:
-            BadFile: a value of the files cannot be had. StepFailed. NoDaemon. Interrupted.
+            BadFile: a value in the files cannot be computed. StepFailed. NoDaemon. Interrupted.
         """
         run = self.run
         settings = WorldSettings()
@@ -89,7 +89,7 @@ class Execution:
                 settings = task.settings(settings)
         with run.interrupts.held():
             self._began_daemon = self.daemon.begin(settings)
-        run.parameters = look_ahead(run.plan, self.tasks, run.packages)  # takes as long as a daemon's start
+        run.parameters = look_ahead(run.plan, self.tasks, run.packages)  # done while the daemon starts
         client, run.owns_daemon = self.daemon.connect()
         run.connect(client)
         run.watch.listen(client, lambda: None)
@@ -97,7 +97,7 @@ class Execution:
             self._found = set(self._robots())
         _prepare(run, run.parameters)
         self._start_nodes()
-        # Take in which programs have died meanwhile, and give those that have just begun a moment to do so.
+        # Notice programs that have ended meanwhile, and watch those that have just started for a moment.
         deadline = max((task.started_at + _FIRST_MOMENT_S for task in self._processes()), default=0.0)
         self._turn(0.0)
         while not self._over and (left := deadline - time.monotonic()) > 0:
@@ -122,12 +122,12 @@ class Execution:
 
     @property
     def nodes(self) -> int:
-        """How many nodes were begun, and neither left out nor have died."""
+        """The number of nodes that were started, without those left out or dead."""
         return sum(task not in self.run.left_out and task not in self.died for task in self.begun)
 
     @property
     def died(self) -> dict[Process, int]:
-        """The programs that have died and do not run now, with their exit codes; some may be started again."""
+        """The programs that have died and do not run now, with their exit codes. Some may be respawned."""
         return {task: code for task in self._processes() if (code := task.code)}
 
     def _start(self, task: Task) -> None:
@@ -141,7 +141,7 @@ class Execution:
             self._look_again()
 
     def _attempt(self, task: Task) -> str | None:
-        """Raises StepFailed, naming the step; a daemon that went away is no fault of the step."""
+        """Start a task. Returns what it waits for, or None. Raises StepFailed, or NoDaemon, which is not its fault."""
         try:
             why = task.start(self.run)
         except NoDaemon:
@@ -154,14 +154,14 @@ class Execution:
         return why
 
     def _fail(self, task: Task, error: SlidectlError) -> None:
-        """A task that could not be done ends the launch, or is left out where that keeps going. Raises StepFailed."""
+        """Raise StepFailed for a task that failed, or leave it out if the launch keeps going."""
         if not self.run.plan.missing.keeps_going:
             raise error if isinstance(error, StepFailed) else StepFailed(task, error) from None
         task.leave_out(self.run, "the node", error)
         self.run.left_out.append(task)
 
     def _look_again(self) -> None:
-        """Start what can be started now. A task that now waits for something else says so."""
+        """Start the waiting tasks that can start now. Update what the others wait for."""
         progress = True
         while progress:
             progress = False
@@ -197,7 +197,7 @@ class Execution:
             self._look_again()
 
     def _waits_in_vain(self, entry: _Waiting) -> bool:
-        """Whether it waits for the robot of a node that was left out, and nobody else here could spawn one."""
+        """True when it waits for the robot of a node that was left out, and no other node can spawn that robot."""
         if isinstance(entry.task, SpawnModel):
             awaited = entry.task.words.one("-wait")
             return any(isinstance(task, SpawnModel) and task.model == awaited for task in self.run.left_out)
@@ -206,7 +206,7 @@ class Execution:
         return isinstance(entry.task, Spawner) and not could_come and any(map(_spawns, self.run.plan.nodes))
 
     def _check_left(self) -> None:
-        """Raise Refused when so much was left out that nothing is there to drive."""
+        """Raise Refused when so much was left out that nothing can be driven."""
         missing = self.run.plan.missing
         if not missing.keeps_going or not missing or any(isinstance(task, Process) for task in self._running()):
             return
@@ -223,10 +223,10 @@ class Execution:
     # --- running --------------------------------------------------------------------------------------------------
 
     def watch(self) -> None:
-        """Returns when there is nothing left to watch, or a required node has finished.
+        """Watch the launch. Returns when nothing is left to watch, or a required node has finished.
 
         Raises:
-            Refused: a required node died; or all have ended, and some of them badly. NoDaemon. Interrupted.
+            Refused: a required node died; or all nodes have ended, some with an error. NoDaemon. Interrupted.
         """
         if self.run.console.is_live:
             self._show_status()
@@ -244,13 +244,13 @@ class Execution:
         self._take_in()
 
     def _take_in(self) -> None:
-        """Give the messages that have come to the tasks that subscribe to them."""
+        """Pass received messages to the tasks that subscribe to them."""
         for _ in self.run.client.events(0.0):
             pass
 
     @property
     def stays(self) -> bool:
-        """Whether there is something to watch. A daemon of one's own is something to stay for."""
+        """True while there is something to watch; a daemon started by this launch counts."""
         return self.run.owns_daemon or bool(self._running()) or bool(self._waiting)
 
     def _running(self) -> list[Task]:
@@ -259,7 +259,7 @@ class Execution:
         return [task for task in self.begun if task.keeps_running and task not in gone]
 
     def _is_required(self, task: Task) -> bool:
-        if task.family == "notice":  # a window that there never was cannot be closed
+        if task.family == "notice":  # a viewer that was left out cannot be closed
             return False
         return task.node.required or (self.run.options.all_required and isinstance(task, Process))
 
@@ -272,7 +272,7 @@ class Execution:
             )
 
     def judge(self) -> None:
-        """Raise Refused when a node has ended badly so far."""
+        """Raise Refused when a node has ended with an error so far."""
         self._judge_required()
         died = {task: code for task in self.begun if isinstance(task, Process) and (code := self._ended.get(task))}
         if died:
@@ -298,9 +298,9 @@ class Execution:
     # --- down -----------------------------------------------------------------------------------------------------
 
     def shut_down(self) -> None:
-        """End what was begun, the last first, and the daemon if it was begun here.
+        """End what was started, in reverse order, and the daemon if it was started here.
 
-        Outside of a block in which signals are raised: they only hurry it.
+        Must not be called in a block in which signals are raised: here they only shorten the waits.
         """
         run = self.run
         run.console.closing()
@@ -322,13 +322,13 @@ class Execution:
                 run.console.warn(str(error))
 
     def _robots(self) -> list[tuple[str, int]]:
-        """Those in the world, each with the session id of the process that asked for it."""
+        """The robots in the world, each with the session id of the process that spawned it."""
         return [(robot["name"], robot["process_session"]) for robot in self.run.robots(HOOK_LIMIT_S)]
 
     def _delete_robots_of(self, processes: Sequence[Process]) -> None:
-        """Delete what programs of this launch have spawned. A program in a session that it made itself is not known.
+        """Delete robots that programs of this launch have spawned. A program in a session of its own is not found.
 
-        The id of a session may have belonged to another one before: hence robots that were found here stay.
+        The id of a session may be reused: so robots that were there before the launch stay.
         """
         owners = {number: process for process in processes for number in process.sessions}
         if not owners:
@@ -368,25 +368,25 @@ class Execution:
 
 
 def _spawns(node: Node) -> bool:
-    """Whether a node puts a robot into the world."""
+    """True when a node spawns a robot."""
     return node.package == "gazebo_ros" and node.type.removesuffix(".py") == "spawn_model"
 
 
 def _bare(reason: str) -> str:
-    """What a task waits for, to stand behind "no"."""
+    """What a task waits for, without an article."""
     return reason.removeprefix("the ").removeprefix("a ")
 
 
-# --- before the first node -------------------------------------------------------------------------------------------
+# --- before the nodes start ------------------------------------------------------------------------------------------
 
 
 def look_ahead(
     plan: LaunchPlan, tasks: Sequence[Task], packages: Packages, run_commands: bool = True
 ) -> Mapping[str, Leaf]:
-    """The parameters of a plan, after everything was noted that it needs and is not there, as far as files tell.
+    """The parameters of a plan. Before, everything missing that the files can tell is noted.
 
     Raises:
-        NotThere: all of that, unless the launch goes on without it. BadFile: a value cannot be had.
+        NotThere: all that is missing, unless the launch leaves it out. BadFile: a value cannot be computed.
     """
     parameters = plan.parameters(gather=True, run_commands=run_commands)
     for task in tasks:
@@ -396,7 +396,7 @@ def look_ahead(
 
 
 def _prepare(run: Run, parameters: Mapping[str, Leaf]) -> None:
-    """Raises Refused with the place of what cannot be done."""
+    """Carry out the plan's commands and set its parameters. Raises Refused."""
     _tell_notices(run)
     for command in run.plan.commands:
         _carry_out(run, command)
@@ -410,7 +410,7 @@ def _prepare(run: Run, parameters: Mapping[str, Leaf]) -> None:
 
 
 def _tell_notices(run: Run) -> None:
-    """What the files say that is wrong in full, the rest counted unless `-v`."""
+    """Print notices with the verdict "wrong", and count the others; with `-v` print all."""
     quiet = 0
     for notice in run.plan.notices:
         if notice.verdict == "wrong" or run.console.verbose:
@@ -449,7 +449,7 @@ def _delete(run: Run, name: str, place: Location) -> None:
 
 
 def _set(run: Run, parameters: Mapping[str, Leaf]) -> None:
-    """All in one go: the requests first, then the answers."""
+    """Set all parameters: first all requests are sent, then the answers are read."""
     calls = [(name, place, _begin(run, name, value, place)) for name, (value, place) in parameters.items()]
     for name, place, call in calls:
         try:
@@ -459,7 +459,7 @@ def _set(run: Run, parameters: Mapping[str, Leaf]) -> None:
 
 
 def _begin(run: Run, name: str, value: object, place: Location) -> str:
-    """The id of the call. Of a robot's description the daemon keeps beside it where its elements were written."""
+    """Send the request for a parameter; returns the id of the call. The source note of a robot is sent separately."""
     if isinstance(value, str):
         value, note = source_note.split(value)
         if note:
@@ -469,5 +469,5 @@ def _begin(run: Run, name: str, value: object, place: Location) -> str:
         return run.client.call_async("/rosapi/set_param", {"name": name, "value": text})
     except ValueError:
         raise place.error(f"parameter {name}: {value} is no finite number, and parameters hold no others") from None
-    except UsageError as error:  # too long for a line
+    except UsageError as error:  # the request is longer than a line may be
         raise place.error(f"parameter {name}: {error.message}") from None

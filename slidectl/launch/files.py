@@ -1,4 +1,4 @@
-"""Launch files found and read: `FILE`, `PACKAGE FILE`, the name of one that is shipped, or `-` for standard input.
+"""Finds and reads launch files: `FILE`, `PACKAGE FILE`, the name of a shipped one, or `-` for standard input.
 
 Nothing is parsed here.
 """
@@ -30,10 +30,10 @@ class LaunchFile:
 
 
 def find(words: Sequence[str], packages: Packages) -> list[LaunchFile]:
-    """The launch files that the words of a command line mean.
+    """Find the launch files that the words of a command line mean.
 
     Raises:
-        UsageError, UnknownName, UnknownPackage: none of that name. BadFile: one that cannot be read.
+            UsageError, UnknownName, UnknownPackage: no such file. BadFile: a file that cannot be read.
     """
     if not words:
         raise UsageError("which launch file?", "slidectl launch FILE, or PACKAGE FILE, or the name of a shipped one")
@@ -49,7 +49,7 @@ def find(words: Sequence[str], packages: Packages) -> list[LaunchFile]:
 
 
 def find_in_package(package: str, file: str, packages: Packages, kind: str = "file") -> Path:
-    """A file in a package, wherever in it; `kind` is what messages call it.
+    """Find a file by its name anywhere in a package; `kind` is the word for it in messages.
 
     Raises:
         UnknownPackage, UnknownName: no such package or file. UsageError: the package has several of that name.
@@ -69,14 +69,14 @@ def _given(word: str, packages: Packages) -> LaunchFile:
 
 
 def _source(path: Path) -> LaunchFile:
-    """Only of a shell's `<(...)` a pipe is read: it has its writer, and the open does not wait for one."""
+    """Read a launch file. A pipe is read only from a shell's `<(...)`: its writer exists, so that it opens at once."""
     absolute = Path(os.path.abspath(path))
     is_the_shells = absolute.parent in (Path("/dev/fd"), Path("/proc/self/fd"))
     return LaunchFile(absolute, read_file(absolute, pipes=is_the_shells), shown(absolute))
 
 
 def _in_package(package: str, file: str, packages: Packages) -> Path | None:
-    """The file in the package, wherever in it; None when there is no such package or file."""
+    """The file anywhere in the package; None when there is no such package or file."""
     for folder in packages.candidates(package) if "/" not in package else ():
         directs = (folder / file, folder / "launch" / file) if "/" in file else ()
         found = [path for path in directs if is_file(path)][:1] or [p for p in below(folder) if p.name == file]
@@ -90,7 +90,7 @@ def _in_package(package: str, file: str, packages: Packages) -> Path | None:
 
 
 def _single(word: str, packages: Packages) -> Path:
-    """A file, else a shipped launch file by its name, else the only one of a shipped package."""
+    """The path for one word: a file, else a shipped launch file, else the only launch file of a shipped package."""
     path = Path(os.path.expanduser(word))
     if os.path.exists(path) and not os.path.isdir(path):
         return path
@@ -110,7 +110,7 @@ def _single(word: str, packages: Packages) -> Path:
 
 
 def shipped() -> dict[str, Path]:
-    """The shipped launch files by name: that of the file, or of a package that has only one."""
+    """The shipped launch files by file name, or by package name if the package has only one."""
     found: dict[str, Path] = {}
     top = paths.share("launch")
     for package in sorted(top.iterdir()) if top.is_dir() else []:
@@ -122,7 +122,7 @@ def shipped() -> dict[str, Path]:
 
 
 def below(folder: Path) -> list[Path]:
-    """All files in a folder, without those of folders that begin with a dot."""
+    """All files in a folder, except in folders that begin with a dot."""
     found = []
     for here, folders, files in os.walk(folder, followlinks=True):
         folders[:] = sorted(name for name in folders if not name.startswith("."))

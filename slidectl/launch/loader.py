@@ -1,6 +1,6 @@
-"""Launch files into a plan: each tag in the order of the file, depth first, as roslaunch reads them.
+"""Reads launch files into a plan: each tag in the order of the file, depth first, as roslaunch does.
 
-parameter_tags.py reads parameters; nodes/ says what a node does when it runs. Nothing is started here.
+parameter_tags.py reads parameters; nodes/ defines how each node runs. Nothing is started here.
 """
 
 from __future__ import annotations
@@ -45,15 +45,15 @@ def load(
     parse: Parse = xml_tree.read,
     missing: Missing | None = None,
 ) -> LaunchPlan:
-    """The plan of one or several launch files.
+    """Read one or several launch files into a plan.
 
     Args:
         arguments: the `arg:=value` of the command line.
-        run_commands: whether `<param command=...>` may run programs; our own xacro always may.
-        namespace: where the files' relative names are.
-        arguments_only: find out which arguments there are, and be content when they have no values.
-        parse: makes elements of the text of a file; `check` gives one whose elements note what is read of them.
-        missing: takes in what the files name and is not there, which is left out; without it that is an error.
+        run_commands: allow `<param command=...>` to run programs; our own xacro always may.
+        namespace: the namespace of relative names in the files.
+        arguments_only: read only the declared arguments; they may lack values.
+        parse: makes the elements of a file's text; `check` passes one whose elements record what is read.
+        missing: collects missing things, which are left out; without it they are errors.
 
     Raises:
         BadFile: with file and line. UsageError: an argument that no file declares.
@@ -70,7 +70,7 @@ def load(
         except RecursionError:
             raise BadFile("groups and includes are nested too deeply", source.shown) from None
         except BadFile:
-            plan.missing.refuse()  # the reason, more often than not
+            plan.missing.refuse()  # something missing is the most frequent reason
             raise
         declared |= scope.everywhere
     if missing is None:
@@ -104,7 +104,7 @@ def _read(source: LaunchFile, scope: Scope) -> None:
 
 
 def _contents(parent: Tag, known: Mapping[str, Callable[[Tag], None]], whose: str = "") -> None:
-    """Read the tags inside. What needs a thing that is not there is left out, and noted."""
+    """Read the child tags. A tag that needs a missing thing is left out, and noted."""
     for tag in parent.children(known):
         try:
             if tag.applies:
@@ -138,7 +138,7 @@ def _arg(tag: Tag) -> None:
 
 
 def _missing_argument(scope: Scope, name: str, tag: Tag) -> BadFile:
-    """The error of a required argument that nobody gave."""
+    """The error for a required argument without a value."""
     if scope.trail:
         hint = f'give it at the include: <arg name="{name}" value="..."/>'
         return tag.error(f"the included file requires the argument {name!r}", hint)
@@ -156,7 +156,7 @@ def _value_or_default(tag: Tag) -> tuple[str | None, str | None]:
 
 
 def _read_arguments(source: LaunchFile, scope: Scope) -> None:
-    """Only the args of the file, in groups too, but for those whose own condition is known to be false."""
+    """Read only the arguments of the file, including those in groups; not those whose own condition is false."""
     scope.launch.plan.files.append(str(source.path))
     root = _root(source, scope)
     for element in _own_args(root.element):
@@ -165,7 +165,7 @@ def _read_arguments(source: LaunchFile, scope: Scope) -> None:
             continue
         tag = Tag(element, scope)
         scope.everywhere.add(name)
-        # What cannot be worked out without the values of others stays as it is written.
+        # An attribute that needs unknown values of other arguments stays as written.
         with suppress(BadFile):
             applies = tag.applies
         with suppress(BadFile):
@@ -179,7 +179,7 @@ def _read_arguments(source: LaunchFile, scope: Scope) -> None:
 
 
 def _own_args(element: Element) -> Iterator[Element]:
-    """The args inside, but for those that are given to an include."""
+    """The `<arg>` elements inside, without those of an include."""
     for child in element.children:
         if child.tag == "arg":
             yield child
@@ -235,7 +235,7 @@ def _include(tag: Tag) -> None:
 
 
 def _included(path: str, tag: Tag) -> LaunchFile:
-    """A relative path is one from the working folder."""
+    """Read an included file, relative to the working folder."""
     found = Path(os.path.abspath(path))
     try:
         return LaunchFile(found, read_file(found), shown(found))
@@ -262,7 +262,7 @@ def _env(tag: Tag) -> None:
 
 
 def _remap(tag: Tag) -> None:
-    """Of several for one name the last counts."""
+    """Add a remap; it replaces an earlier one for the same name."""
     tag.knows(["from", "to"])
     source, target = (_remapped(tag, attribute) for attribute in ("from", "to"))
     others = (remap for remap in tag.scope.remaps if remap.source != source)
@@ -280,7 +280,7 @@ def _remapped(tag: Tag, attribute: str) -> str:
 
 
 def _node_tag(tag: Tag) -> None:
-    """Add the node to the plan, and its parameters."""
+    """Add the node and its parameters to the plan."""
     tag.knows(NODE_ATTRIBUTES)
     made = _node(tag)
     for other in tag.plan.nodes:
@@ -293,7 +293,7 @@ def _node_tag(tag: Tag) -> None:
 
 
 def _test(tag: Tag) -> None:
-    """`<test>` is for rostest and starts nothing; its parameters are set all the same, as roslaunch does it."""
+    """Read a `<test>`: as in roslaunch, it starts nothing, but its parameters are set."""
     tag.knows([*NODE_ATTRIBUTES, "test-name", "time-limit", "retry"])
     tag.notice("ignored", "is for rostest: it is not run, its parameters are set, as roslaunch does")
     for attribute in ("pkg", "type", "test-name"):
@@ -303,9 +303,9 @@ def _test(tag: Tag) -> None:
 
 
 def _filled(tag: Tag, namespace: str, full_name: str) -> Scope:
-    """What a node has inside: its parameters go into the plan; remaps and environment are those of the scope.
+    """Read the tags inside a node: its parameters go into the plan, its remaps and environment into the returned scope.
 
-    Of one name a `<param>` counts, wherever it stands, then one of the surroundings with `~`, then a `<rosparam>`.
+    For one name a `<param>` overrides a `~` parameter from outside, and that overrides a `<rosparam>`, in any order.
     """
     inner = tag.scope.group(namespace)
     if tag.clears:
@@ -384,7 +384,7 @@ def _one_of(tag: Tag, attribute: str, *known: str) -> str | None:
 
 
 def _machine(tag: Tag) -> None:
-    """`<machine>`: one that is this machine is known by its name; others cannot be reached."""
+    """Read a `<machine>`: names of this machine are recorded; others are errors."""
     tag.knows(["name", "address", "env-loader", "user", "password", "ssh-port", "timeout", "default"])
     name, address = tag.required("name"), tag.required("address")
     if address not in HERE and address != os.uname().nodename:

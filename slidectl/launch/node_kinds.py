@@ -1,7 +1,7 @@
-"""Which node is what here: a counterpart by `pkg/type`, or the program that rosrun would find.
+"""Finds what to do for each node: its counterpart for `pkg/type`, or the program that rosrun would run.
 
-A program is looked for first where a build puts executables (`PREFIX/lib/PACKAGE`), then anywhere in the package.
-Modules of families are imported when a plan has a node of theirs. Nothing is run here.
+A program is looked for first where a build installs executables (`PREFIX/lib/PACKAGE`), then anywhere in the package.
+The modules of counterparts are imported only when a plan needs them. Nothing is run here.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ COUNTERPARTS = {
     ("topic_tools", "mux"): "topic_tools:Mux",
     ("twist_mux", "twist_mux"): "topic_tools:TwistMux",
 }
-"""Package and type of the nodes that have one, without the windows, which are all those of rviz and rqt.
+"""Package and type of nodes with a counterpart. All nodes of rviz and rqt packages are viewers, which are not listed.
 
-RViz itself is a program where it can reach the daemon.
+RViz itself is run as a program when it can reach the daemon.
 """
 RVIZ = ("rviz", "rviz")
 _TOOLS = ("rostopic", "rosservice", "rosparam")
@@ -58,15 +58,15 @@ def tasks(
     nodes: Sequence[Node] | None = None,
     has_master: bool = False,
 ) -> list[Task]:
-    """What to do for each node of the plan, or for some `nodes` of it, in order. Nothing is started.
+    """The tasks for the nodes of the plan, or for some `nodes` of it, in order. Nothing is started.
 
-    `has_master`: a gateway is there by which programs of ROS 1 reach the daemon. Then RViz is one, if it is installed.
+    `has_master`: a gateway connects ROS 1 programs with the daemon. Then RViz is run as a program, if it is installed.
 
-    Nodes that can neither be done nor run, or whose arguments need what is not there, are left out and noted as
-    missing; with `gather` the caller refuses that, after looking for more.
+    Nodes without a counterpart or program, or whose arguments need missing things, are left out and noted as missing.
+    With `gather` the caller raises the error, after looking for more.
 
     Raises:
-        BadFile: a node whose arguments make no sense. NotThere: such nodes.
+        BadFile: a node has invalid arguments. NotThere: something is missing.
     """
     found = []
     for node in plan.nodes if nodes is None else nodes:
@@ -83,12 +83,12 @@ def tasks(
 
 
 def has_counterpart(package: str, kind: str) -> bool:
-    """Whether such a node is something here, and not a program to run."""
+    """True when the node is part of the simulation here, and not a program."""
     return _entry(package, kind) is not None
 
 
 def _entry(package: str, kind: str) -> str | None:
-    """Scripts were once installed with their suffix."""
+    """The counterpart of a node; a suffix `.py` is ignored."""
     if package.startswith(("rviz", "rqt")):
         return _VIEWER
     return COUNTERPARTS.get((package, kind)) or COUNTERPARTS.get((package, kind.removesuffix(".py")))
@@ -120,7 +120,7 @@ def _task(node: Node, plan: LaunchPlan, packages: Packages, has_master: bool) ->
 
 
 def _rviz(node: Node, packages: Packages) -> str | None:
-    """Distributions have it on the PATH, ROS's own in its folders."""
+    """The path of RViz: some distributions have it on the PATH, ROS has it in its folders."""
     program = shutil.which(node.type)
     if program is None:
         with suppress(BadFile):
@@ -136,14 +136,14 @@ _LIKELY = ("scripts", "nodes", "bin", "src", "")
 
 
 class NeedsRos(NotThere):
-    """A program that is there, and needs ROS 1, which is not."""
+    """A program exists, but needs ROS 1, which is not installed."""
 
 
 def find(node: Node, packages: Packages) -> Path:
-    """The executable of a node.
+    """Find the executable of a node.
 
     Raises:
-        NotThere: no such package, no such program in it, or one that may not be executed. NeedsRos.
+            NotThere: no such package, no such program in it, or the program is not executable. NeedsRos.
     """
     try:
         folders = packages.candidates(node.package) or [packages.find(node.package)]
@@ -161,7 +161,7 @@ def find(node: Node, packages: Packages) -> Path:
 
 
 def _named(node: Node, folder: Path) -> Iterator[Path]:
-    """The files that may be meant, the likeliest first."""
+    """Candidates for the program, the most likely first."""
     prefixes = [folder.parent.parent] if folder.parent.name == "share" else []
     prefixes += [Path(prefix) for prefix in os.environ.get("CMAKE_PREFIX_PATH", "").split(os.pathsep) if prefix]
     built = [prefix / "lib" / node.package / node.type for prefix in prefixes]
@@ -182,7 +182,7 @@ def _why_not(node: Node, folders: list[Path], found: list[Path]) -> tuple[str, s
 
 
 def _compiled(node: Node, folders: list[Path]) -> str:
-    """A line about a program that a build of the package would make."""
+    """A hint if a build of the package would make the program."""
     built = re.compile(rf"add_executable\(\s*{re.escape(node.type)}\s")
     for folder in folders:
         with suppress(OSError):
@@ -192,7 +192,7 @@ def _compiled(node: Node, folders: list[Path]) -> str:
 
 
 def _check_ros(node: Node, program: Path) -> None:
-    """Raise NeedsRos when the program needs a library of ROS 1 that is not on this machine."""
+    """Raise NeedsRos when the program needs a library of ROS 1 that is not installed."""
     if not (library := _ros_library(program)):
         return
     environment = {**os.environ, **dict(node.environment)}
@@ -205,11 +205,11 @@ def _check_ros(node: Node, program: Path) -> None:
 
 
 def _ros_library(program: Path) -> str:
-    """`rospy` for a script that cannot do without it, `roscpp` for what was compiled with it; else nothing."""
+    """`rospy` for a script that requires it, `roscpp` for a program linked with it, else empty."""
     try:
         with program.open("rb") as file:
             content = file.read(_MOST_BYTES)
-    except OSError:  # which is said when it is run
+    except OSError:  # reported when the program is run
         return ""
     if content.startswith(b"\x7fELF"):
         return "roscpp" if b"libroscpp.so" in content else ""
@@ -219,12 +219,12 @@ def _ros_library(program: Path) -> str:
 
 
 def _imports_rospy(script: bytes) -> bool:
-    """Whether a script imports rospy as it starts. What it imports in a `try` it can do without."""
+    """True when a script imports rospy at its start. An import in a `try` does not count, as it is optional."""
     import ast
 
     try:
         statements = ast.parse(script).body
-    except (SyntaxError, ValueError, RecursionError, MemoryError):  # of Python 2, most often
+    except (SyntaxError, ValueError, RecursionError, MemoryError):  # usually a script for Python 2
         return re.search(rb"^(import|from)\s+rospy\b", script, re.MULTILINE) is not None
     for statement in statements:
         names = [alias.name for alias in statement.names] if isinstance(statement, ast.Import) else []
@@ -235,7 +235,7 @@ def _imports_rospy(script: bytes) -> bool:
 
 
 def _library_folders(program: Path, environment: Mapping[str, str]) -> Iterator[Path]:
-    """Where a program finds its libraries: what the environment says, beside a script, and where ROS 1 is installed."""
+    """The folders where a program finds libraries: of the environment, beside a script, and of ROS 1 installations."""
     for variable in ("PYTHONPATH", "LD_LIBRARY_PATH"):
         yield from (Path(entry) for entry in environment.get(variable, "").split(os.pathsep) if entry)
     yield program.parent

@@ -1,7 +1,7 @@
 """`<param>` and `<rosparam>`: parameters by value, file, command or YAML, computed when the plan is carried out.
 
-Of commands xacro runs in this process, by our own; any other as the user's own program, without a shell, as roslaunch
-does it.
+The command xacro runs in this process, with our own xacro. Any other command runs as the user's program without a
+shell, as in roslaunch.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ VERBS = ("load", "dump", "delete")
 
 
 def param(tag: Tag, private: str | None = None) -> None:
-    """A `<param>`; inside a node `private` is the node's own namespace."""
+    """Read a `<param>`; inside a node `private` is the node's own namespace."""
     tag.knows(["name", "type", *SOURCES])
     setting = _setting(tag, tag.required("name").strip())
     name = setting.name
@@ -51,7 +51,7 @@ def param(tag: Tag, private: str | None = None) -> None:
 
 
 def _setting(tag: Tag, name: str) -> Setting:
-    kind = (tag.element.get("type") or "auto").strip().lower()  # nothing is put in there
+    kind = (tag.element.get("type") or "auto").strip().lower()  # no substitution here
     if kind not in TYPES:
         raise tag.error(f"the type {kind!r} is none of {', '.join(TYPES)}")
     given = [source for source in SOURCES if tag.element.get(source) is not None]
@@ -75,7 +75,7 @@ def _setting(tag: Tag, name: str) -> Setting:
 
 
 def _converted(tag: Tag, text: str, kind: str) -> Any:
-    """The value of a text as a type of TYPES. Raises BadFile."""
+    """Convert a text to a type of TYPES. Raises BadFile."""
     try:
         value = _value(text, kind, tag.place.file)
     except BadFile as error:
@@ -91,7 +91,7 @@ def _converted(tag: Tag, text: str, kind: str) -> Any:
 
 
 def _value(text: str, kind: str, file: str) -> Any:
-    """Raises ValueError: it cannot be one. BadFile: not YAML."""
+    """Convert a text to a type. Raises ValueError: not possible. BadFile: not YAML."""
     if kind == "auto":
         return automatic(text)
     if kind in ("int", "double"):
@@ -104,7 +104,7 @@ def _value(text: str, kind: str, file: str) -> Any:
             raise ValueError(f"{text!r} is neither true nor false")
         return value
     if kind == "yaml":
-        from slidectl.description.yaml_tree import read_value  # takes as long to import as all of this room
+        from slidectl.description.yaml_tree import read_value  # its import takes as long as all of this package
 
         return read_value(text, file)
     return text
@@ -137,7 +137,7 @@ _XACRO_FLAGS = ("--inorder", "-i", "-q", "-v", "--check-order", "--xacro-ns", "-
 
 
 def _command(tag: Tag) -> tuple[bool, Callable[[], str]]:
-    """Whether the command is xacro, and what gives its output. Raises BadFile for what can be seen before it runs."""
+    """True if the command is xacro, and a function that returns its output. Raises BadFile for errors known before."""
     given = tag.words("command")
     if not given:
         raise tag.error("the attribute 'command' is empty")
@@ -161,7 +161,7 @@ def _expand(tag: Tag, file: Path, arguments: dict[str, str]) -> str:
         raise tag.error(error.message, error.hint) from None
 
     def placed(notice: Notice) -> Notice:
-        """What is said of an argument of the command belongs to the line where that stands."""
+        """A notice about an argument of the command gets the place of the command."""
         text = f"{notice.text} (of {shown(file)})"
         here = replace(notice, text=text, file=tag.place.file, line=tag.place.line)
         return here if notice.line is None else notice
@@ -173,7 +173,7 @@ def _expand(tag: Tag, file: Path, arguments: dict[str, str]) -> str:
 def _run(tag: Tag, command: list[str]) -> str:
     hint = f"command: {' '.join(command)}"
     try:
-        # The xacro that is shipped here finds slidectl by this variable.
+        # The shipped xacro script finds slidectl by this variable.
         code, output = run(command, {**os.environ, "SLIDECTL_PYTHON": sys.executable}, MOST_BYTES)
     except OverflowError as error:
         raise tag.error(f"the command prints {error}", hint) from None
@@ -189,7 +189,7 @@ def _run(tag: Tag, command: list[str]) -> str:
 
 
 def _before_xacro(command: list[str]) -> int | None:
-    """How many words lead up to xacro's arguments: xacro itself, by whatever path, through python or rosrun."""
+    """The number of words before xacro's arguments: xacro itself, possibly with python or rosrun; None: not xacro."""
     program = os.path.basename(command[0])
     if program in _XACRO:
         return 1
@@ -199,7 +199,7 @@ def _before_xacro(command: list[str]) -> int | None:
 
 
 def _xacro_arguments(tag: Tag, command: list[str]) -> tuple[Path, dict[str, str]]:
-    """The model's file, and its arguments."""
+    """The model's file, and the arguments for it."""
     files, arguments = [], {}
     for word in command:
         name, given, value = word.partition(":=")
@@ -221,7 +221,7 @@ def _xacro_arguments(tag: Tag, command: list[str]) -> tuple[Path, dict[str, str]
 
 
 def rosparam(tag: Tag, private: str | None = None) -> None:
-    """A `<rosparam>`; inside a node `private` is the node's own namespace."""
+    """Read a `<rosparam>`; inside a node `private` is the node's own namespace."""
     tag.knows(["command", "file", "param", "ns", "subst_value"])
     verb = tag.get("command") or "load"
     if verb not in VERBS:
@@ -258,8 +258,8 @@ def _load(tag: Tag, name: str) -> None:
 
 
 def _yaml(tag: Tag, text: str, file: str | None, name: str) -> Any:
-    """The tree or the single value; None when there is nothing."""
-    from slidectl.description import yaml_tree  # takes as long to import as all of this room
+    """The tree or the single value; None when there is none."""
+    from slidectl.description import yaml_tree  # its import takes as long as all of this package
 
     value = yaml_tree.read_rosparam(text, shown(file) if file else tag.place.file, tag.plan.notices)
     if value is not None and not isinstance(value, dict) and (name == "/" or not tag.get("param")):

@@ -1,6 +1,6 @@
-"""What launch files come to: parameters to set, namespaces to clear, nodes to start; plain data with file and line.
+"""The plan that launch files describe: parameters to set, namespaces to clear, nodes to start; with file and line.
 
-Values that take time (running xacro, reading files) are computed when they are asked for, and once.
+Values that take time (running xacro, reading files) are computed on first use, once.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Leaf = tuple[Any, "Location"]
 
 @dataclass(frozen=True)
 class Location:
-    """Where something was written."""
+    """File and line of something in a launch file."""
 
     file: str
     line: int | None
@@ -32,41 +32,41 @@ class Location:
         return BadFile(message, self.file, self.line, hint)
 
     def absence(self, message: str, hint: str | None = None, thing: str = "") -> NotThere:
-        """The error when what is named at this place is not there."""
+        """The error for a missing thing that is named at this place."""
         return NotThere(message, self.file, self.line, hint, thing)
 
 
 @dataclass
 class Setting:
-    """A parameter, or a whole tree of them: `compute` gives its value. `origin` says where that comes from."""
+    """A parameter, or a tree of parameters. `compute` returns the value; `origin` is its kind of source."""
 
     name: str
     place: Location
     origin: str
     compute: Callable[[], Any]
     runs_command: bool = False
-    """True when computing it runs a program of the user's."""
+    """True when `compute` runs a program of the user."""
     source: str = ""
-    """The file that the value is read from, if it is."""
+    """The file that the value is read from, or empty."""
     is_whole: bool = False
-    """True when a mapping is one value, and not one for each of the names in it."""
+    """True when a mapping is the value of one parameter, and not a tree of parameters."""
     _value: Any = None
     _known: bool = False
 
     @property
     def loss(self) -> str:
-        """What is not set when its value cannot be had."""
+        """What is left out when the value cannot be computed, for a message."""
         what = f"the parameter {self.name}" if self.is_whole else f"the file's parameters in {self.name}"
         return f"{what} {'is' if self.is_whole else 'are'} left out"
 
     def value(self) -> Any:
-        """Raises BadFile when it cannot be had; of a file that is not there NotThere."""
+        """Compute the value, once. Raises NotThere when a file is missing, BadFile for other errors."""
         if not self._known:
             self._value, self._known = self.compute(), True
         return self._value
 
     def parameters(self) -> Iterator[tuple[str, Any]]:
-        """Full names and values. Raises BadFile."""
+        """Full names and values of the parameters. Raises BadFile."""
         if self.is_whole:
             return iter([(self.name, self.value())])
         return leaves(self.name, self.value(), self.place)
@@ -74,7 +74,7 @@ class Setting:
 
 @dataclass(frozen=True)
 class Remap:
-    """Names to be taken for others, absolute where they were written so."""
+    """The name `source` is replaced by `target`. Both are as written, possibly relative."""
 
     source: str
     target: str
@@ -83,7 +83,7 @@ class Remap:
 
 @dataclass(frozen=True)
 class RosparamCommand:
-    """`<rosparam command="delete">` or `"dump"`: done before the parameters are set."""
+    """`<rosparam command="delete">` or `"dump"`; done before the parameters are set."""
 
     verb: str
     name: str
@@ -93,7 +93,7 @@ class RosparamCommand:
 
 @dataclass
 class Node:
-    """One `<node>`, with all that applies to it. `namespace` has no slash at its end, but for the root."""
+    """One `<node>`, with everything that applies to it. `namespace` has no trailing slash, except for the root."""
 
     package: str
     type: str
@@ -105,40 +105,40 @@ class Node:
     remaps: tuple[Remap, ...] = ()
     environment: tuple[tuple[str, str], ...] = ()
     output: str | None = None
-    """`screen` or `log`; None when it was not said."""
+    """`screen` or `log`; None when it is not set."""
     respawn: bool = False
     respawn_delay_s: float = 0.0
     required: bool = False
     cwd: str | None = None
-    """`node` or `ROS_HOME`; None when it was not said."""
+    """`node` or `ROS_HOME`; None when it is not set."""
     launch_prefix: list[str] = field(default_factory=list)
     file: str = ""
     """The launch file that defines it."""
     absent: tuple[NotThere, ...] = ()
-    """The packages that `args` looks for and that are not there; the words that need them are not among `words`."""
+    """The missing packages in `args`. Words that need them are not in `words`."""
 
     @property
     def full_name(self) -> str:
-        """`/ns/name`."""
+        """The full name, `/ns/name`."""
         return names.join(self.namespace, self.name)
 
     @property
     def kind(self) -> str:
-        """`package/type`."""
+        """The kind of node, `package/type`."""
         return f"{self.package}/{self.type}"
 
     def resolve(self, name: str) -> str:
-        """The absolute name that the node means: relative ones in its namespace, `~` ones below it, then remaps."""
+        """The absolute name after remaps: a relative name is in the node's namespace, a `~` name below the node."""
         remap = self.remap_of(name)
         return self.absolute(name if remap is None else remap.target)
 
     def remap_of(self, name: str) -> Remap | None:
-        """The remap that counts for the name: of several the last."""
+        """The last remap for the name, or None."""
         full = self.absolute(name)
         return next((remap for remap in reversed(self.remaps) if self.absolute(remap.source) == full), None)
 
     def absolute(self, name: str) -> str:
-        """The same without remaps."""
+        """The absolute name, without remaps."""
         if name.startswith("~"):
             return names.join(self.full_name, name[1:].lstrip("/"))
         return names.join(self.namespace, name)
@@ -146,7 +146,7 @@ class Node:
 
 @dataclass
 class Argument:
-    """An `<arg>` of a file that was named on the command line. Without a default it is required."""
+    """An `<arg>` of a file on the command line. Without a default it is required."""
 
     name: str
     default: str | None
@@ -155,10 +155,10 @@ class Argument:
 
 @dataclass
 class LaunchPlan:
-    """Everything, in the order of the files."""
+    """The content of all launch files, in their order."""
 
     files: list[str] = field(default_factory=list)
-    """Absolute paths of all files used, includes as well."""
+    """Absolute paths of all files, including included ones."""
     arguments: dict[str, Argument] = field(default_factory=dict)
     clear: list[tuple[str, Location]] = field(default_factory=list)
     """Namespaces whose parameters are deleted first."""
@@ -167,22 +167,21 @@ class LaunchPlan:
     nodes: list[Node] = field(default_factory=list)
     notices: list[Notice] = field(default_factory=list)
     missing: Missing = field(default_factory=Missing)
-    """What the files name and is not there."""
+    """The missing things that the files name."""
 
     def notice(self, verdict: str, place: Location, subject: str, text: str) -> None:
-        """Say something about the files that is no error; `verdict` is `ignored`, `converted` or `wrong`."""
+        """Add a notice about the files; `verdict` is `ignored`, `converted` or `wrong`."""
         self.notices.append(Notice(verdict, subject, text, place.file, place.line))  # type: ignore[arg-type]
 
     def parameters(self, gather: bool = False, run_commands: bool = True) -> dict[str, Leaf]:
-        """Every parameter by its full name, with its value and its place; of those set twice the last counts.
+        """All parameters by full name, with value and place; a later setting of a name overrides an earlier one.
 
-        A name that is set to a value cannot hold others: the first mention of either counts for the order, the later
-        one goes over the earlier one, and a notice says so. What cannot be had because a file is not there is left out,
-        and noted as missing; with `gather` the caller refuses it, after looking for more. Without `run_commands` those
-        are left out for which a program of the user's would have to run.
+        A name with a value cannot have names below it: the later setting (by the first mention of each) replaces the
+        earlier one, with a notice. Settings that need a missing file are left out and noted; with `gather` the caller
+        raises the error, after looking for more. Without `run_commands` settings that run a program are left out.
 
         Raises:
-            BadFile: a value cannot be had.
+            BadFile: a value cannot be computed.
         """
         found: dict[str, Leaf] = {}
         for setting in self.settings:
@@ -193,7 +192,7 @@ class LaunchPlan:
             except NotThere as error:
                 self.missing.note(error, setting.loss)
             except BadFile:
-                self.missing.refuse()  # the reason, more often than not
+                self.missing.refuse()  # something missing is the most frequent reason
                 raise
         if not gather:
             self.missing.refuse()
@@ -207,7 +206,7 @@ class LaunchPlan:
 
 
 def leaves(name: str, value: Any, place: Location) -> Iterator[tuple[str, Any]]:
-    """Full names and values below a name; a key with a slash before it is a full name. Lists are values.
+    """Full names and values below a name; a key with a leading slash is a full name. Lists are values.
 
     Raises:
         BadFile: a key that cannot be a name.
@@ -224,7 +223,7 @@ def leaves(name: str, value: Any, place: Location) -> Iterator[tuple[str, Any]]:
 
 
 def _conflicts(found: Mapping[str, Leaf]) -> list[tuple[str, str]]:
-    """Names whose values do not count, each with the later name that replaces it. A mapping may hold other names."""
+    """Names that are overridden, each with the later name that replaces it. A mapping may have names below it."""
     order = {name: index for index, name in enumerate(found)}
     pairs = []
     for name in found:

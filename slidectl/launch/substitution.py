@@ -1,12 +1,12 @@
 """`$(...)` in a text: `env V`, `optenv V words`, `find PKG`, `anon ID`, `arg A`, `dirname` and `eval EXPRESSION`.
 
-Texts in, texts out: what is found is put in as it is, and searched again for `find` only, as roslaunch does it:
-`model:='$(find my_robot)/model.urdf'` on a command line is understood. Knows no tags and no places; the caller adds the
-place to the error.
+Texts in, texts out. As in roslaunch, results are searched again for `find` only, so that
+`model:='$(find my_robot)/model.urdf'` works on a command line. This module knows no tags and no places; the caller adds
+the place to an error.
 
-Paths come out protected. A package's folder may hold blanks, quotes and dollars; `$(find)` and `$(dirname)` write
-stand-ins for these, which pass through arguments and includes and are turned back where a value is used, so that a path
-stays one word. roslaunch takes such a path for several words.
+Paths are protected: a package's folder may contain blanks, quotes and dollars, and `$(find)` and `$(dirname)` replace
+these by placeholder characters. The placeholders pass through arguments and includes, and are changed back where a
+value is used, so that a path stays one word. roslaunch splits such a path into several words.
 """
 
 from __future__ import annotations
@@ -24,40 +24,40 @@ from slidectl.expressions import FUNCTIONS, MATH, ExpressionError, compute
 
 COMMANDS = ("find", "env", "optenv", "dirname", "anon", "arg")
 MOST_TEXT = 4 * 2**20
-"""Letters that the substitutions of one text may come to."""
+"""The most characters that all substitutions of one text may insert."""
 MOST_SUBSTITUTIONS = 10_000
-"""In one text."""
+"""The most substitutions in one text."""
 LONGEST_EXPRESSION = 4000
 _EVAL = "$(eval "
 _SUBSTITUTION = re.compile(r"\$\(([^)]*)(\)?)([^ $]*)")
-"""What is in the brackets, whether they are closed, and the path that may follow."""
+"""The text in the brackets, the closing bracket, and the path that may follow."""
 _IDENTIFIER = re.compile(r"[A-Za-z_]\w*\Z")
 
-# Stand-ins are on the last private plane of Unicode: no file name and no launch file has a use for it.
+# Placeholders are in the last private plane of Unicode, which file names and launch files do not use.
 _STAND_INS = {ord(letter): chr(0x10F700 + ord(letter)) for letter in "$ \t\n\r\f\v\"'\\"}
 _LETTERS = {ord(stand_in): chr(letter) for letter, stand_in in _STAND_INS.items()}
-# Around the name of a package that is not there, in the place of its folder: an argument takes it along to the tag
-# that needs the folder, and only that is left out.
+# Marks the name of a missing package in the place of its folder. Arguments pass it on to the tag that needs the
+# folder, and only that tag is left out.
 _ABSENT = "\U0010f6ff"
 _ABSENT_PACKAGE = re.compile(f"{_ABSENT}([^{_ABSENT}]*){_ABSENT}")
 
 
 class SubstitutionError(SlidectlError):
-    """A `$(...)` that makes no sense or leads nowhere."""
+    """A `$(...)` is not valid, or names something that does not exist."""
 
 
 def protect(path: str) -> str:
-    """The path with stand-ins."""
+    """Put placeholders into the path."""
     return path.translate(_STAND_INS)
 
 
 def plain(text: str) -> str:
-    """The text as it is meant, without stand-ins."""
+    """Replace placeholders by the original characters."""
     return text.translate(_LETTERS)
 
 
 def absent_packages(text: str) -> list[str]:
-    """The packages that are not there and that a text with everything substituted needs."""
+    """The missing packages that a substituted text needs."""
     return _ABSENT_PACKAGE.findall(text)
 
 
@@ -75,21 +75,21 @@ def automatic(text: str) -> Any:
 
 @dataclass(frozen=True)
 class Substitution:
-    """The substitutions of one scope."""
+    """Resolves the substitutions of one scope."""
 
     packages: Packages
     environment: Mapping[str, str]
     arguments: Mapping[str, str]
-    """The args of the scope, protected."""
+    """The arguments of the scope, protected."""
     folder: str
-    """That of the file that holds the text."""
+    """The folder of the file with the text."""
     anonymous_names: dict[str, str]
-    """What `anon` has given so far in this file."""
+    """The names that `anon` has made in this file so far."""
     absent: dict[str, UnknownPackage]
-    """Takes in the packages that are not there."""
+    """Collects the missing packages."""
 
     def resolve(self, text: str) -> str:
-        """The text with everything put in. Raises SubstitutionError."""
+        """The text with all substitutions made. Raises SubstitutionError."""
         if "$(" not in text:
             return text
         if text.startswith(_EVAL) and text.endswith(")"):
@@ -97,7 +97,7 @@ class Substitution:
         return self._pass(self._pass(text, finds=False), finds=True)
 
     def _pass(self, text: str, finds: bool) -> str:
-        """The text with `find` put in, or with everything but `find`."""
+        """Substitute only `find`, or everything but `find`."""
         count = size = 0
 
         def put_in(match: re.Match[str]) -> str:
@@ -128,13 +128,13 @@ class Substitution:
         return read(_one(command, words))
 
     def _found(self, package: str, path: str) -> str:
-        """The package's folder joined with the path that follows, with or without a slash before it.
+        """The package's folder joined with the path after it, with or without a slash between.
 
-        An executable of a package that was built stands in `PREFIX/lib/PACKAGE` beside `PREFIX/share/PACKAGE`.
+        For an executable of an installed package it is `PREFIX/lib/PACKAGE` instead of `PREFIX/share/PACKAGE`.
         """
         folder = self._folder_of(package)
         path = path.replace("\\", "/").removeprefix("/")
-        if path.startswith("/"):  # as os.path.join has it
+        if path.startswith("/"):  # an absolute path, as os.path.join treats it
             return path
         share = Path(folder).parent
         built = share.parent / "lib" / package / path
@@ -143,7 +143,7 @@ class Substitution:
         return protect(folder) + (f"/{path}" if path else "")
 
     def _folder_of(self, package: str) -> str:
-        """The package's folder; of one that is not there a name that `absent_packages` knows again."""
+        """The package's folder; for a missing package a mark that `absent_packages` finds."""
         try:
             return str(self.packages.find(package))
         except UnknownPackage as error:
@@ -151,7 +151,7 @@ class Substitution:
             return f"{_ABSENT}{package}{_ABSENT}"
 
     def _anonymous(self, identifier: str) -> str:
-        """`identifier` with host, process and a random number behind it; the same again for the same identifier."""
+        """`identifier` with host, process id and a random number appended; the same for the same identifier."""
         if identifier not in self.anonymous_names:
             host = "".join(letter if letter.isalnum() and letter.isascii() else "_" for letter in os.uname().nodename)
             number = int.from_bytes(os.urandom(6), "big")
@@ -194,10 +194,10 @@ class Substitution:
 
 
 def evaluate(text: str, names: Mapping[str, Any]) -> Any:
-    """The value of an expression. It may use `names`, the math module's names, and Python's own functions.
+    """The value of an expression. It may use `names`, the names of the math module, and Python's own functions.
 
     Raises:
-        ExpressionError: with the reason, without the place.
+            ExpressionError: with the reason, but without the place.
     """
     if "__" in text:
         raise ExpressionError("may not contain double underscores")
@@ -218,7 +218,7 @@ def evaluate(text: str, names: Mapping[str, Any]) -> Any:
 
 
 def _of_names(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
-    """The function, which takes nothing but texts."""
+    """Wrap a function so that it accepts only texts."""
 
     def checked(*values: Any) -> Any:
         for value in values:
@@ -230,7 +230,7 @@ def _of_names(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _taken_apart(match: re.Match[str], text: str) -> tuple[str, list[str]]:
-    """The command of a substitution and its words. Raises SubstitutionError."""
+    """Split a substitution into its command and words. Raises SubstitutionError."""
     inside = match[1]
     if not match[2]:
         raise SubstitutionError(f"'$(' is not closed in {plain(text)!r}")

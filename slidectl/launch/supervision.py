@@ -1,7 +1,7 @@
-"""What a launch stands on: the signals that end it, the event loop with its timers, and child processes.
+"""Support for running a launch: signal handling, an event loop with timers, and child processes.
 
-Each child process has a session, and so a process group, of its own: what ends a node reaches all that it started.
-One thread, the main one, since signals are heard there. Knows nothing of launch files.
+Each child process has its own session and process group, so that a signal reaches everything that a node has started.
+Everything runs in the main thread, as only that handles signals. This module knows no launch files.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ if TYPE_CHECKING:
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _CHUNK = 65536
-"""Bytes of one read: as many as a pipe holds."""
+"""Bytes per read: the capacity of a pipe."""
 _LONGEST_LINE = 65536
 _LOOK_EVERY_S = 0.01
-"""Simulated seconds between two looks at descriptors, in a scenario."""
+"""In a scenario: simulated seconds between two polls of descriptors."""
 
 Action = Callable[[], None]
 
 
 class Interrupted(BaseException):
-    """A signal asked for the end."""
+    """A signal has asked the process to end."""
 
     def __init__(self, number: int) -> None:
         super().__init__(signal.Signals(number).name)
@@ -41,9 +41,9 @@ class Interrupted(BaseException):
 
 
 class Interrupts:
-    """The handler of SIGNALS, from entering to leaving: it notes their numbers in `received`, where a loop looks.
+    """Handles SIGNALS while it is entered: their numbers are recorded in `received`, which an event loop checks.
 
-    In a `raised` block the first one is raised as Interrupted as well, for work that looks nowhere.
+    Inside a `raised` block the first signal also raises Interrupted, for code that does not check `received`.
     """
 
     def __init__(self) -> None:
@@ -52,9 +52,9 @@ class Interrupts:
         self._previous: dict[int, Any] = {}
 
     def __enter__(self) -> Interrupts:
-        # `nohup` has programs ignore SIGHUP, the end of the terminal; so it stays.
+        # `nohup` makes programs ignore SIGHUP; this is kept.
         ignored = [signal.SIGHUP] if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN else []
-        with suppress(ValueError):  # in a thread, which hears none: whoever began it ends it
+        with suppress(ValueError):  # not in the main thread: signals cannot be handled, the caller ends it
             for number in SIGNALS:
                 if number not in ignored:
                     self._previous[number] = signal.signal(number, self._take)
@@ -66,7 +66,7 @@ class Interrupts:
 
     @contextmanager
     def raised(self, is_raised: bool = True) -> Iterator[None]:
-        """Inside, the first signal is raised at once, and one that came before is raised at the beginning."""
+        """Inside, the first signal raises Interrupted at once; an earlier one raises it at the beginning."""
         before, self._raises = self._raises, is_raised
         try:
             self.check()
@@ -76,19 +76,19 @@ class Interrupts:
         self.check()
 
     def held(self) -> AbstractContextManager[None]:
-        """Inside a `raised` block, for what must be done whole: a signal that comes is raised at the end."""
+        """For a part of a `raised` block that must not be interrupted: a signal raises Interrupted at its end."""
         return self.raised(False)
 
     def check(self) -> None:
-        """Raise Interrupted where signals are raised and one has come.
+        """Raise Interrupted inside a `raised` block when a signal was received.
 
-        A loop asks at each turn: what is raised in a finalizer does not leave it.
+        A loop calls this at each turn, since an exception that is raised in a finalizer is lost.
         """
         if self._raises and self.received:
             raise Interrupted(self.received[0])
 
     def ignore(self) -> None:
-        """For a process that is about to leave: signals mean nothing any more, after `__exit__` too."""
+        """Ignore signals from now on, also after `__exit__`: the process is about to end."""
         for number in SIGNALS:
             signal.signal(number, signal.SIG_IGN)
         self._previous.clear()
@@ -100,26 +100,26 @@ class Interrupts:
 
 
 class Watch(EventLoop):
-    """The event loop of a launch: with timers, and clients to listen to."""
+    """The event loop of a launch, with timers and clients."""
 
     def __init__(self) -> None:
         super().__init__()
         self._timers = sched.scheduler(time.monotonic)
 
     def listen(self, client: Client, action: Action) -> None:
-        """Do it whenever something has come for the client."""
+        """Call `action` whenever the client has received something."""
         self.watch(client.fileno(), READ, lambda _: action())
 
     def ignore(self, client: Client) -> None:
-        """Look no more whether something has come for it."""
+        """Stop watching the client."""
         self.forget(client.fileno())
 
     def later(self, seconds: float, action: Action) -> None:
-        """Do it once, after so many seconds."""
+        """Call `action` once, after this time."""
         self._timers.enter(seconds, 0, action)
 
     def turn(self, most_s: float | None = None) -> None:
-        """Wait for something, at most so long, and do all that there is to do."""
+        """Wait for an event for at most `most_s` seconds, and handle all that are due."""
         due_s = self._timers.run(blocking=False)
         waits = [max(0.0, seconds) for seconds in (most_s, due_s) if seconds is not None]
         self.poll(min(waits, default=None))
@@ -127,7 +127,7 @@ class Watch(EventLoop):
 
 
 class WorldWatch(Watch):
-    """The same in a scenario: on the clock of a client whose waits let the world go on, or others have their turn."""
+    """A Watch for a scenario. It uses the clock of a client; its waits let the world, or other steps, run."""
 
     def __init__(self, client: Client) -> None:
         super().__init__()
@@ -135,7 +135,7 @@ class WorldWatch(Watch):
         self._client = client
 
     def listen(self, client: Client, action: Action) -> None:
-        """As a Watch does. A world in this process does it between two cycles, whoever waits."""
+        """As Watch. A world in this process calls `action` between two cycles."""
         if not client.call_back(action):
             super().listen(client, action)
 
@@ -151,7 +151,7 @@ class WorldWatch(Watch):
 
 
 class Child:
-    """A running program. Streams are `stdout` and `stderr`; a stdout that goes to a file is not seen here.
+    """A running program. Its streams are `stdout` and `stderr`; a stdout that goes to a file is not read.
 
     Args:
         on_line: called with the stream and each line of it.
@@ -198,7 +198,7 @@ class Child:
         loop.watch(self._descriptor, READ, lambda _: self._ended())
 
     def _take(self, name: str, is_last: bool = False) -> None:
-        """Read what is there, at most what a pipe holds; with `is_last` a line without an end, too."""
+        """Read one chunk and pass on its lines; with `is_last` also a line without an end."""
         try:
             data: bytes | None = os.read(self._pipes[name], _CHUNK)
         except BlockingIOError:
@@ -213,36 +213,36 @@ class Child:
             self._on_line(name, line.decode("utf-8", "replace").rstrip("\r"))
 
     def _ended(self) -> None:
-        """It has ended. It stays a zombie until `release`, so that no other process gets the id of its group."""
+        """Handle the end. The process stays a zombie until `release`, so that the id of its group is not reused."""
         result = os.waitid(os.P_PIDFD, self._descriptor, os.WEXITED | os.WNOWAIT)
         assert result is not None
-        for name in list(self._pipes):  # what it has written; what its own children write later comes by `turn`
+        for name in list(self._pipes):  # its own output; output of its children may come later
             self._take(name, is_last=True)
-        # The descriptor is watched up to here, so that the end is noticed later when a signal cuts this short.
+        # The descriptor is watched up to here: if a signal interrupts this method, the end is noticed again.
         self.code = result.si_status if result.si_code == os.CLD_EXITED else -result.si_status
         self._loop.forget(self._descriptor)
         self._on_end(self.code)
 
     def signal(self, number: int) -> None:
-        """Send a signal to it and to all that it started."""
+        """Send a signal to the process and everything that it has started."""
         with suppress(ProcessLookupError, PermissionError):
             os.killpg(self.pid, number)
 
     def release(self) -> None:
-        """End whatever is left of it, and forget it."""
+        """Kill what is left of the process group, and free all resources."""
         self.signal(signal.SIGKILL)
         for descriptor in (self._descriptor, *self._pipes.values()):
             self._loop.forget(descriptor)
         self._pipes.clear()
-        with self._process:  # waits for it, and closes its pipes
+        with self._process:  # waits for the process, and closes its pipes
             os.close(self._descriptor)
 
 
 def run(arguments: Sequence[str], environment: Mapping[str, str], most_bytes: int) -> tuple[int, bytes]:
-    """Run a program to its end. Its exit code and its output; when this is left early, it and all it started end.
+    """Run a program to its end. Returns its exit code and output. On an exception its whole group is killed.
 
     Raises:
-        OSError, ValueError: it cannot be started. OverflowError: it prints more than so many bytes.
+        OSError, ValueError: it cannot be started. OverflowError: its output has more than `most_bytes`.
     """
     with subprocess.Popen(
         arguments, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, env=environment, start_new_session=True

@@ -1,7 +1,7 @@
-"""One tag of a launch file, with what surrounds it: namespace, arguments, remaps, environment, private parameters.
+"""One tag of a launch file with its scope: namespace, arguments, remaps, environment, private parameters.
 
-Attributes come with everything substituted, and errors with the place. A scope is copied for a group and an include, so
-that nothing leaks out of it. No tag is known by name here.
+Attributes are returned with all substitutions made, errors have the place. A scope is copied for a group and for an
+include, so that changes inside stay inside. No tag is known by name here.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from slidectl.launch.plan import LaunchPlan, Location, Remap, Setting
 from slidectl.launch.substitution import Substitution, SubstitutionError, absent_packages, plain
 
 Parse = Callable[[bytes, str], Element]
-"""Elements of the text of a file, given its name in messages. Raises BadFile."""
+"""Parses the text of a file, given its name in messages, into elements. Raises BadFile."""
 
 CONDITIONS = ("if", "unless")
 MOST_TAGS = 20_000
 MOST_TEXT = 64 * 2**20
-"""Letters that all substitutions of a launch may come to."""
+"""The most characters that all substitutions of a launch may insert."""
 MOST_SECONDS = 60.0
-"""Of the processor's time, for reading the files without what commands take."""
+"""The most time for reading the files, s of processor time, without running commands."""
 DEEPEST_INCLUDE = 60
 _MOST_INCLUDERS = 3
 _BOOLEANS = {"true": True, "1": True, "false": False, "0": False}
@@ -40,22 +40,22 @@ _BOOLEANS = {"true": True, "1": True, "false": False, "0": False}
 
 @dataclass
 class Launch:
-    """One loading: what all its files share."""
+    """The data that all files of one loading share."""
 
     packages: Packages
     run_commands: bool = True
     parse: Parse = xml_tree.read
     plan: LaunchPlan = field(default_factory=LaunchPlan)
     machines: set[str] = field(default_factory=set)
-    """Names that launch files give to this machine."""
+    """Names of `<machine>` tags for this machine."""
     absent: dict[str, UnknownPackage] = field(default_factory=dict)
-    """The packages that are not there, and why."""
+    """The missing packages, each with its error."""
     _tags: int = 0
     _text: int = 0
     _began_s: float = field(default_factory=time.process_time)
 
     def count(self, tag: Tag) -> None:
-        """One more tag is read. Raises BadFile when there are more than any launch has."""
+        """Count a tag. Raises BadFile when there are too many."""
         self._tags += 1
         if self._tags > MOST_TAGS:
             raise tag.error(f"unfolds to more than {MOST_TAGS} tags", "does a file include itself?")
@@ -63,7 +63,7 @@ class Launch:
             raise tag.error(f"the launch takes more than {MOST_SECONDS:g} s to read", "does a file include itself?")
 
     def count_text(self, tag: Tag, text: str) -> None:
-        """So much more text was put in. Raises BadFile when it is more than any launch has."""
+        """Count substituted text. Raises BadFile when it is too much."""
         self._text += len(text)
         if self._text > MOST_TEXT:
             hint = "do arguments repeat each other many times over?"
@@ -72,51 +72,51 @@ class Launch:
 
 @dataclass
 class Scope:
-    """The surroundings of a tag. `file` is that which holds it."""
+    """The scope of a tag. `file` is the file with the tag."""
 
     launch: Launch
     file: Path
     namespace: str = "/"
     arguments: dict[str, str] = field(default_factory=dict)
-    """The args that can be used here, protected: what the file was given, declared or not, and what is declared so far.
+    """The usable arguments, protected: those given to the file (declared or not), and those declared so far.
 
-    An include that gives all args passes on those that its file has no use for: a file that is included there may."""
+    With pass_all_args the file also gets arguments that it does not declare: a file that it includes may use them."""
     given: Mapping[str, str] = field(default_factory=dict)
-    """The args that the file was given, protected."""
+    """The arguments given to the file, protected."""
     lenient: bool = False
-    """True when all of the includer's args were passed on: one that is constant here, or unknown, is no error."""
+    """True with pass_all_args: an argument that is constant or unknown in the file is no error."""
     declared: set[str] = field(default_factory=set)
-    """The args that are declared so far, here or around here. Groups beside each other may have args of one name."""
+    """The arguments declared so far in this scope and around it. Sibling groups may declare the same name."""
     everywhere: set[str] = field(default_factory=set)
-    """All args of the file, those inside groups too."""
+    """All arguments of the file, including those inside groups."""
     remaps: tuple[Remap, ...] = ()
     environment: tuple[tuple[str, str], ...] = ()
     private: tuple[Setting, ...] = ()
-    """Parameters that every later node gets as its own; names without `~`."""
+    """Parameters that every later node gets as private ones; names without `~`."""
     anonymous_names: dict[str, str] = field(default_factory=dict)
-    """What `anon` has given in this file; each include begins anew."""
+    """The names that `anon` has made in this file; each included file has its own."""
     trail: tuple[Location, ...] = ()
-    """The includes that led here, outermost first."""
+    """The places of the includes around this file, outermost first."""
     nesting: tuple[tuple[Path, tuple[tuple[str, str], ...]], ...] = ()
-    """The files that are being read, with what each was given."""
+    """The files that are being read, each with the arguments given to it."""
 
     @property
     def packages(self) -> Packages:
-        """The lookup of packages, from the file upwards too."""
+        """The lookup of packages, which also searches upwards from the file."""
         return self.launch.packages.starting_at(self.file.parent)
 
     @property
     def substitution(self) -> Substitution:
-        """What `$(...)` means here and now: args that are declared later are not in it."""
+        """The substitutions at this point: arguments that are declared later are not known."""
         folder, arguments = str(self.file.parent), dict(self.arguments)
         return Substitution(self.packages, os.environ, arguments, folder, self.anonymous_names, self.launch.absent)
 
     def group(self, namespace: str) -> Scope:
-        """A scope inside this one, of the same file."""
+        """A copy of the scope for a group in the same file."""
         return replace(self, namespace=namespace, arguments=dict(self.arguments), declared=set(self.declared))
 
     def including(self, file: Path, tag: Tag, given: Mapping[str, str], lenient: bool) -> Scope:
-        """The scope of an included file. Raises BadFile for an include without an end."""
+        """The scope of an included file. Raises BadFile for endless includes."""
         here = (file, tuple(sorted(given.items())))
         if here in self.nesting:
             raise tag.error(f"{file} includes itself", "does it need another argument each time, and an `if`?")
@@ -138,7 +138,7 @@ class Scope:
 
 
 class Tag:
-    """An element in a scope."""
+    """An element with its scope."""
 
     def __init__(self, element: Element, scope: Scope) -> None:
         self.element = element
@@ -148,11 +148,11 @@ class Tag:
         self.place = Location(element.file, element.line)
 
     def error(self, message: str, hint: str | None = None) -> BadFile:
-        """A BadFile at the tag, to be raised; it says which includes led here."""
+        """A BadFile at the tag, to be raised; its hint lists the includes around it."""
         return self.place.error(f"<{self.name}>: {message}", self._with_trail(hint))
 
     def absence(self, message: str, hint: str | None = None, thing: str = "") -> NotThere:
-        """The same, of what the tag names and is not there."""
+        """As error, for a missing thing that the tag names."""
         return self.place.absence(f"<{self.name}>: {message}", self._with_trail(hint), thing)
 
     def _with_trail(self, hint: str | None) -> str | None:
@@ -163,9 +163,9 @@ class Tag:
     # --- attributes -----------------------------------------------------------------------------------------------
 
     def raw(self, attribute: str, keep_absent: bool = False) -> str | None:
-        """The attribute with substitutions, its paths still protected. Raises BadFile.
+        """The attribute with substitutions; paths stay protected. Raises BadFile.
 
-        A package that is not there is an error, unless `keep_absent`: then it stands in the text for those who need it.
+        A missing package is an error, unless `keep_absent`: then the text contains a mark for it.
         """
         text = self.element.get(attribute)
         if text is None or "$(" not in text:
@@ -173,7 +173,7 @@ class Tag:
         return self.substituted(text, self.scope.substitution, f"{attribute}: ", keep_absent)
 
     def substituted(self, text: str, substitution: Substitution, where: str = "", keep_absent: bool = False) -> str:
-        """The text with everything put in, its paths still protected; `keep_absent` as for `raw`. Raises BadFile."""
+        """The text with all substitutions made; paths stay protected. `keep_absent` is as in `raw`. Raises BadFile."""
         try:
             found = substitution.resolve(text)
         except SubstitutionError as error:
@@ -184,13 +184,13 @@ class Tag:
         return found
 
     def note_absent(self, attribute: str) -> None:
-        """Note the packages that the attribute itself names and that are not there; not those of arguments in it."""
+        """Note missing packages that the attribute names itself, not those in the values of arguments."""
         if "find" in (self.element.get(attribute) or ""):
             for package in absent_packages(self.raw(attribute, keep_absent=True) or ""):
                 self.plan.missing.note(self.absence_of(package))
 
     def absence_of(self, package: str) -> NotThere:
-        """The error of a package that is not there."""
+        """The error for a missing package."""
         error = self.scope.launch.absent[package]
         return self.absence(error.message, error.hint, f"package {package}")
 
@@ -200,7 +200,7 @@ class Tag:
         return None if text is None else plain(text)
 
     def required(self, attribute: str) -> str:
-        """The attribute, which must be there and not empty. Raises BadFile."""
+        """A mandatory attribute that must not be empty. Raises BadFile."""
         value = self.get(attribute)
         if value is None or not value.strip():
             there = "is empty" if value is not None else "is missing"
@@ -208,17 +208,17 @@ class Tag:
         return value
 
     def slip(self, missing: Collection[str]) -> str:
-        """` (...)` about an attribute that is there and looks like one of those that are not; else nothing."""
+        """A text ` (...)` about a similar attribute that may be a typing error for a missing one; else empty."""
         for name in self.element.attributes:
             if name not in (*missing, *CONDITIONS) and (near := closest(name, missing)):
                 return f" ({name!r} is there: did you mean {near!r}?)"
         return ""
 
     def words(self, attribute: str, keep_absent: bool = False) -> list[str]:
-        """The attribute taken apart as a POSIX shell would do it, nothing expanded; `keep_absent` as for `raw`.
+        """Split the attribute like a POSIX shell, without expansions; `keep_absent` is as in `raw`.
 
         Raises:
-            BadFile: a quotation that does not end.
+                BadFile: a quotation is not closed.
         """
         try:
             return [plain(word) for word in shlex.split(self.raw(attribute, keep_absent) or "")]
@@ -226,7 +226,7 @@ class Tag:
             raise self.error(f"{attribute}: {str(error).lower()} in {self.get(attribute)!r}") from None
 
     def flag(self, attribute: str) -> bool:
-        """true or false and nothing else; false when it is not there. Raises BadFile."""
+        """An attribute that is true or false; a missing one is false. Raises BadFile."""
         text = self.get(attribute)
         if text is not None and text.lower() not in ("true", "false"):
             raise self.error(f"{attribute}: {text!r} is neither true nor false")
@@ -234,18 +234,18 @@ class Tag:
 
     @property
     def clears(self) -> bool:
-        """What `clear_params` says; an empty one is false. Raises BadFile."""
+        """The value of `clear_params`; an empty one is false. Raises BadFile."""
         return bool(self.get("clear_params")) and self.flag("clear_params")
 
     def namespace(self) -> str:
-        """The namespace of the scope, or that which `ns` makes of it. Raises BadFile."""
+        """The namespace of the scope, changed by the attribute `ns`. Raises BadFile."""
         text = self.get("ns")
         if text == "":
             raise self.error("the attribute 'ns' is empty", "leave it out: the namespace stays")
         return self.scope.namespace if text is None else self.within(self.scope.namespace, text)
 
     def within(self, namespace: str, name: str) -> str:
-        """`name` in `namespace`, a legal absolute name; slashes too many are left out. Raises BadFile."""
+        """The absolute name of `name` in `namespace`; repeated slashes are removed. Raises BadFile: not legal."""
         full = re.sub("//+", "/", names.join(namespace, name)).rstrip("/") or "/"
         if name.startswith("~") or not names.is_legal(full):
             raise self.error(f"{name!r} is not a legal name here", "names are letters, digits, '_' and '/'")
@@ -253,7 +253,7 @@ class Tag:
 
     @cached_property
     def applies(self) -> bool:
-        """What `if` and `unless` say. Raises BadFile when they contradict, or say neither true nor false."""
+        """True when `if` and `unless` allow the tag. Raises BadFile when both are set, or one is not a boolean."""
         given = [attribute for attribute in CONDITIONS if self.element.get(attribute) is not None]
         if len(given) > 1:
             raise self.error("'if' and 'unless' exclude each other")
@@ -267,14 +267,14 @@ class Tag:
     # --- contents -------------------------------------------------------------------------------------------------
 
     def knows(self, attributes: Collection[str], conditions: bool = True) -> None:
-        """Point out attributes that are not among these; `conditions`: whether it can have an `if`."""
+        """Report attributes that are not among `attributes`; with `conditions` `if` and `unless` are known too."""
         known = [*attributes, *(CONDITIONS if conditions else ())]
         for name in self.element.attributes:
             if name not in known and not name.startswith("xmlns"):
                 self.notice("wrong", f"attribute {name!r} is unknown and has no effect{did_you_mean(name, known)}")
 
     def children(self, known: Collection[str]) -> Iterator[Tag]:
-        """The tags inside, in order; those that are not known are pointed out."""
+        """The known tags inside, in order; unknown ones are reported."""
         for element in self.element.children:
             self.scope.launch.count(self)
             tag = Tag(element, self.scope)
@@ -285,10 +285,10 @@ class Tag:
                 tag.notice("wrong", f"is unknown in <{self.name}> and has no effect{hint}")
 
     def notice(self, verdict: str, text: str) -> None:
-        """Say something about the tag that is no error."""
+        """Add a notice about the tag."""
         self.plan.notice(verdict, self.place, self.element.title, text)
 
 
 def boolean(text: str) -> bool | None:
-    """true, false, 1 or 0, as conditions and parameters have it; None for anything else."""
+    """Read true, false, 1 or 0, as in conditions and parameters; None for anything else."""
     return _BOOLEANS.get(text.strip().lower())

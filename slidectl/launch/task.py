@@ -1,7 +1,7 @@
-"""What a node of a plan does here: a task, and the run that it works in.
+"""Tasks: how each node of a plan is carried out, and the run that they share.
 
-A task reads its node's arguments when it is made, so that a mistake in them is found before anything is started.
-The families of nodes are in nodes/.
+A task reads its node's arguments when it is made, so that errors in them are found before anything is started.
+The tasks for the kinds of nodes are in nodes/.
 """
 
 from __future__ import annotations
@@ -21,48 +21,48 @@ from slidectl.launch.supervision import Interrupts, Watch
 
 SPAWN_LIMIT_S = 30.0
 HOOK_LIMIT_S = 5.0
-"""How long a call of a shutdown hook may take."""
+"""The longest time of a call in a shutdown hook, s."""
 
 
 class Console(Protocol):
-    """Where a run says what it does."""
+    """The output of a run."""
 
     verbose: int
     is_live: bool
-    """Whether `status` shows anything."""
+    """True when `status` shows its text."""
 
     def step(self, event: str, text: str, **details: Any) -> None:
-        """Something was done; `details` are for those who read JSON."""
+        """Report that something was done; `details` are for JSON output."""
 
     def warn(self, text: str) -> None:
-        """Something is wrong that is no error."""
+        """Report a problem that is not an error."""
 
     def output(self, node: str, stream: str, line: str) -> None:
-        """A line that a node's program has written; `stream` is `stdout` or `stderr`."""
+        """Show a line of output of a node's program; `stream` is `stdout` or `stderr`."""
 
     def status(self, text: str) -> None:
-        """How things stand now: one line that the next one replaces. Only a terminal shows it."""
+        """Show the present state, on a line that the next call replaces. Only a terminal shows it."""
 
     def closing(self) -> None:
-        """The run ends: no more status, and what cannot be said any more is no reason to leave something behind."""
+        """The run ends: no more status. Output errors are ignored from now on, so that the cleanup is complete."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """What the command line may say about all nodes."""
+    """Options of the command line for all nodes."""
 
     output: str | None = None
-    """`screen` or `log` for all nodes, whatever they say themselves."""
+    """`screen` or `log` for all nodes; overrides their own setting."""
     all_required: bool = False
     strict: bool = False
-    """Whether impossible masses, inertias and shapes are refused instead of mended."""
+    """True: refuse impossible masses, inertias and shapes instead of correcting them."""
     sigint_timeout_s: float = 15.0
     sigterm_timeout_s: float = 2.0
 
 
 @dataclass
 class Run:
-    """One run of a plan: the connection to the world, and all that tasks share."""
+    """One run of a plan: the connection to the world, and the data that tasks share."""
 
     plan: LaunchPlan
     packages: Packages
@@ -70,26 +70,26 @@ class Run:
     options: Options
     interrupts: Interrupts
     folder: str
-    """For logs of nodes; made when it is needed."""
+    """The folder for logs of nodes; made on first use."""
     environment: Mapping[str, str] = field(default_factory=dict)
-    """What the programs of nodes get beside the environment of this process: how to reach the daemon."""
+    """Environment variables for the programs of nodes, beside our own: how to reach the daemon."""
     watch: Watch = field(default_factory=Watch)
     owns_daemon: bool = False
     failed: bool = False
-    """True at the end of a launch that did not come up, or of which a required node died."""
+    """True at the end of a launch that did not come up, or whose required node died."""
     parameters: Mapping[str, Leaf] = field(default_factory=dict)
-    """Those that the launch files set."""
+    """The parameters that the launch files set."""
     tasks: Sequence[Task] = ()
-    """All of the launch, started or not."""
+    """All tasks of the launch, started or not."""
     left_out: list[Task] = field(default_factory=list)
-    """Those that could not be done, in a launch that keeps going."""
+    """The tasks that failed, in a launch that keeps going."""
     spawned: list[str] = field(default_factory=list)
-    """Robots and models that this run has put into the world and that are to leave it with the run."""
+    """Robots and models that this run has spawned and that are deleted at its end."""
     _client: Client | None = None
 
     @property
     def client(self) -> Client:
-        """The connection to the daemon, once there is one."""
+        """The connection to the daemon. It must be open."""
         assert self._client is not None
         return self._client
 
@@ -98,7 +98,7 @@ class Run:
         return self._client is not None
 
     def connect(self, client: Client) -> None:
-        """From now on tasks work in this world."""
+        """Set the connection that tasks use."""
         self._client = client
 
     def call(self, service: str, request: dict[str, Any] | None = None, timeout: float | None = None) -> dict[str, Any]:
@@ -110,7 +110,7 @@ class Run:
         return list(self.call("/slidectl/list_robots", {"name": ""}, timeout)["robots"])
 
     def controlled_robots(self) -> list[dict[str, Any]]:
-        """Those of them that have a controller manager: not the models that stand around them."""
+        """The robots with a controller manager, without other models."""
         return [robot for robot in self.robots() if robot["kind"] == "robot"]
 
     def parameter(self, name: str) -> Any:
@@ -118,30 +118,30 @@ class Run:
         return json.loads(self.call("/rosapi/get_param", {"name": name, "default": "null"})["value"])
 
     def set_parameter(self, name: str, value: Any) -> None:
-        """Raises Refused."""
+        """Set a parameter. Raises Refused."""
         self.call("/rosapi/set_param", {"name": name, "value": json.dumps(value)})
 
 
 class Task:
-    """A node as it is carried out here. Subclasses say what `start` and `stop` do."""
+    """The task for a node. Subclasses implement `start` and `stop`."""
 
     family: ClassVar[str] = ""
-    """A word for JSON: what kind of counterpart it is."""
+    """The kind of task, in JSON output."""
     keeps_running = True
-    """False when nothing of it is left once it has started."""
+    """False when nothing runs on after the start."""
     needs_presence = False
     """True when it ends with the process that runs the launch."""
     comes_last: ClassVar[bool] = False
-    """True when it starts after all that do not."""
+    """True when it starts after all other tasks."""
     waits_lightly: ClassVar[bool] = False
-    """True when a launch runs although this is still waiting."""
+    """True when the launch counts as up although this task still waits."""
     manager_namespace: str | None = None
-    """The namespace of the controller manager that it speaks to, if it does."""
+    """The namespace of the controller manager that it uses, or None."""
     patience_s = 30.0
-    """How long `start` may go on waiting, in wall seconds."""
+    """The longest time that `start` may wait, in wall seconds."""
 
     def __init__(self, node: Node, plan: LaunchPlan) -> None:  # noqa: ARG002 - subclasses write their notices into it
-        """Raises BadFile when the node's arguments make no sense."""
+        """Raise BadFile when the node's arguments are not valid."""
         self.node = node
 
     def error(self, message: str, hint: str | None = None) -> BadFile:
@@ -150,32 +150,32 @@ class Task:
 
     @property
     def text(self) -> str:
-        """What it will do, for `--dry-run`."""
+        """A description of what it will do, for `--dry-run`."""
         return f"run {self.node.kind}"
 
     def look_ahead(self, plan: LaunchPlan, packages: Packages, parameters: Mapping[str, Leaf]) -> None:
-        """Note in `plan.missing` what it needs and is not there, as far as the files tell. Nothing is started."""
+        """Note missing things that it needs in `plan.missing`, as far as files tell. Nothing is started."""
 
     def start(self, run: Run) -> str | None:
-        """Do it. Returns None when it is done or runs, else what it waits for: then it is asked again.
+        """Do it. Returns None when it is done or runs, else what it waits for: then it is called again.
 
         Raises:
-            SlidectlError: it cannot be done, and the launch ends.
+                SlidectlError: it failed, and the launch ends.
         """
         raise NotImplementedError
 
     def goes_on_waiting(self, run: Run) -> bool:  # noqa: ARG002
-        """Asked when its patience is over: whether it waits on all the same, which it says itself."""
+        """Called after `patience_s`. Returns True to wait on; then it reports that itself."""
         return False
 
     def afterwards(self, run: Run) -> None:
-        """What there is to say or do when all other nodes have started."""
+        """Called when all other nodes have started."""
 
     def stop(self, run: Run) -> None:
-        """The launch ends. Must not raise for a world that is gone."""
+        """Called when the launch ends. It must not raise when the world is gone."""
 
     def settled(self, run: Run, text: str, **details: Any) -> None:
-        """Say that something was done."""
+        """Report that something was done."""
         place = self.node.place
         run.console.step(
             "node", f"{self.node.full_name}: {text}", node=self.node.full_name, kind=self.family,
@@ -183,17 +183,17 @@ class Task:
         )  # fmt: skip
 
     def leave_out(self, run: Run, what: str, error: SlidectlError) -> None:
-        """Note that something of the node was not to be had: `what` is left out. For a launch that keeps going."""
+        """Note that a part of the node failed: `what` is left out. For a launch that keeps going."""
         place, message = self.node.place, f"{self.node.full_name}: {error.message}"
         run.plan.missing.note(NotThere(message, place.file, place.line, error.hint), f"{what} is left out")
 
     def warn(self, run: Run, text: str) -> None:
-        """Point something out, with the place of the node."""
+        """Print a warning with the place of the node."""
         run.console.warn(f"{self.node.place}: {self.node.full_name}: {text}")
 
 
 class StepFailed(Refused):
-    """A step of a launch did not succeed. It names the step and its place."""
+    """A step of a launch has failed. The message names the step and its place."""
 
     def __init__(self, task: Task, error: SlidectlError) -> None:
         node = task.node
@@ -205,7 +205,7 @@ class StepFailed(Refused):
 
 @dataclass
 class Words:
-    """Options by name, each with its values every time that it was given, and what is left."""
+    """Parsed arguments: the values of each option for each time it was given, and the remaining words."""
 
     node: Node
     given: dict[str, list[list[str]]]
@@ -215,16 +215,16 @@ class Words:
         return option in self.given
 
     def one(self, option: str, default: str = "") -> str:
-        """The value of an option that has one; of several the last."""
+        """The value of an option with one value; the last one counts."""
         return self.given[option][-1][0] if option in self.given else default
 
     def number(self, option: str, default: float) -> float:
-        """The same as a finite number. Raises BadFile."""
+        """The value of an option as a finite number. Raises BadFile."""
         return number(self.node, option, self.one(option)) if option in self.given else default
 
 
 def number(node: Node, what: str, text: str) -> float:
-    """A finite number. Raises BadFile at the node."""
+    """Convert a text to a finite number. Raises BadFile at the node."""
     value = _float(text)
     if value is None or not math.isfinite(value):
         raise node.place.error(f"{node.full_name}: {what} is a number, not {text!r}")
@@ -232,7 +232,7 @@ def number(node: Node, what: str, text: str) -> float:
 
 
 def parse(node: Node, known: Mapping[str, int]) -> Words:
-    """The words of a node. `known` says how many values each option takes; names come with their dashes.
+    """Parse the words of a node. `known` maps each option, with its dashes, to its count of values.
 
     Raises:
         BadFile: an unknown option, or values missing.
@@ -250,8 +250,8 @@ def parse(node: Node, known: Mapping[str, int]) -> Words:
         else:
             parser.add_argument(option, dest=option, action="append_const", const=[])
     parser.add_argument("rest", nargs="*")
-    # ROS takes `from:=to` out before a script sees its arguments. A blank before a number has argparse take `-1e-3` for
-    # a value, as it does with `-1.5`.
+    # ROS removes `from:=to` before a script sees its arguments. With a blank before it, argparse takes `-1e-3` for a
+    # value, as it does with `-1.5`.
     words = [word if _float(word) is None else f" {word}" for word in node.words if not _is_remap(word)]
     found, unknown = parser.parse_known_intermixed_args(words)
     for word in unknown:
@@ -273,7 +273,7 @@ def _is_remap(word: str) -> bool:
 
 
 def _float(text: str) -> float | None:
-    """None for what is no number."""
+    """The text as a float, or None."""
     try:
         return float(text)
     except ValueError:

@@ -1,7 +1,7 @@
-"""Field paths: what `position[0]`, `pose/position/x`, `header.stamp` or `poses[:]/position` selects in messages.
+"""Field paths such as `position[0]`, `pose/position/x`, `header.stamp` or `poses[:]/position`, which select values.
 
-Components are separated by `/` or `.`; indices and slices are Python's. A path is checked against the type before
-the first message; only an index can turn out wrong later. It knows no message definition: the caller gives the fields.
+Components are separated by `/` or `.`; indices and slices are Python's. A path is checked against the type before the
+first message; only an index can fail later. This module knows no message definitions: the caller gives the fields.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class PathStep(NamedTuple):
 
 
 class Selection(NamedTuple):
-    """What a path leads to: values of `type` in `depth` nested lists."""
+    """The values that a path selects: values of `type` in `depth` nested lists."""
 
     type: str
     depth: int
@@ -58,15 +58,15 @@ class Selection(NamedTuple):
 
 
 def byte_values(value: Any) -> list[int]:
-    """A uint8[] or char[] field as numbers, from base64 text or a list."""
+    """The numbers of a uint8[] or char[] field, given as base64 text or as a list."""
     return list(a2b_base64(value)) if isinstance(value, str) else list(value)
 
 
 def select(fields_of: FieldsOf, root: str, text: str) -> Selection:
-    """What the path `text` (may be empty) selects in messages of the type `root`.
+    """Find what the path `text` selects in messages of the type `root`. An empty path selects the whole message.
 
     Raises:
-        UnknownName: no such field; it lists those that exist. UsageError: no path, or an index where there is no array.
+        UnknownName: no such field; it lists the existing ones. UsageError: not a path, or an index of what is no array.
     """
     if len(text) > _LONGEST:
         raise UsageError(f"the path of a field is longer than {_LONGEST} characters")

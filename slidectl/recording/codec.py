@@ -1,4 +1,4 @@
-"""Messages of one type as ROS 1 bytes and back, and the text that tells a reader what the type is made of."""
+"""Encodes and decodes messages of one type as ROS 1 bytes, and has the text of the type's definition."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ class BadDefinition(SlidectlError):
 
 
 class Codec:
-    """A message type: `definition` is its text, followed by those of the types in it, as recordings hold it.
+    """A message type. `definition` is its text, followed by those of nested types, as in recordings.
 
-    An empty `md5` is made of the definition.
+    An empty `md5` is computed from the definition.
 
     Raises:
         BadDefinition.
@@ -31,19 +31,19 @@ class Codec:
         self.type = type_name
         self.definition = definition
         self.texts = definitions(type_name, definition)
-        """Each type with its text; the first is the type itself."""
+        """The text of each type; the first is the type itself."""
         try:
             parsed = {name: parse_message(text, name) for name, text in self.texts.items()}
             types = {name: one.fields for name, one in parsed.items()}
             self.schema = Schema(type_name, types)
             self.encode = packer(type_name, types.__getitem__)
-            """The bytes of a complete message."""
+            """Encodes a complete message as bytes."""
             self.decode = unpacker(type_name, types.__getitem__)
-            """The message in the bytes. Raises struct.error, ValueError: they are none."""
+            """Decodes a message. Raises struct.error, ValueError: the bytes are not valid."""
             self.md5 = md5 or md5_of(type_name, parsed.__getitem__)
         except KeyError as error:
             raise BadDefinition(f"the definition of {type_name} lacks that of {error.args[0]}") from None
-        except (ValueError, RecursionError, SyntaxError) as error:  # the last two: types within each other without end
+        except (ValueError, RecursionError, SyntaxError) as error:  # the last two are for endlessly nested types
             raise BadDefinition(f"the definition of {type_name} cannot be read: {error}") from None
 
 
@@ -54,6 +54,6 @@ def of(type_name: str) -> Codec:
 
 
 def definitions(root: str, text: str) -> dict[str, str]:
-    """Type -> definition, out of one in which those of nested types follow, each behind a line of its own."""
+    """Split a definition into the text of each type. Nested types follow the root, each after a separator line."""
     first, *rest = _SECTION.split(text)
     return {root: first, **dict(zip(rest[::2], rest[1::2], strict=True))}

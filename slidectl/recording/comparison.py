@@ -1,7 +1,7 @@
-"""Golden traces: a run against an earlier one of the same, exactly or within tolerances.
+"""Compares a run with an earlier one (its baseline), exactly or within tolerances.
 
-A baseline is a recording, or a table of chosen fields as a CSV file: small, read without a library, and shown line by
-line by version control, with numbers that stand for their bits.
+A baseline is a recording, or a table of chosen fields as a CSV file. A table is small, readable without a library, and
+version control shows its changes line by line. Its numbers are exact.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from slidectl.recording.recording_files import COMPRESSIONS, Recording, opened, 
 from slidectl.recording.records import Record, RecordedTopic
 
 LEFT_OUT = ("/rosout",)
-"""Topics that are not compared unless a field of them is asked for."""
+"""Topics that are compared only if a field of them is given."""
 TABLE = ".csv"
 """The suffix of a table."""
 _FIRST_COLUMNS = ["time", "topic"]
@@ -34,13 +34,13 @@ _SHOWN = 60
 
 
 class Difference(NamedTuple):
-    """Where two recordings differ first. `value` and `baseline` are None for a message that only one of them has."""
+    """The first difference of two recordings. `value` or `baseline` is None for a message that is missing there."""
 
     topic: str
     field: str
-    """Empty for a whole message."""
+    """The path of the field; empty for a whole message."""
     time: float
-    """Simulated, s."""
+    """Simulated time, s."""
     value: Any
     baseline: Any
     tolerance: float
@@ -55,7 +55,7 @@ class Difference(NamedTuple):
 
 
 def tolerances_of(fields: Sequence[str], tolerance: float) -> dict[str, float]:
-    """`TOPIC/FIELD[I]` or `TOPIC/FIELD[I]=TOL` each, as field -> tolerance. Raises UsageError."""
+    """Tolerances by field, from `TOPIC/FIELD[I]` or `TOPIC/FIELD[I]=TOL`. Raises UsageError."""
     found = {}
     for name, sign, text in (field.partition("=") for field in fields):
         found[name] = _tolerance(text) if sign else tolerance
@@ -72,14 +72,13 @@ def _tolerance(text: str) -> float:
 def compare(
     run: Recording, baseline: Recording, fields: Mapping[str, float], tolerance: float = 0.0
 ) -> list[Difference]:
-    """The first difference of each field, the earliest first; none when the run is as the baseline.
+    """The first difference of each field, the earliest first; empty when the run equals the baseline.
 
-    Messages belong together that were published on a topic at the same simulated time, in their order.
+    Messages on a topic are matched by simulated time, and by order among those of the same time.
 
     Args:
-        fields: topics, or `TOPIC/FIELD[I]`, by names as the command line has them, each with how far its numbers may
-            be off; 0 compares exactly.
-        tolerance: without fields, that of all topics of the baseline but LEFT_OUT, which are compared then.
+        fields: topics or `TOPIC/FIELD[I]`, each with the tolerance of its numbers; 0 compares exactly.
+        tolerance: for the topics compared if no fields are given: all of the baseline except LEFT_OUT.
 
     Raises:
         UnknownName, AmbiguousName, UsageError: not in the baseline. NoElement: in no message of it. BadRecording.
@@ -99,16 +98,16 @@ def compare_file(
     update: bool,
     open_file: Callable[[Path], Recording],
 ) -> list[Difference]:
-    """`compare` with a file, or with that of the run's name in a folder; `update` puts the run there.
+    """`compare` with a baseline file; for a folder it is the file in it with the run's name.
 
-    Of a baseline that is a .csv file the columns are compared, or `fields`.
+    With `update` the run becomes the baseline. For a .csv baseline its columns are compared, or `fields`.
 
     Args:
-        open_file: opens what is compared, and may warn of what is damaged.
+        open_file: opens a recording, and may warn of damage.
 
     Raises:
-        BadFile: there is no such baseline. Refused: it cannot be written, or the run is not complete. And what
-            `compare` raises.
+        BadFile: there is no such baseline. Refused: it cannot be written, or the run is incomplete. Also what `compare`
+            raises.
     """
     kept = baseline if baseline.suffix in (*COMPRESSIONS, TABLE) else baseline / run.name
     if not update and not kept.exists():
@@ -125,7 +124,7 @@ def compare_file(
 
 
 def _check_complete(run: Recording) -> None:
-    """Raises Refused."""
+    """Raise Refused when the run is incomplete."""
     run.refuse_written()
     if run.damage:
         text = f"{run.path} is no baseline: {run.damage}"
@@ -158,7 +157,7 @@ def _compare_table(
 
 
 def _put(path: Path, content: bytes) -> None:
-    """Raises Refused."""
+    """Write a file. Raises Refused."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         writing.replace(path, content)
@@ -170,12 +169,12 @@ def _put(path: Path, content: bytes) -> None:
 
 
 class GoldenTable:
-    """A row a message, with its time in s and its topic; a column a number or text, `TOPIC/FIELD[I]`.
+    """A table with a row for each message (time in s, topic), and a column `TOPIC/FIELD[I]` for each number or text.
 
     Args:
-        fields: what is in it, by names as the command line has them, each with its tolerance.
-        topics: those that there are, each with what selects a path in its messages.
-        where: for messages, where these topics are.
+        fields: the fields as on the command line, each with its tolerance.
+        topics: the existing topics, each with a function that selects a path in its messages.
+        where: where these topics are, for error messages.
 
     Raises:
         UnknownName, AmbiguousName: no such topic or field.
@@ -189,7 +188,7 @@ class GoldenTable:
     ) -> None:
         self.rows: list[dict[str, str]] = []
         self._tolerances: dict[str, float] = {}
-        """Columns, in the order in which they came first."""
+        """The tolerance of each column; the columns are in order of first use."""
         self._selections: dict[str, list[tuple[str, Selection, float]]] = {}
         for wanted, tolerance in fields.items():
             topic, path = topic_and_field(wanted, topics, where)
@@ -197,16 +196,16 @@ class GoldenTable:
 
     @property
     def topics(self) -> set[str]:
-        """Those that it has fields of."""
+        """The topics with fields in the table."""
         return set(self._selections)
 
     @property
     def columns(self) -> list[str]:
-        """The names of its fields."""
+        """The names of the columns, without time and topic."""
         return list(self._tolerances)
 
     def add(self, topic: str, time_ns: int, message: Any) -> None:
-        """A message of one of its topics."""
+        """Add a message of one of its topics."""
         row = {"time": repr(time_ns / _SECOND), "topic": topic}
         for path, selection, tolerance in self._selections[topic]:
             value = selection.take(message)
@@ -242,7 +241,7 @@ class GoldenTable:
         return sorted(found.values(), key=lambda difference: difference.time)
 
     def write(self, path: Path) -> None:
-        """Put it there, at once or not at all. Raises Refused."""
+        """Write the table to a file in one step. Raises Refused."""
         text = io.StringIO(newline="")
         table = csv.DictWriter(text, [*_FIRST_COLUMNS, *self.columns], restval="", lineterminator="\n")
         table.writeheader()
@@ -251,7 +250,7 @@ class GoldenTable:
 
     @classmethod
     def read(cls, path: Path) -> GoldenTable:
-        """Raises BadFile: it cannot be read, is no such table, or is cut off."""
+        """Read a table. Raises BadFile: it cannot be read, is no such table, or is cut off."""
         found, line = cls({}, {}, ""), 1
         try:
             text = path.read_bytes().decode()
@@ -281,7 +280,7 @@ def _unpaired(topic: str, time_s: float, is_ours: bool) -> Difference:
 
 
 def _number(cell: str) -> float | str:
-    """An integer stays one, and text as Python alone reads numbers, such as 1_0, stays text."""
+    """The number in a cell; integers stay integers. Text such as 1_0, a number only to Python, stays text."""
     with suppress(ValueError):
         return cell if "_" in cell else int(cell)
     with suppress(ValueError):
@@ -293,7 +292,7 @@ def _number(cell: str) -> float | str:
 
 
 class _Reader:
-    """One topic of a recording, and the field in its messages."""
+    """Reads a field of one topic of a recording."""
 
     def __init__(self, recording: Recording, topic: str, field: str) -> None:
         self.recording = recording
@@ -305,7 +304,7 @@ class _Reader:
         return self.recording.records({self._topic})
 
     def check(self) -> None:
-        """Raises UnknownName, UsageError: the messages have no such field. NoElement: none of them has the element."""
+        """Raise UnknownName, UsageError: no such field in the messages; NoElement: no message has the element."""
         if not self._field:
             return
         for channel in self.recording.channels:
@@ -350,7 +349,7 @@ def _first_difference(
 
 
 def _leaves(path: str, value: Any, expected: Any) -> Iterator[tuple[str, Any, Any]]:
-    """What there is in two values, side by side, with its path."""
+    """The numbers and texts in two values, in pairs, each with its path."""
     if isinstance(value, dict) and isinstance(expected, dict):
         for name in expected:
             yield from _leaves(f"{path}/{name}" if path else name, value[name], expected[name])

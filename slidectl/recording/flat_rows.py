@@ -14,7 +14,7 @@ _SECOND = 10**9
 class Rows:
     """The messages of some topics as flat rows: `time` (s), `topic`, and each field by its path.
 
-    Of several topics the paths begin with the topic. nan is None.
+    If there are several topics, paths begin with the topic. nan becomes None.
     """
 
     def __init__(self, recording: Recording, topics: set[str]) -> None:
@@ -22,7 +22,7 @@ class Rows:
         self._topics = topics
 
     def columns(self) -> list[str]:
-        """All columns, in the order in which the messages have them: arrays may grow."""
+        """All columns in order of first use. All messages are read for that, as arrays may grow."""
         found: dict[str, None] = {"time": None, "topic": None}
         for row in self:
             found.update(dict.fromkeys(row))

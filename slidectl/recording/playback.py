@@ -1,4 +1,4 @@
-"""The messages of several recordings as one row in time, to be published again."""
+"""Merges the messages of several recordings by time, to publish them again."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from slidectl.recording.recording_files import Recording
 
 
 class DueMessage(NamedTuple):
-    """A message to publish, `at_ns` after the beginning; `size` are its bytes in the recording."""
+    """A message to publish at `at_ns` after the start; `size` is its number of bytes in the recording."""
 
     at_ns: int
     topic: str
@@ -21,7 +21,7 @@ class DueMessage(NamedTuple):
 
 
 def span_ns(recordings: Sequence[Recording]) -> tuple[int, int]:
-    """The times of the first and the last message of all; zeros where there is none."""
+    """The times of the first and the last message of all recordings; zeros if there are no messages."""
     summaries = [recording.summary() for recording in recordings]
     begin = min((one.begin_ns for one in summaries if one.begin_ns is not None), default=0)
     return begin, max((one.end_ns for one in summaries if one.end_ns is not None), default=begin)
@@ -30,9 +30,9 @@ def span_ns(recordings: Sequence[Recording]) -> tuple[int, int]:
 def due_messages(
     recordings: Sequence[Recording], topics: set[str], start_ns: int = 0, end_ns: int | None = None, rate: float = 1.0
 ) -> Iterator[DueMessage]:
-    """The messages from `start_ns` to before `end_ns` after the first of all, by time, `rate` times as fast.
+    """The messages from `start_ns` to before `end_ns` after the first message, by time; `rate` divides their times.
 
-    Latched ones from before the start come first, the last of each topic.
+    Latched messages from before the start come first: the last one of each topic.
     """
     begin_ns = span_ns(recordings)[0]
     streams = [((record, recording) for record in recording.records(topics)) for recording in recordings]

@@ -1,7 +1,7 @@
-"""Recordings as files: `.bag` and `.mcap`, written chunk by chunk and read again, also when they were cut off.
+"""Reads and writes recordings, `.bag` and `.mcap`, also files that were cut off.
 
-A writer puts whole chunks into its file, so that one that was killed loses no more than the chunk it was about. What is
-left has no index then; it is read from the beginning to where it ends, and says so.
+A writer writes whole chunks, so that a killed process loses at most the current chunk. Such a file has no index; it is
+read from the beginning to its end, and reports that in `damage`.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from slidectl.recording.records import Record, RecordedTopic
 
 COMPRESSIONS = {".bag": ("none", "bz2", "lz4"), ".mcap": ("none", "lz4", "zstd")}
 EVERY_CYCLE = "/clock|/gazebo/(link|model)_states"
-"""Topics that come in every cycle, as a regular expression: the frames on /tf say the same."""
+"""A regular expression for topics with a message in every cycle. The frames on /tf have the same information."""
 CHUNK = 768 * 1024
-"""Bytes of messages in a chunk, as rosbag has it."""
+"""Bytes of messages in a chunk, as in rosbag."""
 MEGABYTE = 1_000_000
 _LOOK_AT_SIZE = 64
-"""Messages between two looks at the file's size."""
+"""The number of messages between two checks of the file's size."""
 _BAG_MAGIC = b"#ROSBAG V2.0\n"
 _MCAP_MAGIC = b"\x89MCAP0\r\n"
 
@@ -46,7 +46,7 @@ class NoMcap(Refused):
 
 
 def _check_mcap() -> None:
-    """Raises NoMcap."""
+    """Raise NoMcap if mcap is missing."""
     try:
         import mcap  # noqa: F401
     except ImportError:
@@ -54,16 +54,16 @@ def _check_mcap() -> None:
 
 
 class BadRecording(BadFile):
-    """A recording that is damaged, or a file that cannot be read."""
+    """A recording is damaged, or its file cannot be read."""
 
 
 class NotARecording(BadRecording):
-    """A file of another kind."""
+    """A file is not a recording."""
 
 
 @dataclass
 class Summary:
-    """What a recording holds. `counts` are messages by topic; times are None in one without messages."""
+    """The content of a recording. `counts` are messages by topic; the times are None if there are no messages."""
 
     begin_ns: int | None
     end_ns: int | None
@@ -76,7 +76,7 @@ class Summary:
 
 
 class RecordingWriter(ABC):
-    """A file that messages are written into. What the disk refuses is an OSError; `close` completes the file."""
+    """A recording that is being written. An error of the disk is an OSError; `close` completes the file."""
 
     file: BinaryIO
 
@@ -85,15 +85,15 @@ class RecordingWriter(ABC):
 
     @abstractmethod
     def add(self, topic: str, codec: Codec, latching: bool, callerid: str = "") -> Any:
-        """A new topic, or one more publisher of a topic; what `write` wants for it."""
+        """Add a topic, or another publisher of a topic. Returns the handle for `write`."""
 
     @abstractmethod
     def write(self, topic: Any, time_ns: int, raw: bytes) -> None:
-        """A message."""
+        """Write a message."""
 
     @abstractmethod
     def flush(self) -> None:
-        """See to it that everything so far is in the file and can be read when nothing more comes."""
+        """Write everything so far to the file, so that it can be read even if nothing follows."""
 
     @abstractmethod
     def close(self) -> None:
@@ -101,17 +101,17 @@ class RecordingWriter(ABC):
 
     @property
     def size(self) -> int:
-        """Bytes of the file so far."""
+        """The present size of the file in bytes."""
         return self.path.stat().st_size
 
 
 def usual_suffix() -> str:
-    """Of recordings that are kept unasked: MCAP where its library is there."""
+    """The suffix of recordings that are kept by default: MCAP if its library is installed."""
     return ".mcap" if find_spec("mcap") else ".bag"
 
 
 def check_kind(path: Path, compression: str = "none") -> None:
-    """Raises UsageError unless there are recordings of the kind that the suffix says, so compressed. Raises NoMcap."""
+    """Check suffix and compression of a recording. Raises UsageError: not supported. NoMcap."""
     known = COMPRESSIONS.get(path.suffix)
     if known is None:
         raise UsageError(f"{path} is neither a .bag nor a .mcap file", "the suffix says which kind it is to be")
@@ -122,16 +122,16 @@ def check_kind(path: Path, compression: str = "none") -> None:
 
 
 def create(path: Path, compression: str = "none", force: bool = False) -> RecordingWriter:
-    """A new recording of the kind that the suffix says; with `force` instead of a file that is there.
+    """Create a recording of the kind of its suffix; `force` replaces an existing file.
 
     Raises:
-        UsageError, NoMcap: as `check_kind` does. Refused: the file is there, or cannot be made.
+        UsageError, NoMcap: as `check_kind` does. Refused: the file exists, or cannot be created.
     """
     check_kind(path, compression)
     if not force:
         refuse_existing(path)
     try:
-        if force:  # with nothing left to refuse
+        if force:  # after all checks, so that the old file is not lost for nothing
             path.unlink(missing_ok=True)
         writer = _BagWriter(path, compression) if path.suffix == ".bag" else _McapWriter(path, compression)
         _lock(writer.file)
@@ -141,7 +141,7 @@ def create(path: Path, compression: str = "none", force: bool = False) -> Record
 
 
 def _lock(file: BinaryIO) -> bool:
-    """Take the lock that a recording has while it is written; False when somebody else has it."""
+    """Take the lock that a recording has while it is written; False when another process has it."""
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -152,7 +152,7 @@ def _lock(file: BinaryIO) -> bool:
 
 
 def refuse_existing(path: Path) -> None:
-    """Raises Refused: the file is there."""
+    """Raise Refused when the file exists."""
     if path.exists():
         raise Refused(f"{path} is there already", "give another name, or --force to write over it")
 
@@ -220,17 +220,17 @@ class _McapWriter(RecordingWriter):
 
 
 class SplitFiles:
-    """A recording of simulated `length_s` and `size_mb` (10^6 bytes) at most, or with `split` one after the other.
+    """A recording of at most `length_s` simulated seconds and `size_mb` (10^6 bytes); `split` makes further files.
 
-    Each topic is added to a file when its first message comes.
+    A topic is added to a file with its first message.
 
     Args:
-        most_files: of a split, how many of the last files are kept; None: all.
-        repeat_latched: whether latched messages stand again at the beginning of each file of a split.
-        force: write over files that are there.
+        most_files: with `split` the number of last files that are kept; None: all.
+        repeat_latched: with `split` write latched messages again at the beginning of each file.
+        force: replace existing files.
 
     Raises:
-        UsageError, Refused: as `create` does; of a split, for each of its files.
+        UsageError, Refused: as `create` does, with `split` for each file.
     """
 
     def __init__(
@@ -259,15 +259,15 @@ class SplitFiles:
         self.first_ns: int | None = None
         self.last_ns = 0
         self.bytes = 0
-        """Of files that are complete."""
+        """The size of the completed files, bytes."""
         self.is_full = False
         self._writer: RecordingWriter | None = None
-        """None after `close`, and after a next file could not be opened."""
+        """None after `close`, and if the next file could not be opened."""
         self._open()
 
     @property
     def path(self) -> Path:
-        """The file that is written now."""
+        """The current file."""
         return self.files[-1]
 
     def _open(self) -> None:
@@ -285,7 +285,7 @@ class SplitFiles:
             gone.unlink()
 
     def write(self, topic: str, codec: Codec, latching: bool, time_ns: int, raw: bytes) -> None:
-        """A message; `latching`: it was published before the subscription. Raises OSError, Refused."""
+        """Write a message; `latching`: it was published before the subscription. Raises OSError, Refused."""
         if self._ends(time_ns):
             if not self._split:
                 self.is_full = True
@@ -319,12 +319,12 @@ class SplitFiles:
         return self._writer is not None and self._writer.size >= self._most_bytes
 
     def flush(self) -> None:
-        """Raises OSError."""
+        """Flush the file. Raises OSError."""
         if self._writer is not None:
             self._writer.flush()
 
     def close(self) -> None:
-        """Complete the file. Harmless when that was done. Raises OSError."""
+        """Complete the file. A second call does nothing. Raises OSError."""
         if self._writer is None:
             return
         writer, self._writer = self._writer, None
@@ -338,7 +338,7 @@ class SplitFiles:
 
 
 class Recording(ABC):
-    """An open recording. A context manager. `damage` says what is wrong with it, empty where nothing is."""
+    """An open recording; a context manager. `damage` describes what is wrong with the file, or is empty."""
 
     def __init__(self, path: Path, file: BinaryIO) -> None:
         self.path = path
@@ -349,45 +349,45 @@ class Recording(ABC):
 
     @abstractmethod
     def records(self, topics: set[str] | None = None) -> Iterator[Record]:
-        """The messages of these topics, or of all, in the order of their times."""
+        """The messages of these topics (None: all), by time."""
 
     @abstractmethod
     def summary(self) -> Summary:
-        """What there is in it."""
+        """Summarize the content."""
 
     @property
     def topics(self) -> list[str]:
-        """In the order in which the recording met them."""
+        """The topics in order of their first appearance."""
         return list(dict.fromkeys(channel.topic for channel in self.channels))
 
     def topic_and_field(self, text: str, namespace: str = "/") -> tuple[str, str]:
-        """What `TOPIC/FIELD[I]` means in it. Raises UnknownName, AmbiguousName."""
+        """Resolve `TOPIC/FIELD[I]` among its topics. Raises UnknownName, AmbiguousName."""
         return topic_and_field(text, self.topics, f"in {self.path}", namespace)
 
     def schema(self, topic: str) -> Schema:
-        """What the messages of one of its topics are made of. Raises BadRecording."""
+        """The schema of a topic's messages. Raises BadRecording."""
         return self.codec(next(channel for channel in self.channels if channel.topic == topic)).schema
 
     def select(self, topic: str, path: str) -> Selection:
-        """What a path selects in the messages of a topic. Raises UnknownName, UsageError, BadRecording."""
+        """Select a path in the messages of a topic. Raises UnknownName, UsageError, BadRecording."""
         schema = self.schema(topic)
         return select(schema.fields, schema.root, path)
 
     def codec(self, channel: RecordedTopic) -> Codec:
-        """What reads its messages. Raises BadRecording."""
+        """The codec for its messages. Raises BadRecording."""
         if channel.number not in self._codecs:
             with _library_errors_as_bad_recording(self.path):
                 self._codecs[channel.number] = Codec(channel.type, channel.definition, channel.md5)
         return self._codecs[channel.number]
 
     def message(self, record: Record) -> Any:
-        """The message in the shape of the wire. Raises BadRecording."""
+        """Decode a message to the shape of the wire protocol. Raises BadRecording."""
         codec = self.codec(record.channel)
         with _library_errors_as_bad_recording(self.path):
             return codec.decode(record.raw)
 
     def refuse_written(self) -> None:
-        """Raises Refused: the recording is being written, here or in another process."""
+        """Raise Refused when the recording is being written, here or in another process."""
         if not _lock(self._file):
             raise Refused(f"{self.path} is being recorded", "end that first: Ctrl-C, or kill PID with --detach")
 
@@ -402,7 +402,7 @@ class Recording(ABC):
 
 
 def topic_and_field(text: str, topics: Iterable[str], where: str, namespace: str = "/") -> tuple[str, str]:
-    """What `TOPIC/FIELD[I]` means among these topics, which are there `where`. Raises UnknownName, AmbiguousName."""
+    """Resolve `TOPIC/FIELD[I]` among these topics, which are found `where`. Raises UnknownName, AmbiguousName."""
     for name, field_path in names.cut_from_field(text):
         with suppress(UnknownName):
             return names.resolve(name, topics, kind="topic", namespace=namespace), field_path
@@ -411,23 +411,23 @@ def topic_and_field(text: str, topics: Iterable[str], where: str, namespace: str
 
 @contextmanager
 def _library_errors_as_bad_recording(path: Path) -> Iterator[None]:
-    """Raises BadRecording for whatever a library raises about bytes that are no recording, or a damaged one."""
+    """Turn any exception of a library about invalid or damaged bytes into BadRecording."""
     try:
         yield
     except BadDefinition as error:
         raise BadRecording(error.message, str(path)) from None
     except SlidectlError:
         raise
-    except Exception as error:  # their classes for that are not alone: codecs, asserts and parsers join in
+    except Exception as error:  # besides the libraries' own classes, codecs, asserts and parsers raise others
         text = str(error).partition("\n")[0] or type(error).__name__
         raise BadRecording(f"it is damaged: {text}", str(path)) from None
 
 
 def opened(path: Path) -> Recording:
-    """The recording in a file; what it holds says which kind it is.
+    """Open a recording; its content decides which kind it is.
 
     Raises:
-        BadRecording: no such file, or no recording. NoMcap.
+        BadRecording: no such file, or not a recording. NoMcap.
     """
     try:
         file = path.open("rb")
@@ -461,7 +461,7 @@ def _open_bag(path: Path, file: BinaryIO) -> Recording:
 
 
 class _BagRecording(Recording):
-    """One with an index."""
+    """A bag with an index."""
 
     def __init__(self, path: Path, file: BinaryIO) -> None:
         super().__init__(path, file)
@@ -505,7 +505,7 @@ class _BagRecording(Recording):
 
 
 class _Scanned(Recording):
-    """One without an index: it is read from the beginning, once, to where it ends."""
+    """A recording that is read from the beginning to its end, without an index."""
 
     def __init__(self, path: Path, file: BinaryIO, damage: str) -> None:
         super().__init__(path, file)
@@ -518,7 +518,7 @@ class _Scanned(Recording):
 
     @abstractmethod
     def _scan(self) -> Iterator[Record]:
-        """All messages; ends where the file does, or where it is damaged."""
+        """All messages up to the end of the file, or to the first damage."""
 
     def records(self, topics: set[str] | None = None) -> Iterator[Record]:
         found = (record for record in self._scan() if topics is None or record.channel.topic in topics)
@@ -557,7 +557,7 @@ class _CutBag(_Scanned):
 
 
 class _McapRecording(_Scanned):
-    """Read from the beginning also where there is an index: the library's sequential reader is the quicker one."""
+    """An MCAP file. Its index is not used: the library's sequential reader is faster."""
 
     def __init__(self, path: Path, file: BinaryIO) -> None:
         _check_mcap()
@@ -604,11 +604,11 @@ class _McapRecording(_Scanned):
 def copy(
     records: Iterable[Record], recording: Recording, target: Path, compression: str = "none", kept: Path | None = None
 ) -> int:
-    """Write records of a recording into a new one, which appears when it is complete; how many there were.
+    """Write records of a recording into a new one, which appears when it is complete. Returns their number.
 
     Args:
-        target: where it appears; a file that is there is written over.
-        kept: where that file is kept instead.
+        target: the path of the new one; an existing file is replaced.
+        kept: where an existing file is moved instead.
 
     Raises:
         UsageError, Refused: it cannot be written.
@@ -625,7 +625,7 @@ def copy(
                 if channel.number not in numbers:
                     codec = recording.codec(channel)
                     key = channel.topic, codec.type, codec.md5, channel.latching, channel.callerid
-                    if key not in added:  # a publisher that came twice has two connections in rosbag's files
+                    if key not in added:  # in rosbag's files a publisher that connected twice has two connections
                         added[key] = writer.add(channel.topic, codec, channel.latching, channel.callerid)
                     numbers[channel.number] = added[key]
                 writer.write(numbers[channel.number], time_ns, raw)

@@ -1,4 +1,4 @@
-"""What a recording is made of: topics and messages."""
+"""The parts of a recording: topics and messages."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 @dataclass(frozen=True)
 class RecordedTopic:
-    """One topic of a recording. Two are the same when they were written by the same publisher."""
+    """One topic of a recording, from one publisher: a topic with two publishers has two entries."""
 
     number: int
     topic: str
@@ -17,11 +17,11 @@ class RecordedTopic:
     md5: str
     latching: bool = False
     callerid: str = ""
-    """The node that published, where the recording says so."""
+    """The publishing node, if the recording has it."""
 
 
 class Record(NamedTuple):
-    """One message of a recording: its bytes, and the time in ns at which it was recorded."""
+    """One message of a recording: its bytes, and the time in ns when it was recorded."""
 
     channel: RecordedTopic
     time_ns: int

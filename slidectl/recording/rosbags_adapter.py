@@ -1,4 +1,4 @@
-"""All that touches the insides of the rosbags library, for what its `Reader` and `Writer` do not offer.
+"""All access to private parts of the rosbags library, for features that its `Reader` and `Writer` do not have.
 
 * A recorder that is killed loses no more than a chunk: `write_chunk` puts the open one into the file, and
   `chunk_threshold` bounds it. `bio`, the file itself, is locked while it is written.
@@ -23,11 +23,11 @@ from rosbags.rosbag1 import Reader, Writer, reader
 from slidectl.recording.records import Record, RecordedTopic
 
 _NO_TIME_NS = 1
-"""What stands in a bag for the time 0, which rosbag does not take."""
+"""The value for time 0 in a bag, which rosbag does not accept."""
 
 
 def bag_time(time_ns: int) -> int:
-    """The time that was recorded, for the one that stands in a bag."""
+    """The recorded time for a time in a bag."""
     return 0 if time_ns == _NO_TIME_NS else time_ns
 
 

@@ -1,4 +1,5 @@
-"""Scenarios: files of steps that a robot must pass, many at a time. Reading, checking, running, results.
+"""Scenarios: files of steps that a robot must pass. Reading, checking, running many at a time, results.
 
-The steps are commands of the command line, which gives them by `step_commands.Commands`; nothing here knows click.
+The steps are commands of the command line, which passes them in as `step_commands.Commands`; this package knows no
+click.
 """

@@ -1,7 +1,7 @@
-"""Steps that go on in the background: threads of which only one runs at a time.
+"""Background steps: threads of which only one runs at a time.
 
-A background step runs until it waits for something; then the case goes on, and each time that what it waits for is
-there, between two cycles, it has its turn. Who runs when depends on simulated time alone, so all stays repeatable.
+A background step runs until it waits for something; then the case continues. Between two cycles it runs again when what
+it waits for is there. The order depends on simulated time alone, so that every run is repeatable.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _TURN_EVERY_S = 0.1
 
 
 class BackgroundStep:
-    """Calls `action` with a client of its own, in a thread of its own. It begins at once, up to its first wait."""
+    """Runs `action` with its own client in its own thread. It starts at once, and runs to its first wait."""
 
     def __init__(
         self, link: Callable[[BackgroundStep], BackgroundLink], action: Callable[[Client], None], timeout: float
@@ -26,7 +26,7 @@ class BackgroundStep:
         self._link = link(self)
         self._client = Client(link=self._link, timeout=timeout)
         self._action = action
-        self._mine, self._others = threading.Lock(), threading.Lock()  # each is released by who gives the turn
+        self._mine, self._others = threading.Lock(), threading.Lock()  # released to let that side run
         self._mine.acquire()
         self._others.acquire()
         self._ending = False
@@ -45,16 +45,16 @@ class BackgroundStep:
             self._others.release()
 
     def _switch(self) -> None:
-        """It has its turn, until it waits or ends."""
+        """Let the step run until it waits or ends."""
         self._mine.release()
         self._others.acquire()
 
     def wait(self, deadline: float) -> None:
-        """For its thread: the others have their turn, until something has come or the deadline has passed.
+        """Called in the step's thread: let the others run until something is received or the deadline has passed.
 
-        Raises KeyboardInterrupt once when it is to end, as Ctrl-C would in a process of its own.
+        Raises KeyboardInterrupt once when the step is to end, like Ctrl-C in a separate process.
         """
-        # A turn costs more than a cycle: messages of topics are taken many at a time.
+        # A switch costs more than a cycle: so messages of topics are handled many at a time.
         self._link.take_turn(self._switch, min(deadline, self._link.monotonic() + _TURN_EVERY_S))
         self._others.release()
         self._mine.acquire()
@@ -64,30 +64,30 @@ class BackgroundStep:
 
     @property
     def is_ending(self) -> bool:
-        """True after its KeyboardInterrupt was raised: its waits run the world themselves."""
+        """True after KeyboardInterrupt was raised: from then on the step's waits run the world themselves."""
         return self._raised
 
     def end(self) -> None:
-        """End it as Ctrl-C does, and wait for that."""
+        """End the step as Ctrl-C does, and wait for it."""
         if self._thread.is_alive():
             self._ending = True
-            self._link.leave()  # it has no more turns
+            self._link.leave()  # it is not switched to any more
             self._switch()
         self._thread.join()
 
 
 class BackgroundLink(ClientLink, Protocol):
-    """A client's link whose waits give the turn to the others: to `BackgroundStep.wait`."""
+    """A client's link that lets the others run while it waits, by calling `BackgroundStep.wait`."""
 
     def take_turn(self, switch: Callable[[], None], due_s: float) -> None:
-        """`switch` is to be called when something has come, or at a time of its clock."""
+        """Set `switch` to be called when something is received, or at a time of its clock."""
 
     def leave(self) -> None:
-        """It is not called any more."""
+        """Cancel the call of `switch`."""
 
 
 class InProcessBackground(InProcessLink):
-    """In a world in this process."""
+    """The link to a world in this process."""
 
     def __init__(self, world: InProcessWorld, step: BackgroundStep) -> None:
         super().__init__(world)
@@ -95,15 +95,15 @@ class InProcessBackground(InProcessLink):
         self._step = step
 
     def take_turn(self, switch: Callable[[], None], due_s: float) -> None:
-        """As BackgroundLink has it."""
+        """As BackgroundLink.take_turn."""
         self.connection.on_lines, self.connection.due_s = switch, due_s
 
     def leave(self) -> None:
-        """It is not called any more."""
+        """Cancel the call of `switch`."""
         self.connection.on_lines = None
 
     def call_back(self, action: Callable[[], object] | None) -> bool:  # noqa: ARG002
-        """It has its turn when something has come, which is as good."""
+        """Do nothing: the step runs anyway when something is received."""
         return True
 
     def receive(self, deadline: float) -> dict[str, Any] | None:

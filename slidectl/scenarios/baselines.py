@@ -1,6 +1,6 @@
-"""Golden traces of cases: chosen fields of each run, held to those of an earlier one in a folder of tables.
+"""Baselines of cases: chosen fields of each run are compared with those of an earlier run, in a folder of tables.
 
-A baseline is a CSV file named by its case: a reader of a pull request sees which numbers changed, and by how much.
+A baseline is a CSV file named after its case: a reader of a pull request sees which numbers changed, and by how much.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from slidectl.scenarios.scenario_file import SUFFIXES, BaselineFields, Case
 
 _JOINT_STATES = "sensor_msgs/JointState"
 _DEFAULT = ("position", "velocity", "effort")
-"""The fields of all joint states, where the scenario names none."""
+"""The fields of all joint states, which are compared when the scenario names none."""
 _QUEUE = 1_000_000
 
 
 class RecordedFields:
-    """Takes in the topics that a baseline has fields of, each from the end of the step in which it comes."""
+    """Collects the messages with fields of a baseline. A topic is recorded from the end of the step that creates it."""
 
     def __init__(self, client: Client, wanted: BaselineFields) -> None:
-        self._client = client.another()  # nobody waits for it, so it ends no slice of cycles
+        self._client = client.another()  # no wait uses this client, so its messages do not end a slice of cycles
         self._wanted = wanted
         self._names = [name for field in wanted.fields for name, _ in cut_from_field(field)]
         self._types: dict[str, str] = {}
@@ -40,7 +40,7 @@ class RecordedFields:
         self._subscriptions: list[Any] = []
 
     def look(self) -> None:
-        """Take in what has come, and subscribe what is new."""
+        """Handle received messages, and subscribe to new topics."""
         for topic, kind in self._client.topics().items():
             if topic not in self._types and self._is_wanted(topic, kind):
                 self._types[topic] = kind
@@ -58,7 +58,7 @@ class RecordedFields:
         self._records.append((published["topic"], nanoseconds(published["time"]), published["msg"]))
 
     def table(self) -> GoldenTable:
-        """What had come at the last look. Raises UnknownName, AmbiguousName, Refused."""
+        """The table of the messages up to the last `look`. Raises UnknownName, AmbiguousName, Refused."""
         self._client.close()
         if lost := sum(subscription.dropped for subscription in self._subscriptions):
             raise Refused(f"{lost} messages of its fields came faster than they could be taken in")
@@ -74,14 +74,14 @@ class RecordedFields:
 
 
 class Baselines:
-    """A folder of them. With `is_updated` what differs is written; nothing is ever removed."""
+    """A folder of baselines. With `is_updated` changed ones are written; none is ever removed."""
 
     def __init__(self, folder: str, is_updated: bool) -> None:
         self._folder = Path(folder)
         self._is_updated = is_updated
 
     def path(self, case: Case) -> Path:
-        """`FOLDER/PATH_OF_SCENARIO.csv`, or `.../CASE.csv` of a table: the path as seen from the folder's own place."""
+        """`FOLDER/PATH_OF_SCENARIO.csv`, or `.../CASE.csv` for a table; the path is relative to the folder's parent."""
         file = os.path.relpath(case.file, self._folder.absolute().parent)
         if file.startswith(os.pardir):
             file = os.path.abspath(case.file).lstrip(os.sep)
@@ -89,7 +89,7 @@ class Baselines:
         return stem / f"{quote(case.name, safe=' ,=+')}{TABLE}" if case.name else stem.with_name(stem.name + TABLE)
 
     def judge(self, case: Case, table: GoldenTable, result: CaseResult) -> None:
-        """Make of a case that passed a failure when it is not as its baseline, or make the baseline of it."""
+        """Compare a passed case with its baseline, and fail it if it differs; with `is_updated` write the baseline."""
         path = self.path(case)
         try:
             if not path.exists():
@@ -118,7 +118,7 @@ class Baselines:
         result.detail, result.failed_at = detail, time_s
 
     def without_case(self, known: Sequence[Case]) -> Iterator[tuple[Case, CaseResult]]:
-        """Files of the folder that belong to no case of the files that were read, nor to another scenario."""
+        """Failures for files in the folder that belong to no known case and no other scenario file."""
         mine = {self.path(case) for case in known}
         read = {os.path.realpath(case.file) for case in known}
         for path in sorted(self._folder.rglob(f"*{TABLE}")):

@@ -1,4 +1,4 @@
-"""One case of a scenario, from its first step to the end of its teardown, on a stage: the world where it runs."""
+"""Runs one case of a scenario, from the first step to the end of its teardown, in a world (its stage)."""
 
 from __future__ import annotations
 
@@ -19,50 +19,50 @@ from slidectl.scenarios.step_commands import Commands, StepOutcome
 PASSED, FAILED, ERROR, XFAILED, XPASSED = "passed", "failed", "error", "xfailed", "xpassed"
 BAD = (FAILED, ERROR, XPASSED)
 TEARDOWN_S = 60.0
-"""Simulated seconds that the teardown may take, however much the steps have used."""
+"""Simulated seconds that the teardown may take, in addition to the limit of the steps."""
 _EARLY_S = 1e-9
 _LOOK_EVERY_S = 1e-3
-"""Simulated seconds between two looks whether what stays is up."""
+"""Simulated seconds between two checks whether a step that stays is up."""
 
 
 @dataclass
 class CaseResult:
-    """How a case ended. Of a failure: the step with its line, what was said, and what the world had to say."""
+    """The result of a case. For a failure it has the step with its line, the messages, and the last log lines."""
 
     id: str
     verdict: str
     sim_time: float = 0.0
     wall_time: float = 0.0
     steps: int = 0
-    """That were done."""
+    """The number of steps done."""
     step: str = ""
     section: str = ""
     line: int = 0
     message: str = ""
     hint: str = ""
     detail: dict[str, Any] = field(default_factory=dict)
-    """What the step itself printed as a record: of `wait` expected, value, closest and time."""
+    """The record that the failed step printed: for `wait` expected, value, closest and time."""
     failed_at: float | None = None
-    """Simulated time, s."""
+    """Simulated time of the failure, s."""
     log: list[str] = field(default_factory=list)
     kept: list[str] = field(default_factory=list)
-    """Files that were kept of it."""
+    """Files that were kept, such as recordings."""
     baseline: str = ""
-    """What was written as its baseline."""
+    """A text about the baseline that was written."""
     was_ended: bool = False
-    """Whether it was ended from outside: by Ctrl-C, or at its limit of wall time."""
+    """True when it was ended from outside: by Ctrl-C, or at its limit of wall time."""
 
     def as_dict(self) -> dict[str, Any]:
-        """Its JSON object."""
+        """The result as a JSON object."""
         return asdict(self)
 
 
 class WallTimeUp(BaseException):
-    """The case has used up its wall time, or is to end for another reason. No command takes it for a failure of its."""
+    """The case has used up its wall time, or must end for another reason. Commands do not catch it as an error."""
 
 
 class _Failed(Exception):
-    """A step that failed."""
+    """A step has failed."""
 
     def __init__(self, step: ScenarioStep, outcome: StepOutcome, time_s: float) -> None:
         super().__init__(outcome.message)
@@ -72,29 +72,29 @@ class _Failed(Exception):
 
 
 class Stage:
-    """Where a case runs: a client, the simulated time since it began, and the last lines of the log."""
+    """The world where a case runs: a client, the simulated time since the start, and the last lines of the log."""
 
     client: Client
 
     def now_s(self) -> float:
-        """Simulated time since the case began."""
+        """Simulated time since the case began, s."""
         raise NotImplementedError
 
     def limit(self, seconds: float | None) -> None:
-        """Waits end with TimedOut so many simulated seconds from now; None: no limit."""
+        """Let waits end with TimedOut after this simulated time from now; None: no limit."""
 
     def begin(self, run: Any) -> Any:
-        """Run something with a client of its own in the background; what it gives has `end`."""
+        """Run a function with its own client in the background. Returns a handle with the method `end`."""
         raise NotImplementedError
 
     def log(self) -> list[str]:
-        """The last lines."""
+        """The last lines of the log."""
         raise NotImplementedError
 
 
 @dataclass
 class CaseRun:
-    """The steps of a case on a stage, to the end, teardown included, with a `look` after each before it."""
+    """Runs the steps of a case on a stage, teardown included, and calls `look` after each step before the teardown."""
 
     case: Case
     commands: Commands
@@ -111,7 +111,7 @@ class CaseRun:
         self._step: ScenarioStep | None = None
 
     def run(self) -> CaseResult:
-        """Raises nothing but what is no failure of the case."""
+        """Run the case. Its failures are in the result and not raised."""
         began_s = time.monotonic()
         result = self._result
         try:
@@ -145,7 +145,7 @@ class CaseRun:
         self._tear_down()
 
     def _tear_down(self) -> None:
-        """Every step of it, whatever happens. The first failure counts where all went well before."""
+        """Run all steps of the teardown. Their first failure counts if the case has passed before."""
         with suppress(_Failed, WallTimeUp, SlidectlError):
             self._end_background()
         for step in self.steps:
@@ -181,7 +181,7 @@ class CaseRun:
             result.detail = record if isinstance(record, dict) else {}
 
     def _do(self, step: ScenarioStep, most_s: float) -> None:
-        """Raises _Failed."""
+        """Run a step. Raises _Failed."""
         self._step = step
         stage = self.stage
         try:
@@ -195,7 +195,7 @@ class CaseRun:
             stage.limit(limit_s)
             outcome = self._run(step)
             took_s = stage.now_s() - began_s
-        except SlidectlError as error:  # of the world: those of a command are its outcome
+        except SlidectlError as error:  # an error of the world; errors of a command are in its outcome
             raise self._failed(step, StepOutcome(error.exit_code, error.message, error.hint or "")) from None
         finally:
             stage.limit(None)
@@ -212,7 +212,7 @@ class CaseRun:
         self._result.steps += 1
 
     def _run(self, step: ScenarioStep) -> StepOutcome | None:
-        """None: it goes on in the background."""
+        """Run a step's command; None when it continues in the background."""
         if not step.words:
             return StepOutcome(0)
         words = [word.replace(TEMPORARY, self.temporary) for word in step.words]
@@ -228,7 +228,7 @@ class CaseRun:
         return outcomes[0] if outcomes else None
 
     def _end_background(self) -> None:
-        """Raises _Failed for the first that failed."""
+        """End the background steps. Raises _Failed for the first failure."""
         ended, self._background = self._background, []
         for _, handle, _ in ended:
             handle.end()
@@ -237,7 +237,7 @@ class CaseRun:
                 self._judge(step, StepOutcome(0) if outcome.exit_code == EXIT_INTERRUPTED else outcome)
 
     def _judge(self, step: ScenarioStep, outcome: StepOutcome, limit: str = "") -> None:
-        """Raises _Failed. `limit` is what the command has used up."""
+        """Raise _Failed for an unexpected outcome. `limit`: the time limit that was used up."""
         if not step.fails and outcome.exit_code:
             raise self._failed(step, _late(outcome, limit) if limit else outcome)
         if step.fails and not outcome.exit_code:
@@ -250,7 +250,7 @@ class CaseRun:
         return _Failed(step, outcome, self.stage.now_s())
 
     def _wait_for(self, at_s: float) -> None:
-        """Raises Refused: the time has passed."""
+        """Wait until a simulated time. Raises Refused: it has passed."""
         client = self.stage.client
         left_s = at_s - self.stage.now_s()
         if left_s < -_EARLY_S:

@@ -1,4 +1,4 @@
-"""Results as JUnit XML, as GitLab, Jenkins and the actions of GitHub show them."""
+"""Results as JUnit XML, which GitLab, Jenkins and GitHub actions show."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _TAGS = {FAILED: "failure", XPASSED: "failure", ERROR: "error", XFAILED: "skippe
 
 
 def junit(cases: Sequence[Case], results: Sequence[CaseResult]) -> bytes:
-    """The document: a suite for each file, a test case for each case; one that was not run is skipped."""
+    """The document: a suite for each file, a test case for each case; a case that was not run is skipped."""
     by_id = {result.id: result for result in results}
     root = ElementTree.Element("testsuites", name="slidectl test")
     for file in dict.fromkeys(case.file for case in cases):
@@ -52,7 +52,7 @@ def junit(cases: Sequence[Case], results: Sequence[CaseResult]) -> bytes:
 
 
 def told(case: Case, result: CaseResult) -> list[str]:
-    """What there is to say of a failure, in lines."""
+    """The lines that describe a failure."""
     lines = [result.message]
     lines += [result.hint] if result.hint else []
     if result.detail.keys() >= {"expected", "value", "closest"}:
@@ -68,5 +68,5 @@ def told(case: Case, result: CaseResult) -> list[str]:
 
 
 def _clean(text: str) -> str:
-    """Without what XML cannot hold."""
+    """Replace characters that XML does not allow."""
     return _NO_XML.sub("?", text)

@@ -1,7 +1,7 @@
-"""Cases in a live daemon, one after the other. It begins and ends with an empty world at time 0.
+"""Runs cases in a live daemon, one after the other. The world is empty, at time 0, before and after each.
 
-The daemon is held, and goes on while a step waits for something, to the cycle in which that comes: so commands take
-effect at the simulated times at which they do in a world of this process, however long they are on the way.
+The daemon stands still, except while a step waits: then it runs to the cycle in which the result comes. So commands
+take effect at the same simulated times as in a world of this process, whatever their latency.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ from slidectl.scenarios.stages import LOG_LINES
 from slidectl.scenarios.step_commands import Commands
 
 _ANSWER_S = 60.0
-"""Wall seconds that the daemon may take for what needs no simulated time."""
+"""Wall seconds for an answer that needs no simulated time."""
 _LONGEST_SLICE = 10_000
-"""Cycles that the world goes on before the next look: each look is a round trip."""
+"""The most cycles of one slice, after which messages are checked: each check is a round trip."""
 _CYCLES = 10
-"""The same where somebody waits for messages that do not end a slice, or programs go by wall time."""
+"""As _LONGEST_SLICE, when messages with callbacks do not end a slice, or programs run by wall time."""
 _LEVELS = {1: "debug", 2: "info", 4: "warn", 8: "error", 16: "fatal"}
 
 
 class Live:
-    """One daemon for all cases, by its socket."""
+    """Runs all cases in one daemon, found by its socket."""
 
     has_journals: ClassVar[bool] = False
 
@@ -45,7 +45,7 @@ class Live:
         self._holder: Client | None = None
 
     def warm(self, cases: Sequence[Case], commands: Commands) -> None:  # noqa: ARG002
-        """Hold the daemon until this process ends. Raises NoDaemon, Refused: it is no stage for these cases."""
+        """Stop the daemon's own cycles until this process ends. Raises NoDaemon, Refused: cases cannot run in it."""
         client = self._holder = Client(socket=self._socket)
         client.call("/slidectl/step", {"news": True})
         status = client.call("/slidectl/status")
@@ -92,16 +92,16 @@ class Live:
                 if new := _names(keeper.snapshots()) - snapshots:
                     keeper.call("/slidectl/delete_snapshots", {"names": list(new)})
                 for name in set(keeper.params.names()) - before:
-                    with suppress(SlidectlError):  # it was below one that has gone
+                    with suppress(SlidectlError):  # it was deleted together with one above it
                         keeper.call("/rosapi/delete_param", {"name": name})
-                _set_physics(keeper, physics)  # world files of launches change it, too
+                _set_physics(keeper, physics)  # world files of launches change it too
                 keeper.call("/gazebo/reset_simulation")
                 if not was_paused:
                     keeper.call("/gazebo/unpause_physics")
 
 
 def _check_empty(status: Mapping[str, Any]) -> None:
-    """Raises Refused: a user's robots would be deleted with those of the case."""
+    """Raise Refused when the world has robots: they would be deleted with those of the case."""
     if status["robots"]:
         raise Refused(
             f"the daemon holds robots: {', '.join(status['robots'])}",
@@ -119,9 +119,9 @@ def _set_physics(client: Client, physics: Mapping[str, Any]) -> None:
 
 
 class _CycleClock:
-    """Simulated time that waits have used up, in s; `end_s` is when they end with TimedOut.
+    """The simulated time that waits have used up, in s; at `end_s` waits end with TimedOut.
 
-    `waiting` has those who have their turn when something has come for them, or at a time of this clock.
+    `waiting` has the links with a callback, which is called when something is received or at a time of this clock.
     """
 
     def __init__(self, timestep_s: float, pace: float) -> None:
@@ -131,25 +131,25 @@ class _CycleClock:
         self.waiting: dict[_SteppedLink, tuple[Callable[[], object], float]] = {}
         self.has_callbacks = False
         self._pace = pace
-        """Simulated seconds a wall second, where programs take part; 0: as fast as it goes."""
+        """Simulated seconds per wall second, if programs take part; 0: as fast as possible."""
         self._ahead_since_s = time.monotonic()
 
     def give_turns(self, asker: _SteppedLink) -> bool:
-        """Whether somebody but who asks had something to do, and did it."""
+        """Call the due callbacks, except that of `asker`. Returns True if any was due."""
         ready = [link for link in list(self.waiting) if link is not asker and link.is_ready(self.waiting[link][1])]
         for link in ready:
-            if link in self.waiting:  # one before it may have ended it
+            if link in self.waiting:  # an earlier callback may have ended it
                 self.waiting[link][0]()
         return bool(ready)
 
     def cycles(self, deadline: float) -> int:
-        """How many may come before the next look."""
+        """The number of cycles before the next check for messages."""
         most = _CYCLES if self.has_callbacks or self._pace else _LONGEST_SLICE
         left_s = min([deadline, *(due_s for _, due_s in self.waiting.values())]) - self.now_s
         return most if left_s >= most * self.timestep_s else max(1, math.ceil(left_s / self.timestep_s))
 
     def went_on(self, cycles: int) -> None:
-        """So many cycles have come; where programs take part, their wall time passes, too."""
+        """Advance by this number of cycles; if programs take part, wait for the wall time too."""
         self.now_s += cycles * self.timestep_s
         if self._pace:
             self._ahead_since_s = max(self._ahead_since_s + cycles * self.timestep_s / self._pace, time.monotonic())
@@ -157,7 +157,7 @@ class _CycleClock:
 
 
 class _SteppedLink(SocketLink):
-    """A connection whose waits make the world go on, as long as nothing comes. Deadlines are on the cycles' clock."""
+    """A connection whose waits run the world until something is received. Deadlines are in time of the cycle clock."""
 
     def __init__(self, instance: paths.InstancePaths, deadline: float, clock: _CycleClock) -> None:
         super().__init__(instance, deadline)
@@ -165,16 +165,16 @@ class _SteppedLink(SocketLink):
         self._serial = itertools.count()
         self._came: deque[dict[str, Any]] = deque()
         self._world_s = 0.0
-        """Simulated time of the world at the last look, s."""
+        """Simulated time of the world at the last check, s."""
 
-    def another(self, deadline: float) -> _SteppedLink:  # noqa: ARG002 - which is not on the machine's clock
+    def another(self, deadline: float) -> _SteppedLink:  # noqa: ARG002 - the deadline is not in machine time
         return _SteppedLink(self.paths, time.monotonic() + _ANSWER_S, self.clock)
 
     def monotonic(self) -> float:
         return self.clock.now_s
 
     def call_back(self, action: Callable[[], object] | None) -> bool:
-        """Called between two slices when something has come."""
+        """Set or remove a function to call between two slices when something was received."""
         if action is None:
             self.clock.waiting.pop(self, None)
         else:
@@ -183,11 +183,11 @@ class _SteppedLink(SocketLink):
         return True
 
     def is_ready(self, due_s: float) -> bool:
-        """Whether something has come, or the time."""
+        """True when something was received, or the time is due."""
         self.look()
         return bool(self._came) or due_s <= self.clock.now_s
 
-    def send(self, line: bytes, deadline: float) -> None:  # noqa: ARG002 - which is not on the machine's clock
+    def send(self, line: bytes, deadline: float) -> None:  # noqa: ARG002 - the deadline is not in machine time
         super().send(line, time.monotonic() + _ANSWER_S)
 
     def receive(self, deadline: float) -> dict[str, Any] | None:
@@ -198,12 +198,12 @@ class _SteppedLink(SocketLink):
         return self._came.popleft() if self._came else None
 
     def look(self) -> None:
-        """Take in what has come: it is there before the answer."""
+        """Store the messages so far: the daemon sends them before its answer."""
         time = self._ask("/rosapi/get_time", {})["time"]
         self._world_s = time["secs"] + time["nsecs"] * 1e-9
 
     def go_on(self, deadline: float) -> None:
-        """Let others have their turn, or else the world go on to what comes first."""
+        """Let due callbacks run; if there are none, run the world to the earliest deadline."""
         clock = self.clock
         if clock.give_turns(self):
             self.look()
@@ -221,15 +221,15 @@ class _SteppedLink(SocketLink):
         self._world_s = float(answer["time"])
         if done or self._came:
             clock.went_on(done)
-        else:  # it is paused, so nothing comes until then
+        else:  # it is paused, so nothing can be received until the deadline
             clock.now_s = min([deadline, *(due_s for _, due_s in clock.waiting.values())])
 
     def hold(self) -> None:
-        """From now on the world goes on only when this connection or another one of the case waits."""
+        """From now on the world runs only while this connection or another one of the case waits."""
         self._ask("/slidectl/step", {"news": True})
 
     def _ask(self, service: str, request: dict[str, Any]) -> dict[str, Any]:
-        """Call a service. What comes before its answer is kept."""
+        """Call a service. Messages received before its answer are stored."""
         call_id = f"stage:{next(self._serial)}"
         super().send(
             encode({"op": "call_service", "id": call_id, "service": service, "args": request}),
@@ -247,22 +247,22 @@ class _SteppedLink(SocketLink):
 
 
 class _BackgroundLink(_SteppedLink):
-    """Whose waits give the turn to the others."""
+    """A stepped link that lets the other steps run while it waits."""
 
     def __init__(self, clock: _CycleClock, instance: paths.InstancePaths, step: BackgroundStep) -> None:
         super().__init__(instance, time.monotonic() + _ANSWER_S, clock)
         self._step = step
 
     def call_back(self, action: Callable[[], object] | None) -> bool:  # noqa: ARG002
-        """It has its turn when something has come, which is as good."""
+        """Do nothing: the step runs anyway when something is received."""
         return True
 
     def take_turn(self, switch: Callable[[], None], due_s: float) -> None:
-        """`switch` is called when something has come, or at a time of its clock."""
+        """Set `switch` to be called when something is received, or at a time of its clock."""
         self.clock.waiting[self] = switch, due_s
 
     def leave(self) -> None:
-        """It is not called any more."""
+        """Cancel the call of `switch`."""
         self.clock.waiting.pop(self, None)
 
     def go_on(self, deadline: float) -> None:
@@ -296,5 +296,5 @@ class _LiveStage(Stage):
 
     def log(self) -> list[str]:
         with suppress(SlidectlError):
-            self.client.flush()  # takes in what has come
+            self.client.flush()  # handles received messages
         return list(self._lines)

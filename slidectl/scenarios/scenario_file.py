@@ -1,6 +1,6 @@
-"""Scenario files: YAML into cases with their steps, and every slip with file and line before anything runs.
+"""Reads scenario files: YAML into cases with steps. Every mistake is reported with file and line before anything runs.
 
-The tables of keys here are what the check, the JSON schema and the documentation are made from.
+The check, the JSON schema and the documentation are all made from the tables of keys in this file.
 """
 
 from __future__ import annotations
@@ -37,18 +37,18 @@ from slidectl.scenarios.step_commands import (
 SUFFIXES = (".yaml", ".yml")
 SECTIONS = ("setup", "steps", "teardown")
 TEMPORARY = "${tmp}"
-"""Stands in words for the folder of the running case, which is not known before it runs."""
+"""Placeholder in words for the folder of the running case, which is known only when it runs."""
 _VARIABLE = re.compile(r"\$(\$)?\{([^}]*)\}")
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
 _MOST_NODES = 100_000
 _UNREADABLE = (yaml.YAMLError, ValueError, OverflowError, LookupError, AttributeError)
-"""What PyYAML raises for values that are not as their tags say."""
+"""The exceptions of PyYAML for values that do not fit their tags."""
 _GIVEN = ("dir", "tmp")
 """Variables that every scenario has."""
 
 
 class Key(NamedTuple):
-    """A key of a file: of which kind its value is, and what it is for."""
+    """A key of a file: the kind of its value (see KINDS), and its help text."""
 
     kind: str
     help: str
@@ -92,7 +92,7 @@ STEP_KEYS = {
 
 @dataclass(frozen=True)
 class ScenarioStep:
-    """A command line, and when. Without words it only waits for the time `at`."""
+    """A command line with its conditions. Without words the step only waits for the time `at`."""
 
     words: tuple[str, ...]
     line: int
@@ -102,16 +102,16 @@ class ScenarioStep:
     background: bool = False
     fails: bool | str = False
     starts_programs: bool = False
-    """Whether programs of their own take part, which go by wall time."""
+    """True when it starts other programs, which run by wall time."""
 
     @property
     def text(self) -> str:
-        """As one would type it."""
+        """The step as a typed command line."""
         return shlex.join(self.words) if self.words else f"at: {self.at:g}"
 
 
 class BaselineFields(NamedTuple):
-    """What a baseline holds: fields with their tolerances; without any the joint states, with `tol`."""
+    """The content of a baseline: fields with tolerances; if there are none, all joint states with `tol`."""
 
     fields: Mapping[str, float] = {}
     tol: float = 0.0
@@ -119,11 +119,11 @@ class BaselineFields(NamedTuple):
 
 @dataclass(frozen=True)
 class Case:
-    """One run: a scenario with one row of its table."""
+    """One run: a scenario with one row of its table of cases."""
 
     file: str
     name: str
-    """Of the case; empty where the scenario has no table."""
+    """The name of the case; empty if the scenario has no table."""
     scenario: str
     tags: tuple[str, ...] = ()
     world: Mapping[str, Any] = field(default_factory=dict)
@@ -135,12 +135,12 @@ class Case:
 
     @property
     def id(self) -> str:
-        """What chooses it on the command line."""
+        """The name that selects it on the command line."""
         return f"{self.file}::{self.name}" if self.name else self.file
 
 
 def find(words: Sequence[str]) -> list[tuple[str, str]]:
-    """The files that FILE, FOLDER and FILE::CASE mean, each with the case (empty: all). Raises BadFile."""
+    """Find files for FILE, FOLDER and FILE::CASE. Returns each with the case name (empty: all). Raises BadFile."""
     found: list[tuple[str, str]] = []
     for word in words:
         path, _, case = word.partition("::")
@@ -158,7 +158,7 @@ def find(words: Sequence[str]) -> list[tuple[str, str]]:
 
 
 def read(file: str, commands: Commands, slips: list[BadFile]) -> list[Case]:
-    """The cases of a file; everything that is wrong with it is added to `slips`."""
+    """Read the cases of a file; its mistakes are added to `slips`."""
     reader = _Reader(file, commands, slips)
     try:
         documents = yaml_tree.documents(read_file(Path(file), pipes=True), file, yaml.SafeLoader)
@@ -177,7 +177,7 @@ KeyPath = tuple[str | int, ...]
 
 
 class _Reader:
-    """One file. Values are found by their path, and so are their lines."""
+    """Reads one file. Lines are stored by the path of a value."""
 
     def __init__(self, file: str, commands: Commands, slips: list[BadFile]) -> None:
         self._file = file
@@ -188,7 +188,7 @@ class _Reader:
         self._pairs = yaml_tree.MergedPairs(file).of
         self._nodes = 0
         self._told = 0
-        """How many slips, with those that are the same as another."""
+        """The number of mistakes found, including repeated ones."""
         self._checked: dict[tuple[str, ...], SlidectlError | CheckedWords] = {(): CheckedWords()}
 
     def _slip(self, path: KeyPath, message: str, hint: str | None = None) -> None:
@@ -196,11 +196,11 @@ class _Reader:
         while path and path not in self._lines:
             path = path[:-1]
         slip = BadFile(message, self._file, self._lines.get(path), hint)
-        if str(slip) not in map(str, self._slips):  # each case of a table has the same
+        if str(slip) not in map(str, self._slips):  # every case of a table finds the same mistakes
             self._slips.append(slip)
 
     def _value(self, node: yaml.Node, path: KeyPath) -> Any:
-        """What a node stands for. Raises BadFile."""
+        """The value of a node. Raises BadFile."""
         line = self._lines[path] = node.start_mark.line + 1
         self._nodes += 1
         if self._nodes > _MOST_NODES or len(path) > yaml_tree.DEEPEST:
@@ -325,7 +325,7 @@ class _Reader:
                 yield step
 
     def _step(self, content: Any, path: KeyPath, section: str, variables: Mapping[str, Any]) -> ScenarioStep | None:
-        """Raises SlidectlError."""
+        """Read a step; None for a wrong one. Raises SlidectlError."""
         if isinstance(content, str):  # a whole command line, as `- sim pause`
             first, _, rest = content.strip().partition(" ")
             content = {first: rest or None}
@@ -361,7 +361,7 @@ class _Reader:
         )  # fmt: skip
 
     def _tops(self) -> list[str]:
-        """The first words of all commands."""
+        """The first words of all commands, sorted."""
         return sorted({command.split()[0] for command in self._commands.known})
 
     def _meant(self, name: str, known: Iterable[str]) -> str:
@@ -403,7 +403,7 @@ class _Reader:
         return begin + (value.words if isinstance(value, _Filled) else [as_word(value)])
 
     def _check_words(self, words: tuple[str, ...]) -> CheckedWords:
-        """Raises SlidectlError."""
+        """Check a command. Raises SlidectlError."""
         if words not in self._checked:
             try:
                 self._checked[words] = self._commands.check([word.replace(TEMPORARY, "/tmp") for word in words])
@@ -417,7 +417,7 @@ class _Reader:
     # --- variables ----------------------------------------------------------------------------------------------
 
     def _filled(self, content: Any, variables: Mapping[str, Any]) -> dict[str, Any]:
-        """A step with the values of its variables. Raises UsageError."""
+        """Replace the variables in a step. Raises UsageError."""
         if not isinstance(content, dict):
             raise UsageError("a step is one command", "a step: - pub: command 1.0")
 
@@ -433,7 +433,7 @@ class _Reader:
 
         filled: dict[str, Any] = {}
         for key, value in content.items():
-            if isinstance(value, str) and key not in STEP_KEYS:  # words first: a value is never parted
+            if isinstance(value, str) and key not in STEP_KEYS:  # split first, so that a value stays one word
                 filled[key] = _Filled([as_word(fill(word)) for word in split(value)])
             else:
                 filled[key] = walk(value)
@@ -453,13 +453,13 @@ class _Reader:
 
 
 class _Filled(NamedTuple):
-    """The words of a text."""
+    """The words of a filled text."""
 
     words: list[str]
 
 
 def _fill(text: str, value_of: Callable[[str], Any]) -> Any:
-    """The text with its variables; a text that is one variable alone is its value, whatever its type."""
+    """Replace the variables in a text. A text that is one variable becomes its value, with its type."""
     whole = _VARIABLE.fullmatch(text)
     if whole and not whole[1]:
         return value_of(whole[2])
@@ -468,19 +468,19 @@ def _fill(text: str, value_of: Callable[[str], Any]) -> Any:
 
 @dataclass
 class _Earlier:
-    """What the steps before one leave to it, as far as their words say it."""
+    """The effects of the steps before a step, as far as their words show them."""
 
     is_alone: bool
-    """Whether controllers come from slidectl and from these files alone."""
+    """True when all controllers come from slidectl and from these files."""
     is_whole: bool = True
-    """Whether nothing was wrong that may have brought controllers."""
+    """True when no step with mistakes may have added controllers."""
     files: tuple[str, ...] = ()
-    """From which spawns have loaded the parameters of controllers."""
+    """The parameter files of spawns so far."""
     words: tuple[str, ...] = ()
-    """Of those that may write files."""
+    """The words of steps that may write files."""
 
     def judge(self, step: ScenarioStep, checked: CheckedWords) -> None:
-        """Take in a step. Raises SlidectlError where it must fail, and is not to."""
+        """Check a step and add its effects. Raises SlidectlError if it can only fail."""
         is_there = TEMPORARY not in " ".join(step.words)
         files = (*self.files, checked.controllers) if checked.controllers else self.files
         self.is_alone &= not checked.brings_others and (files == self.files or (is_there and not step.fails))
@@ -495,14 +495,14 @@ class _Earlier:
 
 
 def _sets_clock(words: tuple[str, ...]) -> bool:
-    """Whether it may be any time after a step."""
+    """True when a step may change the simulated time to any value."""
     is_call = any(word.endswith(("reset_simulation", "slidectl/load")) for word in words)
     return is_call or words[:2] == ("sim", "load") or (words[:2] == ("sim", "reset") and "--time" in words)
 
 
 @cache
 def _check_named(files: tuple[str, ...], names: tuple[str, ...]) -> None:
-    from slidectl.check import controllers  # imports all controllers
+    from slidectl.check import controllers  # this imports all controllers
 
     controllers.check_named(files, names)
 
@@ -517,7 +517,7 @@ def _all(value: Any, fits: Callable[[Any], bool]) -> bool:
 
 
 def _is_field(value: Any) -> bool:
-    """Whether it is a field, with its tolerance or without."""
+    """True for a field with or without a tolerance."""
     with suppress(UsageError):
         return isinstance(value, str) and bool(tolerances_of([value], 0.0))
     return False
@@ -565,11 +565,11 @@ KINDS: dict[str, tuple[str, Callable[[Any], bool], dict[str, Any]]] = {
     "world": ("a mapping", lambda v: isinstance(v, dict), {"$ref": "#/$defs/world"}),
     "steps": ("a list of steps", lambda v: isinstance(v, list), {"type": "array", "items": {"$ref": "#/$defs/step"}}),
 }  # fmt: skip
-"""What a value may be: in words, as a test, and in the JSON schema."""
+"""For each kind of value: its description, a test, and its JSON schema."""
 
 
 def _not(kind: str, value: Any) -> str:
-    """What was expected of a value that is not of the kind; empty when it is."""
+    """The description of the kind if the value does not fit it, else empty."""
     expected, fits, _ = KINDS[kind]
     return "" if fits(value) else expected
 
@@ -586,7 +586,7 @@ _TYPES: dict[str, dict[str, Any]] = {
 
 
 def schema_text(commands: Commands) -> str:
-    """The JSON schema of scenario files, as text: editors complete and check with it."""
+    """The JSON schema of scenario files as text, for completion and checks in editors."""
     return json.dumps(schema(commands), indent=1, ensure_ascii=False) + "\n"
 
 
@@ -633,7 +633,7 @@ def _properties(keys: Mapping[str, Key]) -> dict[str, Any]:
     found = {}
     for name, key in keys.items():
         shape = deepcopy(KINDS[key.kind][2])
-        if keys is STEP_KEYS and shape.get("type") in ("number", "boolean"):  # a variable may stand for it
+        if keys is STEP_KEYS and shape.get("type") in ("number", "boolean"):  # it may be a variable
             shape["type"] = [shape["type"], "string"]
         found[name] = {"description": key.help, **shape}
     return found

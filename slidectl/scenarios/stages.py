@@ -1,4 +1,4 @@
-"""Where cases run, and how one is run there: in a new world of this process, without sockets. `live` has the other."""
+"""Runs a case in a new world of this process, without sockets; `live` runs cases in a daemon."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _WARM = (
 
 @dataclass
 class CaseRuns:
-    """Runs cases with these commands, for workers. `keep` is a folder that is there, for recordings of failures."""
+    """Runs cases with these commands, for workers. `keep` is an existing folder for recordings of failed cases."""
 
     commands: Commands
     stages: InProcess | Live
@@ -44,14 +44,14 @@ class CaseRuns:
     baselines: Baselines | None
 
     def run(self, case: Case, temporary: str) -> CaseResult:
-        """In a process of its own: what commands print goes into a file in the case's folder."""
+        """Run a case in a worker process; output of commands goes to a file in the case's folder."""
         _print_into(os.path.join(temporary, "output"))
         result = self._try(case, temporary)
         if self.keep is not None and result.was_ended:
             result.hint = "not recorded: for that it would run once more"
         elif self.keep is not None and result.verdict in BAD:
             try:
-                self._run_recorded(case, temporary)  # the same once more: who passes pays nothing
+                self._run_recorded(case, temporary)  # runs it again, so that passed cases cost nothing
             except OSError as error:
                 result.message += f"\nnot recorded: {error.filename or self.keep}: {error.strerror or error}"
             except (SlidectlError, WallTimeUp) as error:
@@ -60,7 +60,7 @@ class CaseRuns:
         return result
 
     def _try(self, case: Case, temporary: str, journal: str = "", first: Sequence[ScenarioStep] = ()) -> CaseResult:
-        folder = tempfile.mkdtemp(dir=temporary)  # empty, whatever an earlier try has left
+        folder = tempfile.mkdtemp(dir=temporary)  # empty, so that files of an earlier try have no effect
         try:
             with self.stages.of(case, journal) as stage:
                 return self._run(case, stage, folder, (*first, *case.steps))
@@ -79,7 +79,7 @@ class CaseRuns:
     def _stem(self, case: Case) -> str:
         assert self.keep is not None
         name = re.sub(r"[^\w.=-]+", "_", case.id.removesuffix(".yaml"), flags=re.ASCII)[-_LONGEST_NAME:].lstrip(".")
-        if f"{name}.yaml" != case.id:  # another case may come to the same
+        if f"{name}.yaml" != case.id:  # the name may not be unique
             name += f"-{hashlib.sha256(case.id.encode()).hexdigest()[:8]}"
         return os.path.join(self.keep, name)
 
@@ -87,9 +87,9 @@ class CaseRuns:
         return [Path(f"{self._stem(case)}{suffix}") for suffix in _KEPT]
 
     def _run_recorded(self, case: Case, temporary: str) -> None:
-        """Run the case with a journal and make a recording of that; where there is no journal, record while it runs.
+        """Run the case with a journal, and replay it into a recording; without a journal, record while the case runs.
 
-        Raises OSError, SlidectlError, WallTimeUp: there is no recording, or not all of it.
+        Raises OSError, SlidectlError, WallTimeUp: the recording is missing or incomplete.
         """
         from slidectl.daemon.journal import read
         from slidectl.daemon.journal_replay import Replay
@@ -116,7 +116,7 @@ _LONGEST_S = 1e9
 
 
 def _print_into(path: str) -> None:
-    """Standard output and error of this process go into a file, and its input is empty."""
+    """Redirect standard output and error of this process to a file, and make its input empty."""
     file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o600)
     empty = os.open(os.devnull, os.O_RDONLY)
     os.dup2(file, 1)
@@ -128,15 +128,15 @@ def _print_into(path: str) -> None:
 
 
 class InProcess:
-    """A new world for each case."""
+    """Makes a new world for each case."""
 
     has_journals: ClassVar[bool] = True
-    """Whether a case can leave a journal, of which its recording is made."""
+    """True when a case can write a journal, from which its recording is made."""
 
     def warm(self, cases: Sequence[Case], commands: Commands) -> None:
-        """Do once what most cases do: that imports and reads what they need, and loads the engine.
+        """Do once what most cases do, so that modules are imported, files are read and the engine is loaded.
 
-        Where nobody has compiled the engine yet, that is begun; cases that begin before it is there run in the
+        If the engine is not compiled yet, this starts the compiler. Cases that begin before it ends run in the
         interpreter, with the same results.
         """
         from slidectl.daemon.in_process import InProcessWorld
@@ -150,7 +150,7 @@ class InProcess:
 
     @contextmanager
     def of(self, case: Case, journal: str = "") -> Iterator[Stage]:
-        """The stage of a case, with a journal there. Raises SlidectlError: it cannot begin."""
+        """Make the stage of a case; it writes a journal if a path is given. Raises SlidectlError: it cannot start."""
         from slidectl.control import user_classes
         from slidectl.daemon.journal import Journal
         from slidectl.daemon.options import DaemonOptions
@@ -168,7 +168,7 @@ class InProcess:
             notes = Journal(DaemonOptions(paused=paused, journal=os.path.abspath(journal), **wanted))
             limit.on_end = notes.took_too_long
         simulation = Simulation(**wanted)
-        simulation.engine.may_load = object_file.is_there()  # `warm` has begun to compile it otherwise
+        simulation.engine.may_load = object_file.is_there()  # if it is not there, `warm` has started the compiler
         stage = _WorldStage(simulation, notes)
         stage.world.simulation.run.paused = paused
         try:

@@ -1,7 +1,7 @@
-"""What a step may be: the commands of the command line, as names with options and arguments, and how to run one.
+"""The commands that can be steps: their names, options and arguments, and how to run one.
 
-The words of a step are what a shell would have: from a text they are split as a shell does, from a mapping they are
-made by the names of the command's options and arguments.
+The words of a step are those of a command line: a text is split like a shell does it; a mapping gives values for the
+names of the command's options and arguments.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class StepOption(NamedTuple):
-    """An option by its long name. `off` is the word for false, empty where there is none."""
+    """An option with its long name. `off` is the word for false, or empty."""
 
     name: str
     word: str
@@ -28,7 +28,7 @@ class StepOption(NamedTuple):
     choices: tuple[str, ...]
     takes_several: bool
     repeats_word: bool
-    """Whether each of several values has the option's word before it."""
+    """True when the option's word is repeated before each of several values."""
     help: str
 
 
@@ -41,7 +41,7 @@ class StepArgument(NamedTuple):
 
 
 class StepCommand(NamedTuple):
-    """A command with its words, as `controller switch`."""
+    """A command and its words, such as `controller switch`."""
 
     name: str
     help: str
@@ -50,7 +50,7 @@ class StepCommand(NamedTuple):
 
 
 class StepOutcome(NamedTuple):
-    """How a step ended: its exit code, and of a failure what was said. `output` is what it printed."""
+    """The outcome of a step: its exit code, the message of a failure, and in `output` what it printed."""
 
     exit_code: int
     message: str = ""
@@ -59,19 +59,19 @@ class StepOutcome(NamedTuple):
 
 
 class CheckedWords(NamedTuple):
-    """What a check of a command line has found out."""
+    """The result of checking a command line."""
 
     starts_programs: bool = False
     controllers: str = ""
-    """The file from which a spawn loads the parameters of controllers."""
+    """The parameter file of a spawn."""
     named: tuple[str, ...] = ()
     """The controllers that must have parameters."""
     brings_others: bool = False
-    """Whether there may then be controllers, or parameters of some, that no file of a spawn has."""
+    """True when controllers, or their parameters, may come from elsewhere than the files of spawns."""
     model: str = ""
-    """What a spawn puts into the world."""
+    """The model of a spawn."""
     refusal: SlidectlError | None = None
-    """What the command would say of its words."""
+    """The error that the command would raise for its words."""
 
 
 class Commands(Protocol):
@@ -79,25 +79,25 @@ class Commands(Protocol):
 
     @property
     def known(self) -> Mapping[str, StepCommand]:
-        """All that can be steps, by name."""
+        """All commands that can be steps, by name."""
 
     def check(self, words: Sequence[str]) -> CheckedWords:
-        """Raises SlidectlError for what is no command line of a step, before anything runs."""
+        """Check a command line before anything runs. Raises SlidectlError when it cannot be a step."""
 
     def stays(self, words: Sequence[str]) -> bool:
-        """Whether the command goes on in the background once it is up, and ends with the case."""
+        """True when the command, once it is up, continues in the background until the case ends."""
 
     def run(self, words: Sequence[str], client: Client, up: Callable[[], None] = lambda: None) -> StepOutcome:
-        """Run a command line with the connection. One that stays calls `up`."""
+        """Run a command line with the client. A command that stays calls `up` when it is up."""
 
 
 def as_word(value: Any) -> str:
-    """A value as one word: texts as they are, all else as YAML reads it again."""
+    """A value as one word: texts unchanged, other values in a form that YAML reads back."""
     return value if isinstance(value, str) else json.dumps(value)
 
 
 def split(text: str) -> list[str]:
-    """The words of a text, as a shell parts them. Raises UsageError."""
+    """Split a text into words like a shell. Raises UsageError."""
     try:
         return shlex.split(text)
     except ValueError as error:
@@ -105,7 +105,7 @@ def split(text: str) -> list[str]:
 
 
 def words_of(command: StepCommand, given: Mapping[str, Any], tell: Callable[[SlidectlError], None]) -> list[str]:
-    """The words behind the command's name, from values by names; those with slips, which are told, are left out.
+    """The words after the command's name, from values by name. A value with a mistake is passed to `tell` and left out.
 
     Raises UsageError: an argument is missing.
     """
@@ -137,7 +137,7 @@ def _is_several(value: Any, takes_several: bool) -> bool:
 
 
 def _option_words(command: StepCommand, option: StepOption, value: Any) -> list[str]:
-    """Raises UsageError."""
+    """The words for an option. Raises UsageError."""
     if value is None:
         what = f"{option.name!r} of {command.name} has no value"
         raise UsageError(what, f'"{option.name}: null" is text when it is quoted')

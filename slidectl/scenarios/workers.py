@@ -1,7 +1,7 @@
-"""Runs cases in processes of their own, several at a time: forks of this one, which has loaded everything already.
+"""Runs cases in several worker processes at a time, forked from this one, in which everything is already loaded.
 
-A worker says its result on a pipe. What ends it early (a limit, a crash, Ctrl-C) is a result too, and nothing of it is
-left: its folder goes. It dies with this process; where that is killed (SIGKILL), the folders stay.
+A worker writes its result to a pipe. An early end (limit, crash, Ctrl-C) gives a result too, and its folder is deleted.
+Workers are killed when this process ends; if this process is killed by SIGKILL, their folders stay.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from slidectl.scenarios.case_run import ERROR, CaseResult, WallTimeUp
 from slidectl.scenarios.scenario_file import Case
 
 _GRACE_S = 5.0
-"""How long a worker that is told to end may take for the teardown."""
+"""The time for the teardown of a worker that is told to end, s; then it is killed."""
 _LONGEST_WAIT_S = 0.1
 
 RunCase = Callable[[Case, str], CaseResult]
-"""Runs a case with the folder that is its own."""
+"""Runs a case; the second argument is the folder for it."""
 
 
 @dataclass
@@ -42,18 +42,18 @@ class _Worker:
     began_s: float = field(default_factory=time.monotonic)
     said: bytearray = field(default_factory=bytearray)
     told: str = ""
-    """Why it was told to end; empty where it was not."""
+    """Why it was told to end, or empty."""
 
     def __post_init__(self) -> None:
         self.deadline_s = self.began_s + self.limit_s
-        """When it is told to end, and then killed."""
+        """The time when it is told to end, or then killed; monotonic clock, s."""
 
 
 class WorkerPool:
-    """Runs cases, at most `count` at a time. A context manager: leaving it ends what still runs."""
+    """Runs cases, at most `count` at a time. A context manager: leaving it ends the running cases."""
 
     def __init__(self, run: RunCase, count: int, timeout: float, is_over: Callable[[], bool]) -> None:
-        """`is_over` is asked ten times a second: when it is true no case begins any more, and `results` ends."""
+        """`is_over` is called ten times a second: True means that no case is started any more, and `results` ends."""
         self._run = run
         self._is_over = is_over
         self._count = count
@@ -65,7 +65,7 @@ class WorkerPool:
 
     def __enter__(self) -> WorkerPool:
         gc.collect()
-        gc.freeze()  # what is there is shared with the workers; looking through it would copy it
+        gc.freeze()  # the workers share these objects; a garbage collection would copy their pages
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -74,7 +74,7 @@ class WorkerPool:
         gc.unfreeze()
 
     def results(self, cases: Sequence[Case]) -> Iterator[CaseResult]:
-        """The results as they come. After an early end those that still run are in `ended`."""
+        """The results in the order in which cases end. After an early end `ended` has those of the running cases."""
         waiting = list(reversed(cases))
         while (waiting or self._running) and not self._is_over():
             while waiting and len(self._running) < self._count:
@@ -82,7 +82,7 @@ class WorkerPool:
             yield from self._take()
 
     def ended(self) -> list[CaseResult]:
-        """End those that run, with their teardown, and say what became of them."""
+        """End the running cases, with their teardown, and return their results."""
         found: list[CaseResult] = []
         for worker in self._running.values():
             _tell(worker, "interrupted")
@@ -97,7 +97,7 @@ class WorkerPool:
         sys.stdout.flush()
         sys.stderr.flush()
         with warnings.catch_warnings():
-            # Of threads: those of numpy's algebra have nothing to do.
+            # The warning about threads: those of numpy's linear algebra are idle.
             warnings.simplefilter("ignore", DeprecationWarning)
             pid = os.fork()
         if pid == 0:
@@ -113,7 +113,7 @@ class WorkerPool:
             self._results.append(self._reap(worker))
 
     def _take(self) -> list[CaseResult]:
-        """Wait for something. Returns the results that it brought."""
+        """Wait for an event. Returns new results."""
         wait_s = min([_LONGEST_WAIT_S, *(worker.deadline_s - time.monotonic() for worker in self._running.values())])
         self._loop.poll(max(0.0, wait_s))
         now_s = time.monotonic()
@@ -154,12 +154,12 @@ def _tell(worker: _Worker, why: str) -> None:
 
 
 def _work(run: RunCase, case: Case, folder: str, writing: int, parent: int) -> None:
-    """The process: it never returns into the code that it is a fork of."""
+    """The body of a worker process. It never returns into the code of the parent."""
     code = 1
     try:
         is_wanted = end_with(parent, signal.SIGKILL)
-        for number in (signal.SIGINT, signal.SIGHUP):  # a terminal sends them to all; who began us tells us
-            signal.signal(number, lambda *_: None)  # programs of a launch would inherit that they are ignored
+        for number in (signal.SIGINT, signal.SIGHUP):  # a terminal sends these to all; the parent sends SIGTERM
+            signal.signal(number, lambda *_: None)  # not SIG_IGN, which programs of a launch would inherit
         signal.signal(signal.SIGTERM, _end)
         if is_wanted:
             result = run(case, folder)
@@ -175,5 +175,5 @@ def _work(run: RunCase, case: Case, folder: str, writing: int, parent: int) -> N
 
 
 def _end(*_: object) -> None:
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # once: the teardown runs then
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # only once, so that the teardown is not interrupted
     raise WallTimeUp("told to end")

@@ -1,4 +1,4 @@
-"""The nodes that have a counterpart here, one file a family, and programs of the user's own.
+"""Tasks for nodes that have a counterpart here, one file per family, and for the user's programs.
 
-`kinds` tells which is which.
+node_kinds.py chooses the task for a node.
 """

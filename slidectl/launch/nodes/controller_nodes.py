@@ -1,7 +1,7 @@
-"""controller_manager's scripts as nodes: spawner, unspawner, controller_manager and controller_group.
+"""The scripts of controller_manager as nodes: spawner, unspawner, controller_manager and controller_group.
 
-Controllers come and go with the first two. The other two are done once; what goes wrong ends the launch, where the
-scripts print it and leave with 0.
+The first two control controllers as long as the node runs. The other two act once; their errors end the launch, while
+the real scripts print errors and exit with code 0.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _AGAIN_S = 3.0
 
 
 class _NodeManager(Manager):
-    """A controller manager whose refusals are one line that names what was asked for."""
+    """A controller manager whose errors are one line that names the request."""
 
     def __init__(self, run: Run, namespace: str, limit_s: float | None) -> None:
         super().__init__(run.client, namespace, run.console.warn, limit_s)
@@ -35,7 +35,7 @@ class _NodeManager(Manager):
 
 
 class _ControllerTask(Task):
-    """A script that speaks to the controller manager of its namespace, and waits until that is there."""
+    """A script that uses the controller manager of its namespace. It waits until that exists."""
 
     family = "controllers"
 
@@ -55,7 +55,7 @@ class _ControllerTask(Task):
         return f"{manager.name} (no robot is in {self.namespace} yet{f'; {elsewhere}' if elsewhere else ''})"
 
     def act(self, run: Run, manager: Manager) -> str | None:
-        """`start`, with a manager that is there."""
+        """`start`, when the manager exists."""
         raise NotImplementedError
 
 
@@ -77,10 +77,10 @@ class Spawner(_ControllerTask):
         self.has_started = False
         self._subscription: Any = None
         self._absent: set[str] = set()
-        """Controllers of types that are not there."""
+        """The controllers with missing types."""
 
     def look_ahead(self, plan: LaunchPlan, packages: Packages, parameters: Mapping[str, Leaf]) -> None:  # noqa: ARG002
-        # The controllers are many modules, and most launches have no spawner.
+        # The import of the controllers takes time, and most launches have no spawner.
         from slidectl.control import registry, ros2_names
 
         for name in self.words.rest:
@@ -134,11 +134,11 @@ class Spawner(_ControllerTask):
         return None
 
     def _unknown(self, name: str, known: list[str]) -> UnknownName:
-        """The error for a name without parameters; it says which names have some."""
+        """The error for a name without parameters; it lists the names with parameters."""
         return UnknownName("controller", name, known, f"in the parameters of {self.namespace}")
 
     def _start_some(self, run: Run, manager: Manager) -> None:
-        """Start those that can be started, and leave out the others."""
+        """Start the controllers that can be started, and leave out the others."""
         reason = Refused("it did not start", "slidectl daemon logs says why")
         try:
             manager.switch(self.loaded, (), BEST_EFFORT)
@@ -151,13 +151,13 @@ class Spawner(_ControllerTask):
             _try(run, manager.unload, name)
 
     def goes_on_waiting(self, run: Run) -> bool:
-        """Only the controller manager must come in time; for its topic the real one waits on, with a warning."""
+        """True while it waits for its topic: like the real spawner it then waits on, with a warning."""
         if self._subscription is not None:
             self.warn(run, f"nothing true came on {self.topic} within {self.patience_s:g} s; it is waited for")
         return self._subscription is not None
 
     def _is_open(self, run: Run) -> bool:
-        """Whether the last that came on the topic of --wait-for was true."""
+        """True when the latest message on the topic of --wait-for is true."""
         if self._subscription is None:
             self._subscription = run.client.subscribe(self.topic or "", "std_msgs/Bool")
         last = False
@@ -166,7 +166,7 @@ class Spawner(_ControllerTask):
         return last
 
     def _controllers(self, run: Run) -> list[str]:
-        """The names, with those of files in the place of the files; what is in the files becomes parameters."""
+        """The names of controllers. A file is replaced by the names in it, and its content becomes parameters."""
         found: list[str] = []
         for word in self.words.rest:
             if not is_file(Path(word)):
@@ -181,7 +181,7 @@ class Spawner(_ControllerTask):
         return list(dict.fromkeys(found))
 
     def stop(self, run: Run) -> None:
-        """Stop what was started at once, as strictly as the real one; then unload what can be, the last first."""
+        """Stop the running controllers at once, strictly as the real spawner; then unload them in reverse order."""
         manager = self.manager(run, HOOK_LIMIT_S)
         if not self.loaded or not manager.is_there():
             return
@@ -195,7 +195,7 @@ class Spawner(_ControllerTask):
 
 
 class Unspawner(_ControllerTask):
-    """`unspawner NAME...`: they are stopped now and whenever they run again; at the end they are started."""
+    """`unspawner NAME...`: stops the controllers now and whenever they run again; at the end it starts them."""
 
     needs_presence = True
 
@@ -245,7 +245,7 @@ class Unspawner(_ControllerTask):
 
 
 def _try(run: Run, action: Callable[..., None], *arguments: Any) -> bool:
-    """A step of a shutdown hook: what goes wrong is said, and the next one is tried."""
+    """Do a step of a shutdown hook. An error is printed, so that the next step follows."""
     try:
         action(*arguments)
     except SlidectlError as error:
@@ -262,19 +262,19 @@ _VERBS: dict[str, tuple[str, ...]] = {
     "spawn": ("load", "start"), "kill": ("stop", "unload"),
     "list": (), "list-types": (), "reload-libraries": (),
 }  # fmt: skip
-"""Command -> what is done with all controllers, one after the other."""
+"""Maps a command to its steps; each step is done for all controllers before the next."""
 
 _Operation = tuple[Callable[[], None], str, str]
-"""One call of the script, and the line that it prints when that is done and when it is not."""
+"""One call of the script, and its output after success and after failure."""
 
 
 def is_command(word: str) -> bool:
-    """Whether the script controller_manager knows the command, by its name or by its alias."""
+    """True for a command of the script controller_manager, or its alias."""
     return _ALIASES.get(word, word) in _VERBS
 
 
 class ManagerScript(_ControllerTask):
-    """`controller_manager COMMAND [NAME...]`. With `goes_on` one operation that fails does not keep the next away."""
+    """`controller_manager COMMAND [NAME...]`. With `goes_on` a failed operation does not stop the others."""
 
     keeps_running = False
 
@@ -313,7 +313,7 @@ class ManagerScript(_ControllerTask):
         return None
 
     def _lines(self, manager: Manager) -> list[str]:
-        """What the script prints before it does anything."""
+        """The output of the script before any operation."""
         if self.command == "list":
             lines = []
             for one in manager.controllers():

@@ -1,6 +1,6 @@
-"""robot_state_publisher and static_transform_publisher: the frames of robots, and frames that do not move.
+"""robot_state_publisher and static_transform_publisher: the frames of robots, and static frames.
 
-The simulation publishes the frames of its robots itself; a robot_state_publisher sets up how.
+The simulation publishes the frames of its robots itself; a robot_state_publisher only configures it.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from slidectl.launch.plan import LaunchPlan, Node
 from slidectl.launch.task import HOOK_LIMIT_S, Run, Task, number, parse
 
 HONOURED = ("publish_frequency", "tf_prefix")
-"""The parameters of the node that count."""
+"""The parameters of the node that have an effect."""
 SEARCHED = ("tf_prefix",)
-"""Those of them that count in the namespaces above the node, too."""
+"""Those parameters that may also be set in the namespaces above the node."""
 WITHOUT_EFFECT = {
     "use_tf_static": "fixed joints are on /tf_static always",
     "ignore_timestamp": "the frames are those of the moment when they are published",
@@ -28,7 +28,7 @@ _JOINT_STATE = "sensor_msgs/JointState"
 
 
 class RobotStatePublisher(Task):
-    """Every robot has its state publisher here; the node's parameters and namespace say which is meant, and how."""
+    """Configures the state publisher that every robot has here. The node's namespace and parameters select it."""
 
     family = "frames"
     waits_lightly = True
@@ -43,7 +43,7 @@ class RobotStatePublisher(Task):
 
     @property
     def _topic(self) -> str:
-        """Where the real one would listen for joint states."""
+        """The topic on which the real node would receive joint states."""
         return self.node.resolve("joint_states")
 
     def start(self, run: Run) -> str | None:
@@ -51,7 +51,7 @@ class RobotStatePublisher(Task):
         robot = self._by_namespace(robots)
         coming = [task for task in _spawns(run) if task not in run.left_out]
         awaited = [task.model for task in coming if task.model not in run.spawned]
-        if robot is None and awaited:  # any of them may be the one that is meant
+        if robot is None and awaited:  # any of them may be the node's robot
             return f"the robot {awaited[0]}"
         if not robots:
             return "a robot"
@@ -65,7 +65,7 @@ class RobotStatePublisher(Task):
 
     def _set_up(self, run: Run, robot: dict[str, Any]) -> None:
         place = names.join(robot["namespace"], "robot_state_publisher")
-        if run.parameter(names.join(place, "enabled")) is False:  # `rosnode kill` has ended it
+        if run.parameter(names.join(place, "enabled")) is False:  # it was ended by `rosnode kill`
             run.call("/rosapi/delete_param", {"name": names.join(place, "enabled")})
         for parameter in HONOURED:
             full = names.join(self.node.full_name, parameter)
@@ -82,7 +82,7 @@ class RobotStatePublisher(Task):
         self.settled(run, f"the simulation publishes the frames of {robot['name']} at {rate} Hz")
 
     def _by_namespace(self, robots: list[dict[str, Any]]) -> dict[str, Any] | None:
-        """The robot in the namespace of the topic, else in that of the node; the root says nothing yet."""
+        """The robot in the namespace of the topic, else of the node. The root selects none here."""
         by_namespace = {robot["namespace"]: robot for robot in robots}
         for namespace in (names.parent(self._topic), self.node.namespace):
             if namespace in by_namespace and namespace != "/":
@@ -90,9 +90,9 @@ class RobotStatePublisher(Task):
         return None
 
     def _surely_meant(self, run: Run, robots: list[dict[str, Any]]) -> dict[str, Any] | None:
-        """The robot that is meant, whatever other nodes there are.
+        """The robot of this node, found without regard to other nodes.
 
-        By its namespace, by the parameter of its description that both nodes name, or as the robot in the root.
+        By its namespace, by the description parameter that it shares with one spawn node, or as the robot in the root.
         """
         found = self._by_namespace(robots)
         if found is not None:
@@ -108,8 +108,8 @@ class RobotStatePublisher(Task):
         return in_root[0] if in_root and "/" in (names.parent(self._topic), self.node.namespace) else None
 
     def _meant(self, run: Run, robots: list[dict[str, Any]]) -> dict[str, Any] | None:
-        """The robot that is surely meant; else, of those that are no other node's, the one of this description, or the
-        only one.
+        """The robot that is surely meant; else, of the robots without another node, the one with this description,
+        or the only one.
         """
         sure = self._surely_meant(run, robots)
         if sure is not None:
@@ -125,7 +125,7 @@ class RobotStatePublisher(Task):
         return left[0] if len(left) == 1 else None
 
     def afterwards(self, run: Run) -> None:
-        """Warn of joint states that nobody publishes: a mistake that the tutorial's remap invites."""
+        """Warn when joint states have no publisher: the remap of the tutorial often causes that."""
         if run.call("/rosapi/publishers", {"topic": self._topic})["publishers"]:
             return
         there = [
@@ -150,12 +150,12 @@ class RobotStatePublisher(Task):
 
 
 def _spawns(run: Run) -> list[SpawnModel]:
-    """The nodes of the launch that put robots into the world."""
+    """The nodes of the launch that spawn robots from URDF."""
     return [task for task in run.tasks if isinstance(task, SpawnModel) and not task.is_sdf]
 
 
 def _found(run: Run, name: str) -> str | None:
-    """The full name of a parameter in its namespace or the nearest one above that has it, None when none has."""
+    """The full name of a parameter in its namespace or the nearest one above; None when it is not set."""
     namespace, last = names.parent(name), name.rpartition("/")[2]
     while True:
         full = names.join(namespace, last)
@@ -169,7 +169,7 @@ def _found(run: Run, name: str) -> str | None:
 # --- static_transform_publisher --------------------------------------------------------------------------------------
 
 _TOLERANCE = 10e-3
-"""Of the square of a quaternion's length, as in tf2."""
+"""Tolerance of the square of a quaternion's length, as in tf2."""
 _USAGE = {
     "tf": "x y z yaw pitch roll (or qx qy qz qw) FRAME CHILD PERIOD_MS",
     "tf2_ros": "x y z yaw pitch roll (or qx qy qz qw) FRAME CHILD",
@@ -177,9 +177,9 @@ _USAGE = {
 
 
 class StaticTransform(Task):
-    """tf's and tf2_ros's: one transform, latched on /tf_static, there as long as the node.
+    """static_transform_publisher of tf and tf2_ros: one transform, latched on /tf_static, as long as the node runs.
 
-    tf's own sends it on /tf again and again; who listens gets the same.
+    tf's own sends it on /tf repeatedly; subscribers get the same.
     """
 
     family = "frames"
@@ -227,7 +227,7 @@ class StaticTransform(Task):
             "child_frame_id": self.child,
             "transform": {"translation": {"x": x, "y": y, "z": z}, "rotation": rotation},
         }
-        # A publisher of its own: a latched topic keeps one message of each.
+        # An own connection: a latched topic keeps one message for each publisher.
         self._client = run.client.another()
         self._client.publish("/tf_static", {"transforms": [transform]}, "tf2_msgs/TFMessage", latch=True)
         self._client.flush()

@@ -1,7 +1,7 @@
-"""gazebo_ros's gazebo and gzserver: the daemon has the world; arguments and a world file (SDF) say how it is to be.
+"""gazebo_ros's gazebo and gzserver: the daemon simulates the world; arguments and a world file (SDF) configure it.
 
-Of a world file ground, light, gravity, length of a step, real-time factor and models count; everything else is
-reported. The models are put into the world before the nodes behind this one start.
+Ground, light, gravity, step size, real-time factor and models of a world file count; everything else is reported. The
+models are spawned before the following nodes start.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ _OPTIONS = {
 _MOST_NAMED = 8
 _EMPTY = "the world is the empty one"
 _WARN = 4
-"""The level of rosgraph_msgs/Log."""
+"""The level WARN of rosgraph_msgs/Log."""
 _QUIET = ("-u", "--pause", "-e", "--physics", "--verbose", "-q", "--minimal_comms", "--lockstep")
 
 
 @dataclass(frozen=True)
 class WorldSettings:
-    """`timestep` in s, `gravity` in m/s², `speed` as real-time factor (`inf`: as fast as it goes). None: not said."""
+    """`timestep` in s, `gravity` in m/s², `speed` as real-time factor (`inf`: as fast as possible). None: not set."""
 
     paused: bool = False
     timestep: float | None = None
@@ -49,13 +49,13 @@ class WorldSettings:
     ground: bool | None = None
 
     def over(self, others: WorldSettings) -> WorldSettings:
-        """These settings, and where they say nothing those of others."""
+        """These settings, completed by `others`."""
         said = {name: value for name, value in vars(self).items() if value is not None}
         return replace(others, **{**said, "paused": self.paused or others.paused})
 
 
 class Gazebo(Task):
-    """The server, or the script that starts it with a window."""
+    """The Gazebo server, or the script that starts it with a window."""
 
     family = "world"
 
@@ -65,7 +65,7 @@ class Gazebo(Task):
         self.paused = words.has("-u") or words.has("--pause")
         self.world: WorldFile | None = None
         self.scene: sdf.Scene | None = None
-        """What the world file has beside its settings, once it was looked ahead."""
+        """The models of the world file; set by `look_ahead`."""
         for option in words.given:
             if option not in _QUIET:
                 plan.notice("ignored", node.place, node.full_name, f"Gazebo's option {option} has no effect")
@@ -92,12 +92,12 @@ class Gazebo(Task):
         )
 
     def settings(self, others: WorldSettings) -> WorldSettings:
-        """What is asked for, over what others ask for."""
+        """The settings of this node, completed by `others`."""
         asked = replace(self.world.settings if self.world else WorldSettings(), paused=self.paused)
         return asked.over(others)
 
     def look_ahead(self, plan: LaunchPlan, packages: Packages, parameters: Mapping[str, Leaf]) -> None:  # noqa: ARG002
-        """Read the models of the world; what they need and is not there is left out."""
+        """Read the models of the world; models with missing files are left out."""
         if self.world is not None and self.scene is None:
             self.scene = sdf.read(self.path, packages, plan.missing)
             plan.notices += self.scene.notices
@@ -114,7 +114,7 @@ class Gazebo(Task):
         return None
 
     def afterwards(self, run: Run) -> None:
-        """Print the warnings of the running world, as Gazebo prints them where it was launched."""
+        """Print the warnings of the running world, as Gazebo does in its terminal."""
 
         def print_warning(published: dict[str, Any]) -> None:
             if published["msg"]["level"] >= _WARN:
@@ -125,7 +125,7 @@ class Gazebo(Task):
     def _spawn_models(self, run: Run, models: list[sdf.SdfModel]) -> None:
         there = run.call("/slidectl/status")["robots"]
         named = [model.name for model in models]
-        run.spawned += [name for name in named if name not in there]  # a call that is cut short may have been heard
+        run.spawned += [name for name in named if name not in there]  # an interrupted call may have spawned them
         for warning in run.client.spawn_models(list(map(spawning.request, models)), timeout=SPAWN_LIMIT_S):
             self.warn(run, warning.partition(" (--at")[0])
         few = ", ".join(named[:_MOST_NAMED]) + (f" and {len(named) - _MOST_NAMED} more" if named[_MOST_NAMED:] else "")
@@ -133,7 +133,7 @@ class Gazebo(Task):
         self.settled(run, f"{len(named)} model{plural} of the world spawned: {few}", models=named)
 
     def _adapt(self, run: Run) -> None:
-        """A world that runs already takes on what it can. An option of the daemon's, or `sim speed`, goes before."""
+        """Apply the settings to a running world. Options of the daemon and `sim speed` have priority."""
         file = self.world.file if self.world else ""
         asked = self.settings(WorldSettings())
         if asked.ground is False:
@@ -156,7 +156,7 @@ class Gazebo(Task):
         run.call("/gazebo/set_physics_properties", request)
 
     def stop(self, run: Run) -> None:
-        """Robots leave with the world that they were put into; that of somebody else stays without them."""
+        """Delete the spawned models, if the daemon was not started by this launch; else it ends with them."""
         if run.owns_daemon:
             return
         for name in reversed(run.spawned):
@@ -166,7 +166,7 @@ class Gazebo(Task):
 
 
 def _find(node: Node, name: str) -> Path:
-    """A world file: as it is written, in GAZEBO_RESOURCE_PATH, or Gazebo's empty one, which is shipped."""
+    """Find a world file: by its path, in GAZEBO_RESOURCE_PATH, or among the shipped ones (Gazebo's empty world)."""
     resources = [entry for entry in os.environ.get("GAZEBO_RESOURCE_PATH", "").split(os.pathsep) if entry]
     shipped = paths.share("launch") / "counterparts" / "gazebo_ros"
     places = [Path(name), *(Path(folder) / name for folder in resources), shipped / name]
@@ -183,7 +183,7 @@ def _find(node: Node, name: str) -> Path:
 
 @dataclass
 class WorldFile:
-    """What a world file says, and what became of the rest of it."""
+    """The settings in a world file, and notices about the rest."""
 
     file: str
     settings: WorldSettings = field(default_factory=lambda: WorldSettings(ground=False))
@@ -197,7 +197,7 @@ class WorldFile:
 
 
 def read_world(path: Path) -> WorldFile:
-    """Raises BadFile: missing, not XML, no world in it, or numbers that are none."""
+    """Read a world file. Raises BadFile: missing, not XML, without a world, or with malformed numbers."""
     found = parse_world(read_file(path), shown(path))
     if found is None:
         raise BadFile("this is no world file: it has no <sdf> with a <world> inside", shown(path))
@@ -205,7 +205,7 @@ def read_world(path: Path) -> WorldFile:
 
 
 def parse_world(text: bytes, file: str) -> WorldFile | None:
-    """As read_world, of a text; None when no world is in it."""
+    """As read_world, for a text; None when it has no world."""
     root = xml_tree.read(text, file)
     worlds = root.find_all("world") if root.tag in ("sdf", "gazebo") else [root] if root.tag == "world" else []
     if not worlds:
@@ -221,12 +221,12 @@ def _take(element: Element, found: WorldFile) -> None:
         found.set(gravity=_vector(element))
     elif element.tag == "physics":
         _take_physics(element, found)
-    elif element.tag in ("model", "include"):  # which sdf reads; the ground is the world's own
+    elif element.tag in ("model", "include"):  # sdf.py reads these, except the ground
         if sdf.is_ground(element):
             found.set(ground=True)
     elif element.tag == "plugin":
         found.say("wrong", element, "plugins of Gazebo have no effect")
-    elif element.tag not in ("light", "name", "state"):  # of a state the poses of models count
+    elif element.tag not in ("light", "name", "state"):  # sdf.py reads the poses of models in a state
         found.say("ignored", element, "has no effect: there is nothing like it here")
 
 
@@ -245,7 +245,7 @@ def _take_physics(physics: Element, found: WorldFile) -> None:
         else:
             found.say("ignored", element, "has no effect: the physics here is MuJoCo")
     speed = factor
-    if rate is not None:  # Gazebo holds to the rate of updates; 0 is as fast as possible
+    if rate is not None:  # in Gazebo the rate of updates counts; 0 is as fast as possible
         speed = math.inf if rate <= 0 else rate * (found.settings.timestep or 0.001)
     found.set(speed=speed)
     if factor is not None and speed is not None and not math.isclose(speed, factor, rel_tol=1e-6):
@@ -254,7 +254,7 @@ def _take_physics(physics: Element, found: WorldFile) -> None:
 
 
 def _numbers(element: Element, expected: str, count: int = 1, above: float = -math.inf) -> list[float]:
-    """So many finite numbers above a bound. Raises BadFile."""
+    """Read `count` finite numbers above a bound. Raises BadFile."""
     numbers: list[float] = []
     with suppress(ValueError):
         numbers = [float(word) for word in element.first_text.split()]

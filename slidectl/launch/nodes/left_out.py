@@ -1,6 +1,6 @@
-"""Nodes that have nothing to do here, with a text that says why and what to use in their place.
+"""Nodes without any task here. Their text says why, and what to use instead.
 
-rviz, rqt and gzclient are windows, and there are none; node_kinds says when RViz is started all the same. A
+rviz, rqt and gzclient are windows, which do not exist here; node_kinds decides when RViz is run as a program. A
 joint_state_publisher would contradict the simulated joints.
 """
 
@@ -29,7 +29,7 @@ _ROBOT = (
 
 
 class LeftOut(Task):
-    """A node that has nothing to do here: `text` says why, which is a warning."""
+    """A node without a task; `text` is printed as a warning."""
 
     family = "notice"
     keeps_running = False
@@ -40,7 +40,7 @@ class LeftOut(Task):
 
 
 class Viewer(LeftOut):
-    """Nothing is shown, which is a warning."""
+    """A window of rviz or rqt; leaving it out is a warning."""
 
     @property
     def text(self) -> str:
@@ -50,7 +50,7 @@ class Viewer(LeftOut):
 
 
 class Window(LeftOut):
-    """gzclient: there is no window, and launch files start it by default, so that is no warning."""
+    """gzclient. Launch files start it by default, so leaving it out is no warning."""
 
     @property
     def text(self) -> str:
@@ -62,7 +62,7 @@ class Window(LeftOut):
 
 
 class JointStatePublisher(LeftOut):
-    """A second source of joint states would contradict the world: it is left out, with a warning."""
+    """A joint_state_publisher. It would contradict the world's joint states, so it is left out with a warning."""
 
     def __init__(self, node: Node, plan: LaunchPlan) -> None:
         super().__init__(node, plan)

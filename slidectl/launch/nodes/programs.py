@@ -1,7 +1,7 @@
-"""Programs as nodes: started as roslaunch starts them, their output shown, watched, started again.
+"""Programs as nodes: started as by roslaunch, their output shown, watched, respawned.
 
-Their end is orderly: SIGINT, after a while SIGTERM, then SIGKILL, for each and all that it started. `rostopic`,
-`rosservice` and `rosparam` are commands of this program.
+They are ended with SIGINT, later SIGTERM, then SIGKILL; each signal goes to the program and everything it has started.
+`rostopic`, `rosservice` and `rosparam` are commands of slidectl.
 """
 
 from __future__ import annotations
@@ -25,20 +25,20 @@ from slidectl.launch.task import Run, Task
 from slidectl.paths import with_package
 
 _RESPAWN_PAUSE_S = 0.1
-"""The least time between two starts, as roslaunch has it: it looks ten times a second."""
+"""The least time between two starts, as in roslaunch, which checks ten times a second."""
 _SHORT_LIFE_S = 5.0
 _FIRST_BACK_OFF_S = 1.0
 _LONGEST_BACK_OFF_S = 30.0
-"""A program that keeps ending soon after its start waits 1 s for the next, then twice as long each time, to this."""
+"""The longest pause for a program that keeps ending soon after its start; the pause begins at 1 s and doubles."""
 _LONGEST_FIRST_LINE = 256
 _POLITE_S = 0.5
-"""How long the next one waits for this one to end before it is asked to end itself."""
+"""How long `stop` waits for the end of one process before the next one is stopped."""
 _LOOK_S = 0.1
-"""How soon a further Ctrl-C is noticed while the end of a program is waited for."""
+"""The polling interval while waiting for a program's end, so that another Ctrl-C is noticed."""
 
 
 class Process(Task):
-    """A child process."""
+    """A node that is a child process."""
 
     family = "process"
     needs_presence = True
@@ -49,21 +49,21 @@ class Process(Task):
         self.executable = [*node.launch_prefix, *program]
         self.child: Child | None = None
         self.on_end: Callable[[Process, int], None] | None = None
-        """Called when it has ended for good; who runs the launch sets it."""
+        """Called when it has ended and is not respawned; set by the execution."""
         self.ending = False
-        """True when its end is wanted, so that it is neither reported nor undone."""
+        """True when it is being ended, so that its end is not reported and it is not respawned."""
         self._label = node.full_name.lstrip("/")
         self.sessions: set[int] = set()
-        """The session ids that it has had: one for each start."""
+        """Its session ids, one for each start."""
         self.started_at = 0.0
-        """On the monotonic clock."""
+        """Last start on the monotonic clock, s."""
         self._short_lives = 0
         """How many times in a row it ended soon after its start."""
         self._last_code: int | None = None
 
     @property
     def command(self) -> list[str]:
-        """The whole command line, with remaps and names as ROS programs take them."""
+        """The whole command line, with remaps and name in the form of ROS programs."""
         remaps = [f"{remap.source}:={remap.target}" for remap in self.node.remaps]
         return [*self.executable, *self.node.words, *remaps, f"__name:={self.node.name}"]
 
@@ -103,18 +103,18 @@ class Process(Task):
             if log != subprocess.PIPE:
                 os.close(log)
         self.started_at = time.monotonic()
-        self.sessions.add(self.child.pid)  # a child leads a session of its own
+        self.sessions.add(self.child.pid)  # a child is the leader of its own session
         self.settled(run, f"started, process {self.child.pid}", pid=self.child.pid)
 
     def _folder(self) -> str | None:
-        """`cwd="node"`: the folder of the command's first word; else ROS_HOME when there is one."""
+        """The working folder: with `cwd="node"` that of the executable, else ROS_HOME if it exists, else None."""
         if self.node.cwd == "node":
             return str(Path(self.executable[0]).absolute().parent)
         home = os.environ.get("ROS_HOME") or os.path.expanduser("~/.ros")
         return home if os.path.isdir(home) else None
 
     def _environment(self, run: Run) -> dict[str, str]:
-        """Ours; its namespace; the way to the daemon; and what the launch file says. Python's output comes at once."""
+        """Our environment, the namespace, variables for the daemon, those of the launch file. Python is unbuffered."""
         ours = {"PYTHONUNBUFFERED": "1", **os.environ, "ROS_NAMESPACE": self.node.namespace}
         if self.node.namespace == "/":
             del ours["ROS_NAMESPACE"]
@@ -136,7 +136,7 @@ class Process(Task):
             self.on_end(self, code)
 
     def _respawn_pause(self, run: Run) -> float:
-        """Until the next start, in s: what the node asks for, and longer for one that ends at once again and again."""
+        """The time until the next start, s: the node's delay, or longer if it keeps ending soon after its start."""
         lived = time.monotonic() - self.started_at
         self._short_lives = self._short_lives + 1 if lived < _SHORT_LIFE_S else 0
         asked = max(0.0, self.node.respawn_delay_s, _RESPAWN_PAUSE_S - lived)
@@ -165,7 +165,7 @@ class Process(Task):
     def code(self) -> int | None:
         """The exit code of a program that has ended, negative for a signal; None while it runs.
 
-        One that ended soon after its start and was started again has the code of that end.
+        If it ended soon after its start and was respawned, it is the code of that end.
         """
         if self.child is not None and self.child.code is not None:
             return self.child.code
@@ -176,28 +176,28 @@ class Process(Task):
         return self.child is not None and self.child.code is None
 
     def stop(self, run: Run) -> None:
-        """Ask it to end, and give it a moment; `finish` does the rest."""
+        """Send SIGINT and wait for a short time; `finish` does the rest."""
         self.ending = True
         if self.is_alive and self.child is not None:
             self.child.signal(signal.SIGINT)
             _until(run, lambda: not self.is_alive, _POLITE_S)
 
     def finish(self, run: Run, deadline_s: float, number: int) -> None:
-        """Wait until the deadline on the monotonic clock; when it is still there, say so and send the signal."""
+        """Wait until the deadline on the monotonic clock. If the process still runs, warn and send the signal."""
         _until(run, lambda: not self.is_alive, deadline_s - time.monotonic())
         if self.is_alive and self.child is not None:
             self.warn(run, f"does not end; it gets {signal.Signals(number).name}")
             self.child.signal(number)
 
     def release(self) -> None:
-        """Whatever is left of it goes now."""
+        """Kill what is left of it."""
         if self.child is not None:
             self.child.release()
             self.child = None
 
 
 def _why(error: OSError, program: str) -> str:
-    """The system's reason; when it is about the interpreter of a script, the script's first line too."""
+    """The system's error text; if the interpreter of a script is missing, also the script's first line."""
     if error.errno not in (errno.ENOENT, errno.ENOEXEC, errno.EACCES) or not os.path.isfile(program):
         return str(error.strerror)
     with open(program, "rb") as file:
@@ -208,29 +208,29 @@ def _why(error: OSError, program: str) -> str:
 
 
 def reason(code: int) -> str:
-    """How a process ended, in words."""
+    """How a process ended, as text."""
     return f"by {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
 
 
 def _until(run: Run, condition: Callable[[], bool], seconds: float) -> None:
-    """Let things happen until the condition holds, at most so long, and not when somebody is in a hurry."""
+    """Run the event loop until the condition holds or the time is over, or a second signal arrives."""
     deadline = time.monotonic() + seconds
     while not condition() and (left := deadline - time.monotonic()) > 0 and len(run.interrupts.received) < 2:
         run.watch.turn(min(left, _LOOK_S))
 
 
 _HOW_OFTEN = re.compile(r"-1|--once|-r.*|--rate(=.*)?|-f.*|--file(=.*)?", re.DOTALL)
-"""Options of rostopic pub."""
+"""Options of rostopic pub for rate and number."""
 
 
 class ToolProcess(Process):
-    """A tool starts when all other nodes have, so that whom it talks to is there."""
+    """A tool of ROS. It starts after all other nodes, so that the nodes it uses are running."""
 
     family = "tool"
     comes_last = True
 
     def __init__(self, node: Node, plan: LaunchPlan) -> None:
-        # -P: a file of the user's that is called like a library must not be taken for it.
+        # -P: a user's file with the name of a library must not be imported instead of it.
         super().__init__(node, plan, [sys.executable, "-P", "-m", "slidectl", "ros", node.type])
 
     @property
@@ -238,9 +238,9 @@ class ToolProcess(Process):
         words = self.node.words
         if self.node.type != "rostopic":
             return [*self.executable, *words]
-        # In front of the topic: behind it `a:=b` may be a text to publish.
+        # Remaps go before the topic: after it `a:=b` may be a text to publish.
         options = [f"{remap.source}:={remap.target}" for remap in self.node.remaps]
-        # A message without an end is there for nodes that start later, as with roslaunch; at a shell nothing waits.
+        # Latched, so that later nodes get the message, as with roslaunch. A shell command does not latch by default.
         if words[:1] == ["pub"] and not any(map(_HOW_OFTEN.fullmatch, words)):
             options.insert(0, "-l")
         return [*self.executable, *words[:1], *options, *words[1:]]

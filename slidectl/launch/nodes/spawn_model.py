@@ -1,4 +1,4 @@
-"""gazebo_ros/spawn_model: a URDF from a parameter or a file becomes a robot in the world, and SDF a model."""
+"""gazebo_ros/spawn_model: spawns a robot from URDF, or a model from SDF, in a parameter or a file."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ _REFUSED = {
 
 
 class SpawnModel(Task):
-    """The spawn script. Only with `-b` something of it stays: then the robot leaves with it.
+    """The spawn script. With `-b` it stays as a node, and the robot is deleted at its end.
 
-    The robot of a launch that fails does not stay in a world that was there before.
+    When a launch fails, its robot is also deleted from a world that was running before.
     """
 
     family = "robot"
@@ -58,31 +58,31 @@ class SpawnModel(Task):
             raise self.error(error.message, "give it another name (-model NAME)") from None
         self.pose = _pose(words)
         self.scene: sdf.Scene | None = None
-        """Of SDF, once it was looked ahead."""
+        """The scene of an SDF model; set by `look_ahead`."""
         self.parts: list[str] = []
-        """The names in the world: several where links of SDF have no joint between them."""
+        """The names in the world: several if links of an SDF model are not connected by joints."""
         self.joints = {
             joint.removeprefix(f"{self.model}::"): number(node, f"-J {joint}", value)
             for joint, value in words.given.get("-J", [])
         }
-        """Where joints begin, in rad or m, by their names without the model's."""
+        """Initial joint positions, in rad or m, by joint name without the model's name."""
         self.bound = self.keeps_running = self.needs_presence = words.has("-b")
 
     def start_of(self, joint: str) -> float:
-        """Where a joint is when the robot is there: -J says it, by the joint's name or `robot::joint`."""
+        """The initial position of a joint, which -J sets by the joint's name or `robot::joint`; else 0."""
         return next((value for name, value in self.joints.items() if name.rpartition("::")[2] == joint), 0.0)
 
     @property
     def asked_namespace(self) -> str | None:
-        """What `-robot_namespace` says, from the root: Gazebo gets it as it is typed and knows no groups."""
+        """The namespace in `-robot_namespace`, from the root: Gazebo does not know the groups of launch files."""
         asked = self.words.one("-robot_namespace")
         return names.join("/", asked).rstrip("/") or "/" if asked else None
 
     def home(self, robot: description.Robot, tasks: Sequence[Task]) -> str:
-        """The namespace in which the robot will be, in a launch of these tasks.
+        """The namespace that the robot gets in a launch with these tasks.
 
-        A plugin that names none gets the node's own from spawn_model, and else the model's name. Which of them is
-        meant is seen from the nodes that speak to a controller manager. Without controllers it is the node's own.
+        If its plugin sets none, spawn_model sets the node's own; without that it is the model's name. Which one the
+        launch file expects is seen from the nodes that use a controller manager. Without controllers it is the node's.
         """
         if self.asked_namespace is not None:
             return self.asked_namespace
@@ -107,7 +107,7 @@ class SpawnModel(Task):
 
     @property
     def parameter(self) -> str | None:
-        """The full name of the parameter with the description; None when that is in a file."""
+        """The full name of the parameter with the description; None if it is in a file."""
         return self.node.resolve(self.words.one("-param")) if self.words.has("-param") else None
 
     def look_ahead(self, plan: LaunchPlan, packages: Packages, parameters: Mapping[str, Leaf]) -> None:
@@ -126,7 +126,7 @@ class SpawnModel(Task):
         if self.is_sdf:
             self._look_at_scene(source, packages, plan)
             return
-        with suppress(BadFile):  # which is said when it is spawned
+        with suppress(BadFile):  # reported at the spawn
             description.load(source, {}, self._packages(packages), missing=plan.missing)
 
     def _look_at_scene(self, source: Path | str | None, packages: Packages, plan: LaunchPlan) -> None:
@@ -136,7 +136,7 @@ class SpawnModel(Task):
             plan.missing.note(error, f"{self.model} is left out")
 
     def _scene(self, source: Path | str | None, packages: Packages, plan: LaunchPlan) -> sdf.Scene:
-        """The model of a file, a text, or without either of -database. Raises BadFile: broken, or several models."""
+        """The model from a file, a text, or (without both) -database. Raises BadFile: broken, or several models."""
         places = self._packages(packages)
         if isinstance(source, str):
             scene = sdf.parse(source, f"parameter {self.parameter}", places, None, plan.missing)
@@ -153,7 +153,7 @@ class SpawnModel(Task):
         return scene
 
     def _packages(self, packages: Packages) -> Packages:
-        """The lookup, from the launch file upwards too."""
+        """The lookup, also upwards from the launch file."""
         return packages.starting_at(Path(self.node.file).parent) if self.node.file else packages
 
     def start(self, run: Run) -> str | None:
@@ -167,7 +167,7 @@ class SpawnModel(Task):
         self.parts = [request["model_name"] for request in requests]
         there = run.call("/slidectl/status")["robots"]
         added = [name for name in self.parts if name not in there]
-        run.spawned += added  # before it is there: a call that is cut short may have been heard
+        run.spawned += added  # before the call: an interrupted call may have spawned them
         try:
             self._spawn(run, requests)
         except Refused:
@@ -179,7 +179,7 @@ class SpawnModel(Task):
         return None
 
     def _sdf_requests(self, run: Run) -> list[dict[str, Any]]:
-        """Of the model's parts, each at the pose that the file gives it, seen from the one that was asked for."""
+        """The requests for the parts of the model; their poses in the file are relative to the requested pose."""
         source: Path | str | None = None
         if self.words.has("-file"):
             source = self._file()
@@ -207,7 +207,7 @@ class SpawnModel(Task):
         return {**self._request(self.model, document.xml, self.pose), "robot_namespace": namespace}
 
     def _request(self, name: str, xml: str, pose: rotations.Pose) -> dict[str, Any]:
-        """gazebo_msgs/SpawnModel."""
+        """Make a gazebo_msgs/SpawnModel request."""
         position, turn = dict(zip("xyz", pose[0], strict=True)), rotations.message(pose[1])
         return {
             "model_name": name,
@@ -223,13 +223,13 @@ class SpawnModel(Task):
         return path
 
     def _document(self, run: Run) -> description.Document:
-        """Expanded, with meshes found. Raises Refused, BadFile."""
+        """The expanded model with its meshes. Raises Refused, BadFile."""
         packages, missing = self._packages(run.packages), run.plan.missing
         if self.words.has("-file"):
             return description.load(self._file(), {}, packages, missing=missing)
         xml, is_own = self._text(run)
         if not is_own:
-            known = run.call("/slidectl/sources", {"digest": source_note.digest(xml)})  # where elements were written
+            known = run.call("/slidectl/sources", {"digest": source_note.digest(xml)})  # the places of its elements
             return description.load(source_note.join(xml, known["note"]), {}, packages, missing=missing)
         name = self.parameter
         setting = next((one for one in reversed(run.plan.settings) if one.name == name), None)
@@ -237,10 +237,10 @@ class SpawnModel(Task):
         return description.load(xml, {}, packages, missing=missing, title=title)
 
     def _text(self, run: Run) -> tuple[str, bool]:
-        """The text of the parameter, and whether this launch sets it. Raises Refused."""
+        """The text of the parameter, and True if this launch sets it. Raises Refused."""
         name = self.parameter
         assert name is not None
-        # What the files say is what is meant, though another launch may have set the same name meanwhile.
+        # The value in the files counts, as another launch may have changed the parameter meanwhile.
         own = run.parameters.get(name)
         xml = own[0] if own is not None else run.parameter(name)
         if not isinstance(xml, str):
@@ -253,7 +253,7 @@ class SpawnModel(Task):
 
     def _spawn(self, run: Run, requests: Sequence[dict[str, Any]]) -> None:
         halt = bool(self.joints) and not run.call("/slidectl/status")["paused"]
-        if halt:  # no moment passes between the two
+        if halt:  # no simulated time may pass between spawning and setting joints
             run.call("/gazebo/pause_physics")
         try:
             if self.is_sdf:
@@ -264,7 +264,7 @@ class SpawnModel(Task):
                 if not answer["success"]:
                     raise Refused(first, "\n".join(warnings).replace("(-n)", "(-model)") or None)
             if self.joints:
-                warnings = self._set_joints(run)  # which may bring it out of what it was put into
+                warnings = self._set_joints(run)  # replaces the warnings: joints may end a collision
             for warning in warnings:
                 self.warn(run, warning.replace("(--at X Y Z)", "(-x, -y, -z)"))
         finally:
@@ -280,7 +280,7 @@ class SpawnModel(Task):
             raise
 
     def _tell(self, run: Run) -> None:
-        """Where it is, and what became of its tags: what needs telling in full, the others counted unless `-v`."""
+        """Report the namespace and joints, important notices in full, and the number of others unless `-v`."""
         [robot] = run.call("/slidectl/list_robots", {"name": self.model})["robots"]
         put = [joint.rpartition("::")[2] for joint in self.joints]
         ignored = 0
@@ -298,7 +298,7 @@ class SpawnModel(Task):
         self.settled(run, f"{self.model} {where}, joints: {joints}{more}", robot=self.model)
 
     def stop(self, run: Run) -> None:
-        """The robot goes with `-b`, and with a launch that failed; where the daemon goes too, it goes with that."""
+        """Delete the robot with `-b` or after a failed launch, unless the daemon ends too."""
         if not (self.bound or (run.failed and not run.owns_daemon)) or self.model not in run.spawned:
             return
         for name in reversed(self.parts):
@@ -312,6 +312,6 @@ def _is_xml(text: str) -> bool:
 
 
 def _pose(words: Words) -> rotations.Pose:
-    """Metres, and fixed-axis angles in radians, about x, then y, then z of the world."""
+    """The pose in the options: metres, and fixed-axis angles in rad about x, then y, then z of the world."""
     x, y, z, roll, pitch, yaw = (words.number(option, 0.0) for option in ("-x", "-y", "-z", "-R", "-P", "-Y"))
     return (x, y, z), rotations.from_rpy((roll, pitch, yaw))

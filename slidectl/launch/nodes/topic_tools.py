@@ -1,7 +1,7 @@
-"""relay, throttle and mux of topic_tools, and twist_mux: topics that pass on what comes on others.
+"""relay, throttle and mux of topic_tools, and twist_mux: nodes that pass messages on to another topic.
 
-Each has a connection of its own, which is there as long as the node. A topic that nobody has made yet is looked for
-again. Knows no type of message but Twist and Bool.
+Each has its own connection as long as the node runs. A topic that does not exist yet is looked for repeatedly. The only
+known message types are Twist and Bool.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from slidectl.launch.task import Run, Task, number, parse
 
 Message = dict[str, Any]
 Take = Callable[[str, Message], None]
-"""Takes the type of a message, and what came: `msg`, the simulated `time` of it, and `latch` if it was latched before.
+"""Takes the type of a message, and the event: `msg`, its simulated `time`, and `latch` if it was latched earlier.
 
-It makes no call: what waits for an answer takes in messages, which would come out of their order.
+It must not call services: waiting for an answer reads further messages, which would change their order.
 """
 
 _LOOK_AGAIN_S = 0.2
 _WITHOUT_EFFECT = ("lazy", "wall_clock")
 NONE = "__none"
-"""The selection with which a mux passes nothing on."""
+"""The selection with which a mux passes no messages."""
 
 
 class TopicTool(Task):
-    """What all of them share: topics that they listen to, and one that they publish."""
+    """Base class: topics that it subscribes to, and one that it publishes."""
 
     family = "topics"
     needs_presence = True
@@ -45,12 +45,12 @@ class TopicTool(Task):
         self._inputs: dict[str, tuple[str | None, Take]] = {}
         self._heard: dict[str, Subscription] = {}
         self._is_looking = False
-        """Whether it is going to look for topics again."""
+        """True when the next search for topics is scheduled."""
         self._has_latched = False
         self._has_warned = False
 
     def begin(self, run: Run) -> None:
-        """Listen to topics, and offer services. Raises SlidectlError."""
+        """Subscribe to topics, and offer services. Raises SlidectlError."""
         raise NotImplementedError
 
     def start(self, run: Run) -> str | None:
@@ -72,22 +72,22 @@ class TopicTool(Task):
             self.client.close()
 
     def listen(self, topic: str, take: Take, type_name: str | None = None) -> None:
-        """Take what comes on the topic; of one that nobody has made, without a type, as soon as it is there."""
+        """Call `take` for messages on the topic. Without a type it is subscribed as soon as it exists."""
         self._inputs[topic] = type_name, take
 
     def ignore(self, topic: str) -> None:
-        """Listen no more."""
+        """Unsubscribe the topic."""
         self._inputs.pop(topic, None)
         if topic in self._heard:
             self._heard.pop(topic).close()
 
     def pass_on(self, type_name: str, came: Message) -> None:
-        """Publish what came; once something was latched, the output is, too."""
+        """Publish a message. Once a latched message was received, the output is latched too."""
         self._has_latched = self._has_latched or came.get("latch", False)
         self.client.publish(self.output, came["msg"], type_name, self._has_latched)
 
     def look_later(self, run: Run, seconds: float) -> None:
-        """Look for topics that are not there yet, unless that is about to be done."""
+        """Schedule the next search for missing topics, unless one is scheduled."""
         if not self._is_looking:
             self._is_looking = True
             run.watch.later(seconds, self._look_again)
@@ -105,7 +105,7 @@ class TopicTool(Task):
             self.look_later(self._run, _LOOK_AGAIN_S)
 
     def _subscribe_new(self) -> None:
-        """Subscribe what is listened to and was not there before."""
+        """Subscribe to the wanted topics that exist now."""
         wanted = {topic: given for topic, (given, _) in self._inputs.items() if topic not in self._heard}
         there = self.client.topics() if wanted else {}
         for topic, given in wanted.items():
@@ -122,7 +122,7 @@ class TopicTool(Task):
             self._inputs[topic][1](type_name, came)
 
     def _read(self) -> None:
-        """Take all that has come."""
+        """Handle all received messages."""
         for message in self.client.events(0.0):
             if message.get("op") == "status" and message.get("level") == "error" and not self._has_warned:
                 assert self._run is not None
@@ -131,7 +131,7 @@ class TopicTool(Task):
 
 
 class Relay(TopicTool):
-    """topic_tools' relay: `relay IN [OUT]`, OUT being IN_relay."""
+    """topic_tools' relay: `relay IN [OUT]`; the default of OUT is IN_relay."""
 
     suffix = "_relay"
     usage = "IN [OUT]"
@@ -147,7 +147,7 @@ class Relay(TopicTool):
             raise self.error(f"passes {self.input} on to itself", "the two topics must differ")
 
     def read(self, words: list[str]) -> list[str]:
-        """Take in what is not one of the topics; returns these. Raises BadFile."""
+        """Read the words that are not topics; returns the topics. Raises BadFile."""
         return words
 
     @property
@@ -159,9 +159,9 @@ class Relay(TopicTool):
 
 
 class Throttle(Relay):
-    """topic_tools' throttle: so many messages a second, or so many bytes in a window of seconds.
+    """topic_tools' throttle: at most RATE messages per second, or RATE bytes in a window of seconds.
 
-    The time of a message is the stamp in its header if it has one, else the one at which it was published.
+    The time of a message is the stamp in its header, else the time when it was published.
     """
 
     suffix = "_throttle"
@@ -193,7 +193,7 @@ class Throttle(Relay):
         header = came["msg"].get("header")
         stamped_s = _seconds(header["stamp"]) if isinstance(header, dict) and "stamp" in header else 0.0
         now_s = stamped_s or _seconds(came["time"])
-        if now_s < self._last_s:  # time was set back
+        if now_s < self._last_s:  # time went back
             self._last_s = float("-inf")
             self._sent.clear()
         if self._fits(type_name, came["msg"], now_s):
@@ -214,11 +214,11 @@ class Throttle(Relay):
 
 
 _ROUNDING_S = 1e-9
-"""Stamps of 10 Hz are not more than 0.1 s apart, and meant to be."""
+"""A tolerance: stamps of 10 Hz are at most 0.1 s apart, and must pass a limit of 10 Hz."""
 
 
 class Mux(TopicTool):
-    """topic_tools' mux: `mux OUT IN...` passes on the selected one of its inputs, at first the first one."""
+    """topic_tools' mux: `mux OUT IN...` passes on the selected input; the first one is selected initially."""
 
     def __init__(self, node: Node, plan: LaunchPlan) -> None:
         super().__init__(node, plan)
@@ -287,15 +287,15 @@ class Source(NamedTuple):
 
     topic: str
     timeout_s: float
-    """0: what comes counts for ever."""
+    """0: a message is valid forever."""
     priority: int
 
 
 class TwistMux(TopicTool):
     """twist_mux.
 
-    Passes on the commands of the source with the highest priority among those whose time-out has not passed, unless a
-    lock has a higher one.
+    It passes on the commands of the source with the highest priority among those whose time-out has not passed,
+    unless a lock has a higher priority.
     """
 
     def __init__(self, node: Node, plan: LaunchPlan) -> None:
@@ -352,7 +352,7 @@ class TwistMux(TopicTool):
         self._locked[lock.topic] = came["msg"]["data"]
 
     def _note_time(self, source: Source, came: Message) -> None:
-        """A message of the source has come. When time was put back, nothing that came before it counts."""
+        """Record the time of a message. If time went back, all earlier messages are forgotten."""
         now_s = _seconds(came["time"])
         if now_s < self._now_s:
             self._came_s.clear()
@@ -360,7 +360,7 @@ class TwistMux(TopicTool):
         self._now_s = self._came_s[source.topic] = now_s
 
     def _has_priority(self, source: Source) -> bool:
-        """A lock whose time-out has passed counts as locked, as it does before its first message."""
+        """True when the source drives now. A lock is locked after its time-out, and before its first message."""
         locked = [one.priority for one in self._locks if self._locked.get(one.topic) or self._is_silent(one)]
         least, best = max(locked, default=0), None
         for one in self._sources:
