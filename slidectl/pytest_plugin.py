@@ -75,7 +75,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 @dataclass
-class _KeptRun:
+class _JournaledRun:
     """The run of one world in one test, with its journal. `connect` makes a client of the world, `log` its log."""
 
     journal: Path | None
@@ -121,7 +121,7 @@ class _KeptRun:
             self.journal.unlink(missing_ok=True)
 
 
-_RUNS = pytest.StashKey[list[_KeptRun]]()
+_RUNS = pytest.StashKey[list[_JournaledRun]]()
 
 
 @pytest.hookimpl(wrapper=True)
@@ -258,7 +258,7 @@ def slidectl_world(request: pytest.FixtureRequest) -> Iterator[InProcessWorld]:
             simulation = Simulation(options.timestep, options.gravity, options.ground, options.engine, options.imports)
         world = InProcessWorld(simulation, journal)
         request.node.stash.setdefault(_RUNS, []).append(
-            _KeptRun(path, _path_for(options), world.client, lambda: world.log)
+            _JournaledRun(path, _path_for(options), world.client, lambda: world.log)
         )
         if options.engine != "plain":
             first = request.config.stash.setdefault(_FIRST, world)
@@ -356,7 +356,7 @@ def slidectl_daemon(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPa
                 patch.setenv(variable, value)
             daemon = TemporaryDaemon(folder, options)
         request.node.stash.setdefault(_RUNS, []).append(
-            _KeptRun(path, _path_for(options), daemon.connect, lambda: daemon.log.splitlines())
+            _JournaledRun(path, _path_for(options), daemon.connect, lambda: daemon.log.splitlines())
         )
         try:
             yield daemon
@@ -382,10 +382,10 @@ class _ScenarioFile(pytest.File):
         from slidectl.errors import BadFile
         from slidectl.scenarios import scenario_file
 
-        slips: list[BadFile] = []
-        cases = scenario_file.read(str(self.path), StepRunner(), slips)
-        if slips:
-            raise self.CollectError("\n".join(map(str, slips)))
+        mistakes: list[BadFile] = []
+        cases = scenario_file.read(str(self.path), StepRunner(), mistakes)
+        if mistakes:
+            raise self.CollectError("\n".join(map(str, mistakes)))
         for case in cases:
             yield _ScenarioItem.from_parent(self, name=case.name or case.scenario, case=case)
 

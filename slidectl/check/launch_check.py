@@ -257,7 +257,7 @@ class _LaunchCheck:
         self.findings.extend(replace(notice, file=shown(notice.file)) for notice in own.sorted())
         self.findings.broken += own.broken
 
-    def _asked(self, spawns: Sequence[SpawnModel]) -> model.Asked:
+    def _asked(self, spawns: Sequence[SpawnModel]) -> model.TransmissionValues:
         """Give the values of TRANSMISSIONS for a robot that these nodes spawn."""
 
         def asked(robot: Robot) -> Iterator[object]:

@@ -46,7 +46,7 @@ _TIMESTEP_S = 0.001  # the daemon's own
 _EXPRESSION = re.compile(r"\$\{(.*?)\}", re.DOTALL)
 _WORD = re.compile(r"[A-Za-z_]\w*")
 
-Asked = Callable[[Robot], Iterator[object]]
+TransmissionValues = Callable[[Robot], Iterator[object]]
 """Gives the values of TRANSMISSIONS in the robot's possible namespaces; None: not set. The first set value counts."""
 
 # attribute -> (unit for a prismatic joint, unit for a turning one, effect)
@@ -90,7 +90,7 @@ def check(
     title: str | None = None,
     strict: bool = False,
     transmissions: str | None = None,
-    asked: Asked | None = None,
+    asked: TransmissionValues | None = None,
 ) -> Model | None:
     """Add findings on a model (as description.load takes it). Returns the robot, or None when it cannot be read.
 
@@ -134,7 +134,7 @@ def check_text(
     ask_others: bool = False,
     packages: Packages | None = None,
     strict: bool = False,
-    asked: Asked | None = None,
+    asked: TransmissionValues | None = None,
 ) -> Model | None:
     """As check, for plain URDF text; `file` is its name in findings, unless the text has a note of its sources."""
     try:
@@ -171,13 +171,13 @@ def check_text(
     _tell_whole(robot, root, model.namespace, findings)
     bodies.tell(robot, findings)
     if ask_others:
-        from slidectl.check import second_opinion
+        from slidectl.check import yourdfpy_comparison
 
-        second_opinion.tell(xml, robot, root, findings)
+        yourdfpy_comparison.tell(xml, robot, root, findings)
     return model
 
 
-def _tell_transmissions(root: Element, meshes: MeshFiles, asked: Asked) -> bool:
+def _tell_transmissions(root: Element, meshes: MeshFiles, asked: TransmissionValues) -> bool:
     """Apply the parameter TRANSMISSIONS to the plugin, if the plugin sets nothing. Returns True when it was applied."""
     with suppress(SlidectlError):  # errors are reported when the model is checked
         robot = parse_tree(root, meshes, Report())

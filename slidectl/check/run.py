@@ -108,7 +108,7 @@ def _refuse_what_does_not_fit(
             raise UsageError(f"{name}:= has no meaning for {takes_none[kind]}")
 
 
-def _asked(trees: Sequence[Tree]) -> model.Asked:
+def _asked(trees: Sequence[Tree]) -> model.TransmissionValues:
     """Give the values of TRANSMISSIONS in parameter files, the last file first."""
 
     def asked(robot: Robot) -> Iterator[object]:

@@ -14,7 +14,7 @@ from slidectl.cli.commands import group
 from slidectl.cli.context import Context
 from slidectl.cli.echo import echo as echo_topic
 from slidectl.cli.terminal_progress import status_line
-from slidectl.cli.topic_streams import paused, way_on
+from slidectl.cli.topic_streams import paused, resume_hint
 from slidectl.errors import Refused, TimedOut, UsageError
 
 if TYPE_CHECKING:
@@ -194,7 +194,7 @@ def _follow(ctx: Context, chosen: Action, goal_id: str, tell_feedback: bool, des
     status = ctx.call("/slidectl/status")
     robots.warn_stopped(ctx, status["estop"])
     if status["paused"]:
-        ctx.say(f"{paused(status)}; this waits until it goes on: {way_on(status)}")
+        ctx.say(f"{paused(status)}; this waits until it goes on: {resume_hint(status)}")
     try:
         with status_line(ctx, f"{chosen.name}: the goal is sent", wanted=not tell_feedback) as show:
             for event in chosen.follow(goal_id, ctx.wait_limit(math.inf)):

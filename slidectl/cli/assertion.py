@@ -20,7 +20,7 @@ from slidectl.cli import completion
 from slidectl.cli.bag import open_recording
 from slidectl.cli.commands import command, finite, simulated_seconds, wait_for_world_s
 from slidectl.cli.context import Context
-from slidectl.cli.topic_streams import paused, way_on
+from slidectl.cli.topic_streams import paused, resume_hint
 from slidectl.errors import Refused, UsageError
 from slidectl.measures import NoMeasure, measure_text
 from slidectl.traces import MEASURES, JointOrFieldTrace
@@ -190,7 +190,7 @@ def _trace(
     if duration:
         status = ctx.call("/slidectl/status")
         if status["paused"]:
-            ctx.say(f"{paused(status)}; this waits until it goes on: {way_on(status)}")
+            ctx.say(f"{paused(status)}; this waits until it goes on: {resume_hint(status)}")
     limit = ctx.wait_limit(wait_for_world_s(duration) if duration else ctx.client.timeout)
     how: dict[str, Any] = {"set_point": field, "namespace": ctx.namespace, "timeout": limit}
     return traces.live(ctx.client, name, last=last, duration=duration, **how)

@@ -19,7 +19,7 @@ from slidectl.cli import completion, robots
 from slidectl.cli.commands import Variadic, finite, group, simulated_seconds, wait_for_world_s
 from slidectl.cli.context import Context
 from slidectl.cli.param import store
-from slidectl.cli.topic_streams import paused, way_on
+from slidectl.cli.topic_streams import paused, resume_hint
 from slidectl.client.client import BEST_EFFORT, STARTED, STRICT, UNLOADED, Manager, claimed_text, configured, each
 from slidectl.errors import AmbiguousName, NoDaemon, Refused, TimedOut, UnknownName, UsageError, listing
 from slidectl.names import join, parent, resolve
@@ -55,7 +55,7 @@ def _strictness(function: Any) -> Any:
     return strict(asap(function))
 
 
-def _rests(function: Any) -> Any:
+def _stop_command_options(function: Any) -> Any:
     """Add `--zero` and `--hold`. The function gets both as the argument `rest`, None when neither was given."""
 
     @functools.wraps(function)
@@ -93,7 +93,7 @@ def _changes(
         raise refused
 
 
-def _rest_joints(
+def _command_stopped_joints(
     ctx: Context,
     manager: Manager,
     stopping: Sequence[str],
@@ -283,7 +283,7 @@ def reload(ctx: Context, manager: str | None, names: tuple[str, ...]) -> None:
         ctx.done(record, f"{name}: reloaded, {state}" + ("" if state == before else f" (was {before})"))
         status = ctx.call("/slidectl/status")
         if state == "running" and status["paused"]:
-            ctx.say(f"{paused(status)}; nothing runs until it goes on: {way_on(status)}")
+            ctx.say(f"{paused(status)}; nothing runs until it goes on: {resume_hint(status)}")
 
 
 @controller.command("unload", examples=["slidectl controller unload joint1_position_controller"])
@@ -316,7 +316,7 @@ def start(ctx: Context, manager: str | None, strict: bool, asap: bool, names: tu
 )
 @_cm
 @_strictness
-@_rests
+@_stop_command_options
 @_names
 @click.pass_obj
 def stop(ctx: Context, manager: str | None, strict: bool, asap: bool, rest: str | None, names: tuple[str, ...]) -> None:
@@ -343,7 +343,7 @@ def stop(ctx: Context, manager: str | None, strict: bool, asap: bool, rest: str 
 @click.option(
     "--stop", "to_stop", cls=Variadic, metavar="NAME...", shell_complete=completion.controllers, help="Stop these."
 )
-@_rests
+@_stop_command_options
 @click.pass_obj
 def switch(
     ctx: Context,
@@ -376,15 +376,15 @@ def _switch(
     asap: bool,
     rest: str | None = None,
 ) -> None:
-    target, local, before = (owner if strict else owner_of_some)(ctx, manager, [*start, *stop])
+    target, local, before = (owner if strict else manager_of_some)(ctx, manager, [*start, *stop])
     starting, stopping = local[: len(start)], local[len(start) :]
     known = local if strict else target.known()
-    _rest_joints(ctx, target, stopping, rest, check_only=True, left_to=starting)
+    _command_stopped_joints(ctx, target, stopping, rest, check_only=True, left_to=starting)
     with _changes(ctx, target, [name for name in local if name in known], before) as after:
         target.switch(starting, stopping, STRICT if strict else BEST_EFFORT, asap)
         if strict:
             after |= target.check_started(starting)
-        _rest_joints(ctx, target, stopping, rest)
+        _command_stopped_joints(ctx, target, stopping, rest)
 
 
 @controller.command(
@@ -416,7 +416,7 @@ def spawn(ctx: Context, manager: str | None, stopped: bool, wait: bool, names: t
 
 @controller.command("unspawn", examples=["slidectl controller unspawn joint1_position_controller"])
 @_cm
-@_rests
+@_stop_command_options
 @_names
 @click.pass_obj
 def unspawn(ctx: Context, manager: str | None, rest: str | None, names: tuple[str, ...]) -> None:
@@ -428,10 +428,10 @@ def unspawn(ctx: Context, manager: str | None, rest: str | None, names: tuple[st
     with _changes(ctx, target, local, before):
         loaded = [name for name in local if name in before]
         running = [name for name in loaded if before[name] in STARTED]
-        _rest_joints(ctx, target, loaded, rest, check_only=True)
+        _command_stopped_joints(ctx, target, loaded, rest, check_only=True)
         if running:
             target.switch((), running)
-        _rest_joints(ctx, target, loaded, rest)
+        _command_stopped_joints(ctx, target, loaded, rest)
         each(target.unload, loaded[::-1])
 
 
@@ -465,7 +465,7 @@ def plot(ctx: Context, manager: str | None, name: str, step: float, duration: fl
     if states.get(local) not in STARTED:
         raise Refused(f"{local} does not run", f"start it: slidectl controller spawn {local}")
     if (status := ctx.call("/slidectl/status"))["paused"]:
-        ctx.say(f"{paused(status)}; this waits until it goes on: {way_on(status)}")
+        ctx.say(f"{paused(status)}; this waits until it goes on: {resume_hint(status)}")
     limit = ctx.wait_limit(wait_for_world_s(duration))
     response = step_response(ctx.client, found.namespace, local, step, duration, limit)
     measured = {key.replace("-", "_"): value for key, value in response.measured.items()}
@@ -588,7 +588,7 @@ def owner(context: Context, wanted: str | None, controllers: Sequence[str]) -> _
     raise UsageError(f"no controller manager has all of these: {listed}", "one command for each robot, please")
 
 
-def owner_of_some(context: Context, wanted: str | None, controllers: Sequence[str]) -> _Owner:
+def manager_of_some(context: Context, wanted: str | None, controllers: Sequence[str]) -> _Owner:
     """As `owner`, for best effort: the manager need only know some of the controllers, or be the only manager."""
     places = _places(_known(chosen(context, wanted))[1], controllers)
     manager, _, states = owner(context, wanted, [name for name, found in places.items() if found])

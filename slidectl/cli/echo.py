@@ -23,7 +23,7 @@ Write = Callable[[Event], None]
 Keep = Callable[[dict[str, Any]], bool]
 
 
-class Look(NamedTuple):
+class MessageFormat(NamedTuple):
     """The format in which messages are printed."""
 
     form: str
@@ -80,7 +80,7 @@ def echo(
     """
     if plot and ctx.format not in ("text", "csv"):
         raise UsageError(f"-p and -o {ctx.format} exclude each other")
-    look = Look("csv" if plot else ctx.format, not noarr, not nostr, width, clear, offset)
+    look = MessageFormat("csv" if plot else ctx.format, not noarr, not nostr, width, clear, offset)
     print_messages(ctx, look_up(ctx, target, PUBLISHERS), look, condition, count, sim_seconds)
 
 
@@ -96,7 +96,7 @@ def predicate(condition: str | None, schema: Schema) -> Keep:
 def print_messages(
     ctx: Context,
     target: Target,
-    look: Look,
+    look: MessageFormat,
     condition: str | None,
     count: int | None,
     sim_seconds: float | None = None,
@@ -127,7 +127,7 @@ def print_messages(
                 printed += 1
 
 
-def writer(ctx: Context, schema: Schema, field: str, look: Look) -> Write:
+def writer(ctx: Context, schema: Schema, field: str, look: MessageFormat) -> Write:
     """The function that prints one message, or a field of it, in the requested form."""
     selection = select(schema.fields, schema.root, field)
     if look.form == "csv":
@@ -146,7 +146,7 @@ def writer(ctx: Context, schema: Schema, field: str, look: Look) -> Write:
     return write
 
 
-def _pruned(schema: Schema, type_name: str, depth: int, value: Any, look: Look) -> Any:
+def _pruned(schema: Schema, type_name: str, depth: int, value: Any, look: MessageFormat) -> Any:
     """The value, without its arrays or strings when `look` leaves them out."""
     if look.arrays and look.strings:
         return value
@@ -158,7 +158,7 @@ def _pruned(schema: Schema, type_name: str, depth: int, value: Any, look: Look) 
     return {f.name: _pruned(schema, f.type, int(f.array >= 0), value[f.name], look) for f in kept}
 
 
-def _csv_writer(ctx: Context, schema: Schema, selection: Selection, look: Look) -> Write:
+def _csv_writer(ctx: Context, schema: Schema, selection: Selection, look: MessageFormat) -> Write:
     form = CsvForm(schema, look.arrays, look.strings)
     stamped = schema.has_header and not look.from_bag
     header = ""

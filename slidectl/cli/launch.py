@@ -26,7 +26,7 @@ from slidectl.names import join
 
 if TYPE_CHECKING:
     from slidectl.cli.detached import Background
-    from slidectl.daemon.lifecycle import Beginning
+    from slidectl.daemon.lifecycle import DaemonStart
     from slidectl.description.packages import Packages
     from slidectl.launch.execution import DaemonAccess, Execution
     from slidectl.launch.nodes.gazebo import WorldSettings
@@ -149,7 +149,7 @@ class LaunchDaemon:
         self.context = context
         self.child = child
         self.must_run = wait
-        self._beginning: Beginning | None = None
+        self._beginning: DaemonStart | None = None
 
     def begin(self, settings: WorldSettings) -> bool:
         from slidectl.daemon import lifecycle
@@ -163,7 +163,7 @@ class LaunchDaemon:
         asked = {name: getattr(settings, name) for name in ("timestep", "gravity", "ground")} | {"rtf": settings.speed}
         said = {name: value for name, value in asked.items() if value is not None}
         options = DaemonOptions(**said, paused=settings.paused, child=self.child)
-        self._beginning = lifecycle.Beginning(paths, options)
+        self._beginning = lifecycle.DaemonStart(paths, options)
         return not runs_already
 
     def connect(self) -> tuple[Client, bool]:

@@ -17,7 +17,7 @@ from slidectl.cli import completion, output
 from slidectl.cli.bag import open_recording
 from slidectl.cli.commands import command, finite, positive_seconds
 from slidectl.cli.context import Context
-from slidectl.cli.topic_streams import CLOCK, paused, way_on
+from slidectl.cli.topic_streams import CLOCK, paused, resume_hint
 from slidectl.errors import MessageRefused, Refused, UsageError
 from slidectl.msgs.schema import nanoseconds
 
@@ -31,7 +31,7 @@ _AHEAD, _AHEAD_BYTES = 1000, 4 * 1024 * 1024
 """The most messages that are sent ahead of their time, and the most bytes of them in the recording."""
 _FIRST_DELAY_NS = _SECOND // 5
 """Simulated time from now to the first message, as rosbag's --delay, so that its time is in the future."""
-_MOST_TOLD = 5
+_MOST_WARNINGS = 5
 _SECONDS: dict[str, Any] = {"type": click.FloatRange(min=0), "callback": finite, "metavar": "S"}
 
 
@@ -190,7 +190,7 @@ class _Player:
             self._has_looked = True
             status = self._ctx.call("/slidectl/status")
             if status["paused"]:
-                self._ctx.say(f"{paused(status)}; nothing is played until it goes on: {way_on(status)}")
+                self._ctx.say(f"{paused(status)}; nothing is played until it goes on: {resume_hint(status)}")
             if self._background is not None:
                 self._ctx.emit({"pid": os.getpid(), "log": self._background.log}, str(os.getpid()))
                 self._background.everything_runs()
@@ -199,7 +199,7 @@ class _Player:
             self.published += 1
         except MessageRefused as error:
             self.refused += 1
-            if error.message not in self._told and len(self._told) < _MOST_TOLD:
+            if error.message not in self._told and len(self._told) < _MOST_WARNINGS:
                 self._told.add(error.message)
                 self._ctx.warn(error.message)
 

@@ -18,7 +18,7 @@ from slidectl.cli import completion, output
 from slidectl.cli.bag import open_recording
 from slidectl.cli.commands import command, pixel_size, simulated_seconds, wait_for_world_s
 from slidectl.cli.context import Context
-from slidectl.cli.topic_streams import paused, way_on
+from slidectl.cli.topic_streams import paused, resume_hint
 from slidectl.errors import EXIT_INTERRUPTED, NoDaemon, Refused, TimedOut, UsageError
 from slidectl.msgs.schema import nanoseconds
 from slidectl.viewing import plot_fields, plots
@@ -249,7 +249,7 @@ def _follow(
     """
     client = ctx.client
     status = ctx.call("/slidectl/status")
-    remark = f"{paused(status)}; nothing comes until it goes on: {way_on(status)}" if status["paused"] else ""
+    remark = f"{paused(status)}; nothing comes until it goes on: {resume_hint(status)}" if status["paused"] else ""
     if now is None:
         ctx.say(remark)
     sleep = client.call_async("/slidectl/sleep", {"duration": duration}) if duration else ""

@@ -29,9 +29,9 @@ Values = Sequence[Any]
 _ONCE = "-1"
 _TYPE = r"[A-Za-z]\w*/[A-Za-z]\w*\Z"
 _EXPRESSION = r"-\s*(\d|\.\d|\(|[A-Za-z_]\w*\()"
-_FELL_BEHIND_S = 1.0
-_KEPT_UP = 0.95
-_MOST_TOLD = 5
+_MAX_LATENESS_S = 1.0
+_RATE_TOLERANCE = 0.95
+_MOST_WARNINGS = 5
 """The most different warnings that one command prints: a sine beyond the limits causes one per message."""
 
 
@@ -93,15 +93,15 @@ def pub(
         once, words = True, words[1:]
     _check_options(words, once, rate, file, stdin)
     name, *given = words
-    from_elsewhere = file is not None or stdin
-    target, given = _target(ctx, name, given, allow_unheard, from_elsewhere)
-    given, marked = without_once(given, 0 if from_elsewhere else len(target.typedefs[0]["fieldnames"]))
+    from_documents = file is not None or stdin
+    target, given = _target(ctx, name, given, allow_unheard, from_documents)
+    given, marked = without_once(given, 0 if from_documents else len(target.typedefs[0]["fieldnames"]))
     once = once or marked
     _check_options(words, once, rate, file, stdin)
-    sources = _from_documents(target, file, rate) if from_elsewhere else _from_words(target, given, rate, count)
+    sources = _from_documents(target, file, rate) if from_documents else _from_words(target, given, rate, count)
     source = islice(sources, 1 if once else count)
     advertise, stays = allow_unheard or latch, latch and not once
-    publish(ctx, target, source, rate, latch=latch, advertise=advertise, stays=stays, from_documents=from_elsewhere)
+    publish(ctx, target, source, rate, latch=latch, advertise=advertise, stays=stays, from_documents=from_documents)
 
 
 def _check_options(words: Sequence[str], once: bool, rate: float | None, file: str | None, stdin: bool) -> None:
@@ -117,7 +117,7 @@ def _check_options(words: Sequence[str], once: bool, rate: float | None, file: s
 
 
 def _target(
-    ctx: Context, name: str, given: list[str], allow_unheard: bool, from_elsewhere: bool
+    ctx: Context, name: str, given: list[str], allow_unheard: bool, from_documents: bool
 ) -> tuple[Target, list[str]]:
     """The topic, and the words without TYPE. Raises as `look_up` does."""
     try:
@@ -135,11 +135,11 @@ def _target(
             raise UsageError(f"there is no topic {name!r} yet, so give its TYPE", hint) from None
         full = names.check(names.join(ctx.namespace, name))
         target = Target(full, given[0], "", details(ctx, given[0]), [])
-    has_type = bool(given) and _is_type(given, target, from_elsewhere)
+    has_type = bool(given) and _is_type(given, target, from_documents)
     if has_type and given[0] != target.type:
         raise UsageError(f"{target.topic} has the type {target.type}, not {given[0]}", "TYPE may be left out")
     values = given[1:] if has_type else given
-    if from_elsewhere and any(word != _ONCE for word in values):
+    if from_documents and any(word != _ONCE for word in values):
         raise UsageError("a VALUE beside -f or --stdin: give one of them")
     return target, values
 
@@ -152,11 +152,11 @@ def _with_next_step(ctx: Context, name: str, error: SlidectlError, step: str) ->
     return error
 
 
-def _is_type(given: Sequence[str], target: Target, from_elsewhere: bool) -> bool:
+def _is_type(given: Sequence[str], target: Target, from_documents: bool) -> bool:
     """True when the first word is a TYPE. A lone word such as `a/b` is a value when the topic takes text."""
     if given[0] == target.type:
         return True
-    alone = [word for word in given if word != _ONCE] == [given[0]] and not from_elsewhere
+    alone = [word for word in given if word != _ONCE] == [given[0]] and not from_documents
     takes_text = target.typedefs[0]["fieldtypes"] == ["string"]
     return "/" in given[0] and bool(re.match(_TYPE, given[0])) and not (alone and takes_text)
 
@@ -240,7 +240,7 @@ def publish(
                 if rate is not None:
                     due = began + index / rate
                     late = client.monotonic() - due
-                    if late > _FELL_BEHIND_S:
+                    if late > _MAX_LATENESS_S:
                         began += late
                     ctx.pause(due - client.monotonic())
                 message = message_of(ctx, schema, values, rate is not None, index, index / (rate or 1.0))
@@ -248,7 +248,7 @@ def publish(
                 published += 1
                 latest = client.monotonic()
                 for reason in client.reasons:  # warnings of subscribers that accepted the message; each text once
-                    if reason not in told and len(told) < _MOST_TOLD:
+                    if reason not in told and len(told) < _MOST_WARNINGS:
                         told.add(reason)
                         ctx.warn(reason)
         except SlidectlError:
@@ -261,18 +261,18 @@ def publish(
             ctx.pause(limit)
             raise TimedOut(f"{topic} was latched for {limit:g} s")
     except KeyboardInterrupt:
-        _judge_rate(ctx, rate, published, latest - began)
+        _warn_low_rate(ctx, rate, published, latest - began)
         raise
-    _judge_rate(ctx, rate, published, latest - began)
+    _warn_low_rate(ctx, rate, published, latest - began)
     ctx.emit({"topic": topic, "type": target.type, "published": published, "subscribers": target.users}, "")
     ctx.detail(f"published {published} on {topic} to {', '.join(target.users) or 'nobody'}")
 
 
-def _judge_rate(ctx: Context, rate: float | None, published: int, seconds: float) -> None:
+def _warn_low_rate(ctx: Context, rate: float | None, published: int, seconds: float) -> None:
     """Warn when the rate was not reached. Ten messages or fewer are too few to judge it."""
     if rate is not None and published > 10:
         reached = (published - 1) / seconds if seconds > 0 else math.inf
-        if reached < _KEPT_UP * rate:
+        if reached < _RATE_TOLERANCE * rate:
             ctx.warn(f"published at {reached:.1f} Hz instead of {rate:g} Hz")
 
 

@@ -14,7 +14,7 @@ from slidectl.cli import completion, output
 from slidectl.cli.commands import command, finite, pixel_size, simulated_seconds
 from slidectl.cli.context import Context
 from slidectl.cli.terminal_progress import progress_bar
-from slidectl.cli.topic_streams import paused, way_on
+from slidectl.cli.topic_streams import paused, resume_hint
 from slidectl.errors import EXIT_INTERRUPTED, TimedOut, UsageError
 
 if TYPE_CHECKING:
@@ -161,7 +161,7 @@ def _time(ctx: Context, rate: Fraction) -> Iterator[Callable[[int], object]]:
                     lock.step(_LOOK_S)
                     return
                 if not is_told and (status := ctx.call("/slidectl/status"))["paused"]:
-                    ctx.warn(f"{paused(status)}; the video waits until it goes on: {way_on(status)}")
+                    ctx.warn(f"{paused(status)}; the video waits until it goes on: {resume_hint(status)}")
                     is_told = True
 
         yield advance

@@ -60,7 +60,7 @@ def shell(click_context: click.Context, file: str | None, keep_going: bool) -> N
     context: Context = click_context.obj
     try:
         if file is None and sys.stdin.isatty():
-            code = _converse(context)
+            code = _run_interactive(context)
         else:
             code = _run_script(context, file, keep_going)
     finally:
@@ -146,7 +146,7 @@ def _script(file: str | None) -> Iterator[tuple[str, Iterator[str]]]:
 # --- on a terminal --------------------------------------------------------------------------------------------------
 
 
-def _converse(context: Context) -> int:
+def _run_interactive(context: Context) -> int:
     """Run lines until Ctrl-D or `exit`. Ctrl-C discards a line. A command that fails does not end the shell."""
     save = _with_readline(context)
     while True:

@@ -36,7 +36,7 @@ _NO_STEPS = (
     "view",
 )
 """Commands that do not act in the world of a scenario, which exists already, or that need a terminal."""
-_BRING_OTHERS = ("param", "controller config", "service call", "launch", "ros", "sim load")
+_MAY_ADD_CONTROLLERS = ("param", "controller config", "service call", "launch", "ros", "sim load")
 """Commands, and groups, that may add controllers, or parameters of controllers, that no file of a spawn has."""
 _NO_ROS_STEPS = ("roscore", "roslaunch", "rosrun")
 _PLACE = re.compile(r"\[?([A-Z]+)\]?(\.\.\.)?\Z")
@@ -86,14 +86,14 @@ class StepRunner:
                 command.check_words(**values)
             except SlidectlError as error:
                 refusal = error
-        others = self._live or leaf.startswith(_BRING_OTHERS)  # a world with a daemon may have them already
+        others = self._live or leaf.startswith(_MAY_ADD_CONTROLLERS)  # a world with a daemon may have them already
         if leaf == "spawn":
             return CheckedWords(
                 controllers=values["controllers"] or "", named=tuple(values["start"]), model=values["model"],
-                brings_others=others or values["keep_going"], refusal=refusal,
+                may_add_controllers=others or values["keep_going"], refusal=refusal,
             )  # fmt: skip
         others = others or (leaf == "controller load" and values["source"] is not None)
-        return CheckedWords(named=_named(leaf, values), brings_others=others, refusal=refusal)
+        return CheckedWords(named=_named(leaf, values), may_add_controllers=others, refusal=refusal)
 
     def stays(self, words: Sequence[str]) -> bool:
         """True for a launch, the only command that goes on once it is up."""
@@ -217,9 +217,9 @@ def _check_launch(values: Mapping[str, Any], live: bool) -> CheckedWords:
         tasks = node_kinds.tasks(plan, lookup, gather=True)
         execution.look_ahead(plan, tasks, lookup, run_commands=False)
     except SlidectlError as refusal:
-        return CheckedWords(brings_others=True, refusal=refusal)
+        return CheckedWords(may_add_controllers=True, refusal=refusal)
     programs = [task for task in tasks if isinstance(task, Process)]
     if programs and not live:
         text = f"{programs[0].node.kind} is a program of its own, which needs a daemon"
         raise programs[0].error(text, "slidectl test --daemon runs the scenario in a daemon")
-    return CheckedWords(starts_programs=bool(programs), brings_others=True)
+    return CheckedWords(starts_programs=bool(programs), may_add_controllers=True)

@@ -15,7 +15,7 @@ from slidectl.cli import completion, output
 from slidectl.cli.commands import command, finite, positive_seconds
 from slidectl.cli.context import Context
 from slidectl.cli.terminal_keys import terminal_keys
-from slidectl.cli.topic_streams import SUBSCRIBERS, look_up, paused, users_of, way_on
+from slidectl.cli.topic_streams import SUBSCRIBERS, look_up, paused, resume_hint, users_of
 from slidectl.errors import Refused, SlidectlError, UsageError
 from slidectl.names import is_under
 from slidectl.viewing.teleoperation import TWIST, BaseDriver, Driver, JointDriver
@@ -57,7 +57,7 @@ def teleop(
     else:
         driver = BaseDriver(_topic_of_base(ctx, topic), 0.5 if speed is None else speed, turn)
     if (status := ctx.call("/slidectl/status"))["paused"]:
-        ctx.say(f"{paused(status)}; nothing moves until it goes on: {way_on(status)}")
+        ctx.say(f"{paused(status)}; nothing moves until it goes on: {resume_hint(status)}")
     _drive(ctx, driver, key_timeout)
 
 

@@ -156,25 +156,25 @@ def _read(ctx: Context, paths: Sequence[str], commands: Commands) -> tuple[list[
     """The named cases, and all cases of their files. Raises BadFile with all errors."""
     from slidectl.scenarios import scenario_file
 
-    slips: list[BadFile] = []
+    mistakes: list[BadFile] = []
     cases: list[Case] = []
     known: list[Case] = []
     for file, wanted in scenario_file.find(paths):
-        found = scenario_file.read(file, commands, slips)
+        found = scenario_file.read(file, commands, mistakes)
         known += found
         mine = [case for case in found if not wanted or case.name == wanted]
         if found and not mine:
             there = listing(case.name for case in found if case.name)
-            slips.append(BadFile(f"has no case {wanted!r}", file, hint=f"cases: {there}"))
+            mistakes.append(BadFile(f"has no case {wanted!r}", file, hint=f"cases: {there}"))
         cases += [case for case in mine if case not in cases]
-    if not slips:
+    if not mistakes:
         return cases, known
     if ctx.format == "json":
-        for slip in slips:
-            ctx.emit({"file": slip.file, "line": slip.line, "error": slip.reason, "hint": slip.hint})
-    more = "\n".join(map(str, slips[1:]))
-    hint = "\n".join(filter(None, [slips[0].hint, more]))
-    raise BadFile(slips[0].reason, slips[0].file, slips[0].line, hint or None)
+        for mistake in mistakes:
+            ctx.emit({"file": mistake.file, "line": mistake.line, "error": mistake.reason, "hint": mistake.hint})
+    more = "\n".join(map(str, mistakes[1:]))
+    hint = "\n".join(filter(None, [mistakes[0].hint, more]))
+    raise BadFile(mistakes[0].reason, mistakes[0].file, mistakes[0].line, hint or None)
 
 
 def _chosen(cases: Sequence[Case], keyword: str | None, tags: Sequence[str]) -> list[Case]:

@@ -167,7 +167,7 @@ class Stream:
             status, self._status = self._client.answer(self._status), None
             if status["paused"]:
                 self._ask_at = math.inf
-                self._ctx.say(f"{paused(status)}; nothing comes until it goes on: {way_on(status)}")
+                self._ctx.say(f"{paused(status)}; nothing comes until it goes on: {resume_hint(status)}")
         if now >= self._ask_at:
             self._ask_at = now + _ASK_AGAIN_S
             self._status = self._client.call_async("/slidectl/status")
@@ -178,7 +178,7 @@ def paused(status: dict[str, Any]) -> str:
     return "the simulation is paused" + (f" ({status['trouble']})" if status["trouble"] else "")
 
 
-def way_on(status: dict[str, Any]) -> str:
+def resume_hint(status: dict[str, Any]) -> str:
     """The commands that resume the paused world."""
     if status["trouble"]:
         return "slidectl sim reset, then slidectl sim resume"

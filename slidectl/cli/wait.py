@@ -12,7 +12,7 @@ import click
 from slidectl.cli import completion, output, robots
 from slidectl.cli.commands import command, finite, simulated_seconds, wait_for_world_s
 from slidectl.cli.context import Context
-from slidectl.cli.topic_streams import PUBLISHERS, look_up, paused, way_on
+from slidectl.cli.topic_streams import PUBLISHERS, look_up, paused, resume_hint
 from slidectl.errors import Refused, SlidectlError, TimedOut, UsageError
 from slidectl.msgs.schema import Schema, nanoseconds
 
@@ -91,7 +91,7 @@ def wait(
     status = ctx.call("/slidectl/status")
     robots.warn_stopped(ctx, status["estop"])
     if status["paused"]:
-        ctx.say(f"{paused(status)}; this waits until it goes on: {way_on(status)}")
+        ctx.say(f"{paused(status)}; this waits until it goes on: {resume_hint(status)}")
     deadline = ctx.client.monotonic() + limit
     try:
         if output.is_terminal(sys.stderr) and not ctx.quiet and not ctx.client.is_answered(call):

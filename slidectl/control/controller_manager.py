@@ -249,7 +249,7 @@ BEST_EFFORT = 1
 STRICT = 2
 MOST_NAMES = 1000
 """Of one request: a robot has a few dozen controllers at most, and hooks are called for every name."""
-_MOST_TOLD = 20
+_MOST_WARNINGS = 20
 
 
 @dataclass
@@ -312,10 +312,10 @@ def _known(
             raise UnknownName("controller", name, list(loaded), f"to {verb}")
         else:
             unknown += 1
-            if unknown <= _MOST_TOLD:
+            if unknown <= _MOST_WARNINGS:
                 node.log("warn", f"no controller {quoted(name)} to {verb}; the rest of the request goes on")
-    if unknown > _MOST_TOLD:
-        node.log("warn", f"and {unknown - _MOST_TOLD} more that are not there to {verb}")
+    if unknown > _MOST_WARNINGS:
+        node.log("warn", f"and {unknown - _MOST_WARNINGS} more that are not there to {verb}")
     if len(found) > MOST_NAMES:
         raise Refused(f"{len(found)} controllers to {verb}, and {MOST_NAMES} is the most in one request")
     return found

@@ -97,7 +97,7 @@ class InProcessWorld:
         self._waiting.append(connection)
         try:
             while not connection.has_lines and not self.stopping and self._wall_s < deadline:
-                if not self._look_after_others():
+                if not self._call_back_others():
                     others = (one.due_s for one in self.connections if one.on_lines and one not in self._waiting)
                     self._go_on(min([deadline, *others, self._wall_s + self.publications.release()]))
         finally:
@@ -155,7 +155,7 @@ class InProcessWorld:
             self._news = True
             self.simulation.loop.end_burst()
 
-    def _look_after_others(self) -> bool:
+    def _call_back_others(self) -> bool:
         """Call back other clients that have something to read. Returns True when there was one."""
         self.publications.fresh.clear()
         listening = [one for one in self.connections if one.on_lines and one not in self._waiting]

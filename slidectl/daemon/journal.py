@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 FORMAT = 1
 _LIBRARIES = ("mujoco", "numpy", "numba")
 PICTURE = "sensor_msgs/Image"
-_OF_THE_PROCESS = ("child", "journal", "replay", "until")
+_PROCESS_OPTIONS = ("child", "journal", "replay", "until")
 """Options of a daemon that do not describe its world."""
 _READS = re.compile(
     r"/rosapi/(?!set_param$|delete_param$).*|/gazebo/get_[^/]*|.*/controller_manager/list_[^/]*"
@@ -74,7 +74,7 @@ class Journal:
         except OSError as error:
             raise Refused(f"cannot write the journal {path}: {error.strerror}") from None
         file_reads.read = self._read
-        chosen = {name: value for name, value in asdict(options).items() if name not in _OF_THE_PROCESS}
+        chosen = {name: value for name, value in asdict(options).items() if name not in _PROCESS_OPTIONS}
         self._write(_text({"slidectl_journal": FORMAT, **written_by(), "options": chosen}))
         for module in user_modules.imported.values():
             self._note_module(module)

@@ -33,7 +33,7 @@ from slidectl.simulation.pending import Pending
 from slidectl.simulation.simulation import Simulation
 
 _UNREPEATABLE = "code of users that looks at the wall time, random numbers or other files is not repeatable"
-_BY_ITSELF = frozenset(("limit", "module"))
+_CONSUMED_ENTRIES = frozenset(("limit", "module"))
 """Entries that are not handled as input, but consumed when the world reaches them."""
 
 
@@ -128,7 +128,7 @@ class Replay:
         entries = self.contents.entries
         while True:
             self._at = self.taken
-            while self._at < len(entries) and not _BY_ITSELF.isdisjoint(entries[self._at]):
+            while self._at < len(entries) and not _CONSUMED_ENTRIES.isdisjoint(entries[self._at]):
                 self._at += 1
             if self._at == len(entries):
                 return False
@@ -167,7 +167,7 @@ class Replay:
             self._session(entry["client"]).take(entry["line"])
         elif "client" in entry:
             self._sessions[entry["client"]] = Session(
-                _Nobody(self._publications),
+                _DiscardingReader(self._publications),
                 self.simulation.graph,
                 self._publications,
                 self._unexpected,
@@ -291,7 +291,7 @@ class Replay:
         self.differs = f"{at}: {name} is {now!r} now and {then!r} in the journal{more}"
 
 
-class _Nobody:
+class _DiscardingReader:
     """The reader of a client that is not connected."""
 
     unread = 0

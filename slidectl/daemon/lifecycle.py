@@ -45,7 +45,7 @@ def start(paths: InstancePaths, options: DaemonOptions | None = None, timeout: f
         Refused: it ended, with the reason or the last lines of its log; or the folder is not private. TimedOut.
         KeyboardInterrupt: a process that was started here has been ended again.
     """
-    beginning = Beginning(paths, options)
+    beginning = DaemonStart(paths, options)
     try:
         return beginning.wait(timeout)
     except KeyboardInterrupt:
@@ -62,7 +62,7 @@ def options_of(pid: int) -> DaemonOptions | None:
         return None
 
 
-class Beginning:
+class DaemonStart:
     """The start of a daemon: its process is started at once, so that the caller can do other things before `wait`.
 
     Raises:

@@ -25,7 +25,7 @@ from slidectl.daemon.mesh_reader import MeshReader
 from slidectl.daemon.options import Start
 from slidectl.daemon.pacing import Pacer
 from slidectl.daemon.picture_queue import PictureQueue
-from slidectl.daemon.place import Place, TakenOver
+from slidectl.daemon.place import InstanceInUse, Place
 from slidectl.daemon.server import Server
 from slidectl.daemon.time_limit import TimeLimit
 from slidectl.errors import SlidectlError
@@ -155,17 +155,17 @@ class Daemon:
         self._server.tidy()
         if now >= self._next_look_s:
             self._next_look_s = now + _LOOK_EVERY_S
-            self._look_after_place()
+            self._repair_files()
         given_up = self._pacer.given_up_s
         if given_up > max(self._given_up_s + 1.0, 2.0 * self._given_up_s):  # less and less often, to keep the log short
             self._given_up_s = given_up
             self._log.write("warn", f"slower than asked: {given_up:.0f} s of wall time given up so far")
 
-    def _look_after_place(self) -> None:
+    def _repair_files(self) -> None:
         """Create deleted files again (cleaners of temporary folders delete them); end if another daemon replaced us."""
         try:
             gone, listener = self._place.repair()
-        except TakenOver as error:
+        except InstanceInUse as error:
             self._stopping = f"stopped: {error.message}"
             return
         except (SlidectlError, OSError) as error:  # it may be deleted while it is created again

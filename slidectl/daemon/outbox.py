@@ -32,7 +32,7 @@ _TIDY_EVERY = 128
 Message = dict[str, Any]
 Stamp = Callable[[], Message]
 """Returns the simulated time as a message stamp."""
-Entry = tuple[int, bytes, "Share | None"]
+Entry = tuple[int, bytes, "ReaderPosition | None"]
 """A waiting line with its number; without a share it is for one client alone."""
 
 
@@ -153,7 +153,7 @@ class Channel:
         self.topic = topic
         self.stamp = stamp
         self.period_s = period_s
-        self.readers: dict[Reader, Share] = {}
+        self.readers: dict[Reader, ReaderPosition] = {}
         self.first = 0
         """Index of the oldest stored line."""
         self.end = 0
@@ -229,7 +229,7 @@ class Channel:
         self._publications.kept -= size
 
 
-class Share:
+class ReaderPosition:
     """One reader's position in a channel. At most `limit` lines wait for it; older ones are lost to it."""
 
     def __init__(self, channel: Channel, limit: int) -> None:
@@ -269,7 +269,7 @@ class Outbox:
         self._report = report
         self._publications = publications
         self._own: deque[Entry] = deque()
-        self._shares: dict[Share, None] = {}
+        self._shares: dict[ReaderPosition, None] = {}
         self.unbounded = 0
         """Bytes of lines for this client alone (answers, refusals), which are never dropped."""
 
@@ -284,15 +284,15 @@ class Outbox:
         if self._publications.run.news_wanted:
             self._publications.run.note_message()
 
-    def join(self, share: Share) -> None:
+    def join(self, share: ReaderPosition) -> None:
         """Send the lines of this share from now on."""
         self._shares[share] = None
 
-    def leave(self, share: Share) -> None:
+    def leave(self, share: ReaderPosition) -> None:
         """Drop the share, with its waiting lines and its losses."""
         self._shares.pop(share, None)
 
-    def retire(self, share: Share) -> None:
+    def retire(self, share: ReaderPosition) -> None:
         """Drop the share, but send its waiting lines first."""
         self.leave(share)
         if lost := share.skip():
@@ -335,7 +335,7 @@ class Outbox:
         self.unbounded -= size
         return b"".join(taken)
 
-    def _make_piece(self, waiting: list[Share], losses: dict[Share, int], most: int) -> bytes:
+    def _make_piece(self, waiting: list[ReaderPosition], losses: dict[ReaderPosition, int], most: int) -> bytes:
         taken: list[bytes] = []
         size = own = 0
         for _, line, share in heapq.merge(self._own, *(share.entries() for share in waiting)):
@@ -360,7 +360,7 @@ class Outbox:
         return b"".join(taken)
 
 
-class Feed:
+class TopicFeed:
     """One connection's subscription of one topic. Of several requests the most generous values are used."""
 
     def __init__(self, topic: str, reader: Reader, publications: Publications, now: Stamp) -> None:
@@ -369,8 +369,8 @@ class Feed:
         self._reader = reader
         self._publications = publications
         self._now = now
-        self._wishes: dict[str | None, tuple[float, int, bool]] = {}
-        self._share: Share | None = None
+        self._requests: dict[str | None, tuple[float, int, bool]] = {}
+        self._share: ReaderPosition | None = None
         self._subscription: TopicSubscription | None = None
 
     def begin(self, topics: Topics, kind: str | None, node: str) -> None:
@@ -388,21 +388,21 @@ class Feed:
         The values: least wall ms between two messages, most waiting messages, and the simulated time with each message.
         """
         limit = min(queue_length, MOST_QUEUE) if queue_length > 0 else DEFAULT_QUEUE
-        self._wishes[wish_id] = (max(0.0, throttle_ms) / 1000, limit, stamped)
+        self._requests[wish_id] = (max(0.0, throttle_ms) / 1000, limit, stamped)
         self._update()
 
     def unwant(self, wish_id: str | None) -> bool:
         """Remove a request (None: all of them). Returns True when none is left."""
         if wish_id is None:
-            self._wishes.clear()
-        self._wishes.pop(wish_id, None)
-        if self._wishes:
+            self._requests.clear()
+        self._requests.pop(wish_id, None)
+        if self._requests:
             self._update()
-        return not self._wishes
+        return not self._requests
 
     def _wish(self) -> tuple[float, int, Stamp | None]:
         """Least wall seconds between two messages, most waiting messages, and the source of their time."""
-        periods, limits, stamped = zip(*self._wishes.values(), strict=True)
+        periods, limits, stamped = zip(*self._requests.values(), strict=True)
         return min(periods), max(limits), self._now if any(stamped) else None
 
     def _update(self) -> None:
@@ -426,7 +426,7 @@ class Feed:
     def _begin_to_read(self) -> Channel:
         period_s, limit, stamp = self._wish()
         channel = self._publications.channel(self.topic, stamp, period_s)
-        self._share = channel.readers[self._reader] = Share(channel, limit)
+        self._share = channel.readers[self._reader] = ReaderPosition(channel, limit)
         self._reader.outbox.join(self._share)
         return channel
 

@@ -16,7 +16,7 @@ from slidectl.processes import holder, is_at, lock
 _BACKLOG = 128
 
 
-class TakenOver(Refused):
+class InstanceInUse(Refused):
     """Another daemon uses this place."""
 
 
@@ -67,13 +67,13 @@ class Place:
             The names of deleted files, and the new socket if any.
 
         Raises:
-            TakenOver: another daemon is there. SlidectlError: a file cannot be created.
+            InstanceInUse: another daemon is there. SlidectlError: a file cannot be created.
         """
         gone: list[str] = []
         if self._lock_fd is None or not is_at(self._paths.lock, os.fstat(self._lock_fd)):
             gone.append("its lock" if self._paths.folder.is_dir() else "its folder")
             if not self.take():
-                raise TakenOver(f"another daemon (process {holder(self._paths.lock)}) has taken this place")
+                raise InstanceInUse(f"another daemon (process {holder(self._paths.lock)}) has taken this place")
         if is_at(self._paths.socket, self._socket_file):
             return gone, None
         gone.append("its socket")

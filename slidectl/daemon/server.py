@@ -216,7 +216,7 @@ class Connection:
         self._readable = True  # the kernel may have input for us
         self._ends = False  # the client sends no more than what has arrived
         self._ended = False  # no more will be read
-        self._deaf = False  # the client will never read more
+        self._never_reads = False  # the client will never read more
         self._waits_to_write = False
         self.open = True
         self._loop.watch(self._fd, READ | ONCE, self._ready)
@@ -260,7 +260,7 @@ class Connection:
                 break
         if self._failure is not None and not lines:
             failure, self._failure = self._failure, None
-            self._session.complain(failure, {})
+            self._session.send_error(failure, {})
         self._settle()
 
     def _receive(self) -> None:
@@ -285,7 +285,7 @@ class Connection:
 
     def send(self, line: bytes) -> None:
         """Send a line that must arrive: an answer or a refusal."""
-        if self._deaf:
+        if self._never_reads:
             return
         self.outbox.put(line)
         if not self._blocked:
@@ -330,7 +330,7 @@ class Connection:
         self._settle()
 
     def _stop_sending(self) -> None:
-        self._deaf = True
+        self._never_reads = True
         self._chunk = b""
         self.outbox.clear()
 
@@ -338,7 +338,7 @@ class Connection:
         """Update the events to wait for, and close when the end is reached."""
         lines = bool(self._incoming.lines)
         unsent = self.unsent
-        if self._ended and not lines and not unsent and (self._deaf or not self._session.waiting):
+        if self._ended and not lines and not unsent and (self._never_reads or not self._session.waiting):
             self.close()
         if not self.open:
             return

@@ -15,7 +15,7 @@ import slidectl
 from slidectl import msgs, names
 from slidectl.client.lines import LONGEST_LINE, BadLine, check_size, decode, encode
 from slidectl.control.node_handle import Reasons
-from slidectl.daemon.outbox import Feed, Publications, Reader
+from slidectl.daemon.outbox import Publications, Reader, TopicFeed
 from slidectl.errors import AmbiguousName, NoDescriptors, Refused, SlidectlError, UsageError, listing
 from slidectl.msgs.schema import nanoseconds
 from slidectl.simulation.clock import Timer
@@ -80,7 +80,7 @@ class Session:
         self._publications = publications
         self._level = LEVELS["warning"]
         self._publishers: dict[str, TopicPublisher] = {}
-        self._feeds: dict[str, Feed] = {}
+        self._feeds: dict[str, TopicFeed] = {}
         self._calls: dict[Pending, Any] = {}
         """Open calls, each with its id."""
         self._timed: dict[Timer, int] = {}
@@ -114,7 +114,7 @@ class Session:
                 what = "a message without an op" if op is None else f"unknown op {_shortened(op)}"
                 raise UsageError(what, f"ops: {listing(_OPERATIONS)}")
         except SlidectlError as error:
-            self.complain(error, message)
+            self.send_error(error, message)
         else:
             if self._journal is not None:
                 self._journal.take(self, line, message)
@@ -129,13 +129,13 @@ class Session:
         try:
             action(message)
         except SlidectlError as error:
-            self.complain(error, message)
+            self.send_error(error, message)
         except Exception as error:
             if isinstance(error, OSError) and error.errno in NoDescriptors.ERRNOS:
-                self.complain(NoDescriptors("the daemon"), message)
+                self.send_error(NoDescriptors("the daemon"), message)
                 return
             self.unexpected(f"{self.node} sent {repr(message)[:200]}")
-            self.complain(Refused(f"internal error: {error!r}; the daemon's log has more"), message)
+            self.send_error(Refused(f"internal error: {error!r}; the daemon's log has more"), message)
         finally:
             log.reasons = None
             self._graph.caller = 0
@@ -170,7 +170,7 @@ class Session:
         self._feeds.clear()
         self._graph.close_node(self.node)
 
-    def complain(self, error: SlidectlError, message: Message) -> None:
+    def send_error(self, error: SlidectlError, message: Message) -> None:
         """Send the error of a message to the client; a service call gets it as its answer."""
         if message.get("op") == "call_service" and isinstance(message.get("service"), str):
             asked = {"op": "service_response", "service": message["service"][: names.LONGEST]}
@@ -252,18 +252,18 @@ class Session:
         kind, stamped = _text(message, "type", "") or None, bool(message.get("stamped", False))
         feed = self._feeds.get(topic)
         if feed is None:
-            feed = Feed(topic, self._connection, self._publications, self._graph.clock.stamp)
-            feed.want(_wish_id(message), throttle, int(queue), stamped)
+            feed = TopicFeed(topic, self._connection, self._publications, self._graph.clock.stamp)
+            feed.want(_subscription_id(message), throttle, int(queue), stamped)
             feed.begin(self._graph.topics, kind, self.node)
             self._feeds[topic] = feed
             return
         if kind is not None:  # raises when the type is another one
             self._graph.topics.subscribe(topic, kind, self.node, lambda _: None).close()
-        feed.want(_wish_id(message), throttle, int(queue), stamped)
+        feed.want(_subscription_id(message), throttle, int(queue), stamped)
 
     def _unsubscribe(self, message: Message) -> None:
         topic = _name(message, "topic")
-        if _owned(self._feeds, topic, "subscribed").unwant(_wish_id(message)):
+        if _owned(self._feeds, topic, "subscribed").unwant(_subscription_id(message)):
             self._feeds.pop(topic).close()
 
     # --- services -----------------------------------------------------------------------------------------------
@@ -436,7 +436,7 @@ def _given_id(message: Message) -> Message:
     return {"id": message["id"]} if "id" in message else {}
 
 
-def _wish_id(message: Message) -> str | None:
+def _subscription_id(message: Message) -> str | None:
     """The id that distinguishes a subscription from others of the same connection."""
     given = message.get("id")
     return None if given is None else str(given)

@@ -12,7 +12,7 @@ from typing import Literal
 
 from slidectl.errors import NotThere
 
-Forgiven = Literal["nothing", "nodes", "all"]
+AllowedMissing = Literal["nothing", "nodes", "all"]
 """What may be left out without an error: `nodes` is --skip-unknown, `all` is --keep-going."""
 
 TO_GO_ON = "--keep-going leaves out what is not there"
@@ -36,7 +36,7 @@ class Absence:
 class Missing:
     """The absences of one launch, spawn or check, in the order of reading; each is kept once."""
 
-    def __init__(self, forgiven: Forgiven = "nothing") -> None:
+    def __init__(self, forgiven: AllowedMissing = "nothing") -> None:
         self.forgiven = forgiven
         self._found: dict[str, Absence] = {}
 

@@ -18,7 +18,7 @@ from slidectl.description.gazebo_tags import GazeboReader
 from slidectl.description.mesh_files import SUFFIXES, MeshFiles, MissingMesh, UnknownMesh
 from slidectl.description.packages import Packages
 from slidectl.description.report import Report, one_line
-from slidectl.description.rigid_bodies import WORLD, Weigher
+from slidectl.description.rigid_bodies import WORLD, InertiaCorrector
 from slidectl.description.robot import (
     MOVING,
     Box,
@@ -101,7 +101,7 @@ def parse_tree(root: Element, meshes: MeshFiles, report: Report, strict: bool = 
     if not report.faults and base is not None:
         if base == WORLD and (inertial := link_at[base].find("inertial")) is not None:
             report.ignored(inertial, "the world does not move", f"link {base!r}/<inertial>")
-        links = Weigher(links, joints, link_at, report, strict).weigh(base)
+        links = InertiaCorrector(links, joints, link_at, report, strict).weigh(base)
     known = dict.fromkeys(part.get("name") or "" for part in root.find_all("link"))
     ends = {part.get("name") or "": (_end(part, "parent"), _end(part, "child")) for part in root.find_all("joint")}
     gazebo = GazeboReader(report, known, ends)

@@ -96,7 +96,7 @@ def can_be_simulated(body: RigidBody, links: Mapping[str, Link]) -> bool:
 
 
 @dataclass(frozen=True)
-class _Unfit:
+class _ImpossibleInertial:
     """A link with an impossible mass or inertia, and the tag below `<inertial>` that has it."""
 
     link: str
@@ -108,7 +108,7 @@ class _Unfit:
         report.converted(self.place, f"{self.why}; {consequence}", f"{_subject(self.link)}/<{self.tag}>")
 
 
-class Weigher:
+class InertiaCorrector:
     """Corrects the bodies of one robot, with a notice for each link that cannot be simulated as written."""
 
     def __init__(
@@ -159,7 +159,7 @@ class Weigher:
         if not all(abs(part) <= LARGEST for part in (whole.mass, *whole.inertia, *whole.origin.xyz)):
             raise self.link_at[body.head].error(f"link {body.head!r}: its masses or inertias are too large")
 
-    def _mend(self, body: RigidBody, written: Inertial, unfit: Sequence[_Unfit]) -> None:
+    def _mend(self, body: RigidBody, written: Inertial, unfit: Sequence[_ImpossibleInertial]) -> None:
         mass, moments = inertia.nearest_possible(written.mass, written.inertia)
         mended = replace(written, mass=mass, inertia=moments)
         self._refuse_too_large(body, mended)
@@ -177,8 +177,8 @@ class Weigher:
             self.report.converted(place, f"{text}; {whole} simulated with {change}", _subject(weighing[0]))
         for link in weighing:
             self.links[link] = replace(self.links[link], inertial=None)
-        bearer = weighing[0] if len(weighing) == 1 else body.head
-        self.links[bearer] = replace(self.links[bearer], inertial=mended)
+        target_link = weighing[0] if len(weighing) == 1 else body.head
+        self.links[target_link] = replace(self.links[target_link], inertial=mended)
 
     def _give_least(self, body: RigidBody) -> None:
         """Give a moving body that has no mass at all the smallest mass and inertia."""
@@ -193,14 +193,14 @@ class Weigher:
         self.report.wrong(place, f"{why}; {hint}. It is simulated with {_weight(given)}", f"link {body.head!r}")
         self.links[body.head] = replace(self.links[body.head], inertial=given)
 
-    def _unfit(self, body: RigidBody) -> Iterator[_Unfit]:
+    def _unfit(self, body: RigidBody) -> Iterator[_ImpossibleInertial]:
         for link in body.links:
             inertial = self.links[link].inertial
             why = why_unfit(inertial) if inertial is not None else None
             if inertial is not None and why is not None:
                 tag = "inertia" if inertia.is_mass(inertial.mass) else "mass"
                 above = self._inertial_of(link)
-                yield _Unfit(link, tag, above.find(tag) or above, why)
+                yield _ImpossibleInertial(link, tag, above.find(tag) or above, why)
 
     def _inertial_of(self, link: str) -> Element:
         element = self.link_at[link]

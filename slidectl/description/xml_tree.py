@@ -161,7 +161,7 @@ class _Reader:
             return None
         if isinstance(source, bytes) and not is_utf8(source):
             return 'it is not UTF-8: save it as that, or begin with <?xml version="1.0" encoding="..."?>'
-        return _slip(source.encode() if isinstance(source, str) else source, self.parser.ErrorByteIndex)
+        return _add_mistake(source.encode() if isinstance(source, str) else source, self.parser.ErrorByteIndex)
 
     def without_leading_blanks(self, source: str | bytes) -> str | bytes:
         """Remove blanks before `<?xml` (such as the first line of a here-document), which XML does not allow."""
@@ -213,7 +213,7 @@ class _Reader:
         raise BadFile(f"uses the unknown XML entity {name!r}", self.file, self.line, "write its text in its place")
 
 
-def _slip(source: bytes, place: int) -> str | None:
+def _add_mistake(source: bytes, place: int) -> str | None:
     """A hint about the mistake at `place` (a byte index without leading blanks), where the syntax error is."""
     text = source.lstrip(b"\xef\xbb\xbf \t\r\n")
     before, here = text[:place], text[place : place + 1]

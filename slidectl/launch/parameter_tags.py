@@ -56,7 +56,7 @@ def _setting(tag: Tag, name: str) -> Setting:
         raise tag.error(f"the type {kind!r} is none of {', '.join(TYPES)}")
     given = [source for source in SOURCES if tag.element.get(source) is not None]
     if len(given) != 1:
-        found = f"not {len(given)} of them" if given else f"and none is there{tag.slip(SOURCES)}"
+        found = f"not {len(given)} of them" if given else f"and none is there{tag.mistake(SOURCES)}"
         raise tag.error(f"{name} needs exactly one of {', '.join(SOURCES)}, {found}")
     [source] = given
     if source == "value":

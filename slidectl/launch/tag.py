@@ -204,10 +204,10 @@ class Tag:
         value = self.get(attribute)
         if value is None or not value.strip():
             there = "is empty" if value is not None else "is missing"
-            raise self.error(f"the attribute {attribute!r} {there}{self.slip([attribute])}")
+            raise self.error(f"the attribute {attribute!r} {there}{self.mistake([attribute])}")
         return value
 
-    def slip(self, missing: Collection[str]) -> str:
+    def mistake(self, missing: Collection[str]) -> str:
         """A text ` (...)` about a similar attribute that may be a typing error for a missing one; else empty."""
         for name in self.element.attributes:
             if name not in (*missing, *CONDITIONS) and (near := closest(name, missing)):

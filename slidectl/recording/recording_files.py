@@ -456,8 +456,8 @@ def _open_bag(path: Path, file: BinaryIO) -> Recording:
         try:
             return _BagRecording(path, file)
         except Exception:  # the library raises many classes
-            return _CutBag(path, file, "its index is damaged")
-    return _CutBag(path, file, "it was not closed" if not index else "it is cut off")
+            return _TruncatedBag(path, file, "its index is damaged")
+    return _TruncatedBag(path, file, "it was not closed" if not index else "it is cut off")
 
 
 class _BagRecording(Recording):
@@ -504,7 +504,7 @@ class _BagRecording(Recording):
             self._reader.close()
 
 
-class _Scanned(Recording):
+class _SequentialRecording(Recording):
     """A recording that is read from the beginning to its end, without an index."""
 
     def __init__(self, path: Path, file: BinaryIO, damage: str) -> None:
@@ -543,7 +543,7 @@ class _Scanned(Recording):
         return self._summary
 
 
-class _CutBag(_Scanned):
+class _TruncatedBag(_SequentialRecording):
     def _scan(self) -> Iterator[Record]:
         from slidectl.recording.rosbags_adapter import chunks
 
@@ -556,7 +556,7 @@ class _CutBag(_Scanned):
                 yield from records
 
 
-class _McapRecording(_Scanned):
+class _McapRecording(_SequentialRecording):
     """An MCAP file. Its index is not used: the library's sequential reader is faster."""
 
     def __init__(self, path: Path, file: BinaryIO) -> None:

@@ -157,18 +157,18 @@ def find(words: Sequence[str]) -> list[tuple[str, str]]:
     return list(dict.fromkeys(found))
 
 
-def read(file: str, commands: Commands, slips: list[BadFile]) -> list[Case]:
-    """Read the cases of a file; its mistakes are added to `slips`."""
-    reader = _Reader(file, commands, slips)
+def read(file: str, commands: Commands, mistakes: list[BadFile]) -> list[Case]:
+    """Read the cases of a file; its mistakes are added to `mistakes`."""
+    reader = _Reader(file, commands, mistakes)
     try:
         documents = yaml_tree.documents(read_file(Path(file), pipes=True), file, yaml.SafeLoader)
     except BadFile as error:
-        slips.append(error)
+        mistakes.append(error)
         return []
     if len(documents) != 1:
         line = documents[1].start_mark.line + 1 if documents else None
         what = "a second document: one scenario a file" if documents else "is empty"
-        slips.append(BadFile(what, file, line))
+        mistakes.append(BadFile(what, file, line))
         return []
     return reader.cases(documents[0])
 
@@ -179,10 +179,10 @@ KeyPath = tuple[str | int, ...]
 class _Reader:
     """Reads one file. Lines are stored by the path of a value."""
 
-    def __init__(self, file: str, commands: Commands, slips: list[BadFile]) -> None:
+    def __init__(self, file: str, commands: Commands, mistakes: list[BadFile]) -> None:
         self._file = file
         self._commands = commands
-        self._slips = slips
+        self._mistakes = mistakes
         self._lines: dict[KeyPath, int] = {}
         self._loader = yaml.SafeLoader("")
         self._pairs = yaml_tree.MergedPairs(file).of
@@ -191,13 +191,13 @@ class _Reader:
         """The number of mistakes found, including repeated ones."""
         self._checked: dict[tuple[str, ...], SlidectlError | CheckedWords] = {(): CheckedWords()}
 
-    def _slip(self, path: KeyPath, message: str, hint: str | None = None) -> None:
+    def _add_mistake(self, path: KeyPath, message: str, hint: str | None = None) -> None:
         self._told += 1
         while path and path not in self._lines:
             path = path[:-1]
-        slip = BadFile(message, self._file, self._lines.get(path), hint)
-        if str(slip) not in map(str, self._slips):  # every case of a table finds the same mistakes
-            self._slips.append(slip)
+        mistake = BadFile(message, self._file, self._lines.get(path), hint)
+        if str(mistake) not in map(str, self._mistakes):  # every case of a table finds the same mistakes
+            self._mistakes.append(mistake)
 
     def _value(self, node: yaml.Node, path: KeyPath) -> Any:
         """The value of a node. Raises BadFile."""
@@ -212,7 +212,7 @@ class _Reader:
                     raise BadFile("a list or mapping is no name: names are text", self._file, line)
                 name = str(key.value)
                 if name in found:
-                    self._slip((*path, name), f"{name!r} stands here twice")
+                    self._add_mistake((*path, name), f"{name!r} stands here twice")
                 found[name] = self._value(value, (*path, name))
                 self._lines[(*path, name)] = key.start_mark.line + 1
             return found
@@ -229,15 +229,15 @@ class _Reader:
         try:
             tree = self._value(node, ())
         except BadFile as error:
-            self._slips.append(error)
+            self._mistakes.append(error)
             return []
         if not isinstance(tree, dict):
-            self._slip((), "a scenario is a mapping: steps, vars, cases, ...")
+            self._add_mistake((), "a scenario is a mapping: steps, vars, cases, ...")
             return []
-        before = len(self._slips)
+        before = len(self._mistakes)
         self._check_keys(tree, SCENARIO_KEYS, (), "scenario")
         if not tree.get("steps"):
-            self._slip((), "a scenario has steps", "steps:\n  - spawn: slider")
+            self._add_mistake((), "a scenario has steps", "steps:\n  - spawn: slider")
         world = tree.get("world") or {}
         if isinstance(world, dict):
             world = {name: value for name, value in world.items() if value is not None or name not in WORLD_KEYS}
@@ -245,7 +245,7 @@ class _Reader:
         golden = tree.get("baseline") or {}
         if isinstance(golden, dict):
             self._check_keys(golden, BASELINE_KEYS, ("baseline",), "baseline")
-        if len(self._slips) > before:
+        if len(self._mistakes) > before:
             return []
         name = str(tree.get("name") or Path(self._file).stem)
         tolerance = float(golden.get("tol") or 0.0)
@@ -266,19 +266,19 @@ class _Reader:
             return
         names: set[str] = set()
         if not table:
-            self._slip(("cases",), "'cases' is empty: nothing would run")
+            self._add_mistake(("cases",), "'cases' is empty: nothing would run")
         for index, row in enumerate(table):
             path: KeyPath = ("cases", index)
             own = {key: value for key, value in row.items() if key in CASE_KEYS}
             given = {key: value for key, value in row.items() if key not in CASE_KEYS}
-            before = len(self._slips)
+            before = len(self._mistakes)
             self._check_keys(own, CASE_KEYS, path, "case")
             self._check_names(given, path)
-            if len(self._slips) > before:
+            if len(self._mistakes) > before:
                 continue
             name = str(own.get("name") or "-".join(map(as_word, given.values())) or index + 1)
             if name in names:
-                self._slip(path, f"a second case {name!r}", "give the cases a name each")
+                self._add_mistake(path, f"a second case {name!r}", "give the cases a name each")
             names.add(name)
             tags = (*base.tags, *(own.get("tags") or ()))
             yield replace(base, name=name, tags=tags, xfail=own.get("xfail") or base.xfail), {**variables, **given}
@@ -286,7 +286,7 @@ class _Reader:
     def _check_names(self, variables: Mapping[str, Any], path: KeyPath) -> None:
         for name in variables:
             if not _NAME.match(name) or name in _GIVEN:
-                self._slip((*path, name), f"{name!r} is no name for a variable: letters, digits and '_'")
+                self._add_mistake((*path, name), f"{name!r} is no name for a variable: letters, digits and '_'")
 
     # --- keys and values ----------------------------------------------------------------------------------------
 
@@ -294,15 +294,17 @@ class _Reader:
         for name, value in given.items():
             if name not in known:
                 meant = self._meant(name, known)
-                self._slip((*path, name), f"no field {name!r} in a {what}.{meant}", f"fields: {', '.join(known)}")
+                self._add_mistake(
+                    (*path, name), f"no field {name!r} in a {what}.{meant}", f"fields: {', '.join(known)}"
+                )
             elif (value is not None or known[name].kind == "reason") and (expected := _not(known[name].kind, value)):
-                self._slip((*path, name), f"{name!r} is {expected}, not {as_word(value).strip() or 'empty'}")
+                self._add_mistake((*path, name), f"{name!r} is {expected}, not {as_word(value).strip() or 'empty'}")
 
     # --- steps --------------------------------------------------------------------------------------------------
 
     def _steps(self, tree: Mapping[str, Any], variables: Mapping[str, Any]) -> Iterator[ScenarioStep]:
         reached = 0.0
-        earlier = _Earlier(is_alone=not (tree.get("world") or {}).get("imports"))
+        earlier = _EarlierSteps(is_alone=not (tree.get("world") or {}).get("imports"))
         for section in SECTIONS:
             for index, content in enumerate(tree.get(section) or ()):
                 path: KeyPath = (section, index)
@@ -312,13 +314,15 @@ class _Reader:
                     if step is not None:
                         earlier.judge(step, self._check_words(step.words))
                 except SlidectlError as error:
-                    self._slip(path, error.message, error.hint)
+                    self._add_mistake(path, error.message, error.hint)
                 if step is None:
                     earlier.is_whole = False
                     continue
                 if step.at is not None:
                     if step.at < reached:
-                        self._slip((*path, "at"), f"{step.at:g} s is in the past: an earlier step is at {reached:g} s")
+                        self._add_mistake(
+                            (*path, "at"), f"{step.at:g} s is in the past: an earlier step is at {reached:g} s"
+                        )
                     reached = step.at
                 if _sets_clock(step.words):
                     reached = 0.0
@@ -337,7 +341,7 @@ class _Reader:
         for key in list(commands) if len(commands) > 1 else ():
             if key.partition(" ")[0] not in self._tops():
                 text = f"no field {key!r} in a step.{self._meant(key, STEP_KEYS)}"
-                self._slip((*path, key), text, self._steps_and_fields())
+                self._add_mistake((*path, key), text, self._steps_and_fields())
                 commands.remove(key)
         if self._told > before:
             own = {}
@@ -396,7 +400,7 @@ class _Reader:
                 verbs = [command for command in known if command.split()[0] == begin[0]]
                 raise UsageError(f"{name!r} with options is one of: {', '.join(verbs)}")
             return begin + words_of(
-                known[" ".join(begin)], value, lambda slip: self._slip(path, slip.message, slip.hint)
+                known[" ".join(begin)], value, lambda mistake: self._add_mistake(path, mistake.message, mistake.hint)
             )
         if isinstance(value, list):
             return begin + [as_word(item) for item in value]
@@ -467,7 +471,7 @@ def _fill(text: str, value_of: Callable[[str], Any]) -> Any:
 
 
 @dataclass
-class _Earlier:
+class _EarlierSteps:
     """The effects of the steps before a step, as far as their words show them."""
 
     is_alone: bool
@@ -483,7 +487,7 @@ class _Earlier:
         """Check a step and add its effects. Raises SlidectlError if it can only fail."""
         is_there = TEMPORARY not in " ".join(step.words)
         files = (*self.files, checked.controllers) if checked.controllers else self.files
-        self.is_alone &= not checked.brings_others and (files == self.files or (is_there and not step.fails))
+        self.is_alone &= not checked.may_add_controllers and (files == self.files or (is_there and not step.fails))
         is_whole, self.is_whole = self.is_whole, self.is_whole and files == self.files
         may_be_made = checked.model and (not is_there or any(checked.model in word for word in self.words))
         if checked.refusal is not None and not step.fails and not may_be_made:

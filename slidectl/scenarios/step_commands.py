@@ -66,7 +66,7 @@ class CheckedWords(NamedTuple):
     """The parameter file of a spawn."""
     named: tuple[str, ...] = ()
     """The controllers that must have parameters."""
-    brings_others: bool = False
+    may_add_controllers: bool = False
     """True when controllers, or their parameters, may come from elsewhere than the files of spawns."""
     model: str = ""
     """The model of a spawn."""
@@ -118,8 +118,8 @@ def words_of(command: StepCommand, given: Mapping[str, Any], tell: Callable[[Sli
                 words += _option_words(command, options[name], value)
             elif name not in arguments:
                 raise UnknownName("option", name, [*arguments, *options], f"of {command.name}")
-        except SlidectlError as slip:
-            tell(slip)
+        except SlidectlError as mistake:
+            tell(mistake)
     places: list[str] = []
     for argument in command.arguments:
         if argument.name in given:

@@ -35,7 +35,7 @@ _MOST_WAITING = 10_000
 """The most late messages of one topic."""
 
 
-class Asked(NamedTuple):
+class FaultRequest(NamedTuple):
     """A checked request for a fault. It acts in cycles with a time from `start_ns` on and before `end_ns`."""
 
     name: str
@@ -56,7 +56,7 @@ class Asked(NamedTuple):
 class Fault:
     """One fault, and its state so far. Subclasses define the effect."""
 
-    def __init__(self, asked: Asked) -> None:
+    def __init__(self, asked: FaultRequest) -> None:
         self.asked = asked
         self.count = 0
         """The number of cycles, or messages, in which it acted."""
@@ -103,7 +103,7 @@ class RobotFault(Fault):
     busy_until_ns = 0
     """The end of a slow update that began with the last read; 0 when there is none."""
 
-    def __init__(self, asked: Asked, robot: SpawnedRobot) -> None:
+    def __init__(self, asked: FaultRequest, robot: SpawnedRobot) -> None:
         super().__init__(asked)
         self.robot = robot
         self.part = asked.part
@@ -127,7 +127,7 @@ class SignalFault(RobotFault):
     Subclasses override `change`.
     """
 
-    def __init__(self, asked: Asked, robot: SpawnedRobot) -> None:
+    def __init__(self, asked: FaultRequest, robot: SpawnedRobot) -> None:
         super().__init__(asked, robot)
         self.is_of_command = asked.kind.startswith("command")
 
@@ -219,7 +219,7 @@ class LostSignal(SignalFault):
 class LateSignal(SignalFault):
     """Delays the values by a time; before that has passed, the first known values are used."""
 
-    def __init__(self, asked: Asked, robot: SpawnedRobot) -> None:
+    def __init__(self, asked: FaultRequest, robot: SpawnedRobot) -> None:
         super().__init__(asked, robot)
         self.past: deque[tuple[int, Values]] = deque()
         """Times and values; the first entry is the one in use."""
@@ -245,7 +245,7 @@ class LateSignal(SignalFault):
 class ChangeFault(RobotFault):
     """Changes the model while the fault acts."""
 
-    def __init__(self, asked: Asked, robot: SpawnedRobot, change: Change) -> None:
+    def __init__(self, asked: FaultRequest, robot: SpawnedRobot, change: Change) -> None:
         super().__init__(asked, robot)
         self.change = change
 
@@ -275,7 +275,7 @@ class ChangeFault(RobotFault):
 class PushFault(RobotFault):
     """A wrench on a link."""
 
-    def __init__(self, asked: Asked, robot: SpawnedRobot, world: World) -> None:
+    def __init__(self, asked: FaultRequest, robot: SpawnedRobot, world: World) -> None:
         super().__init__(asked, robot)
         self._world = world
 
@@ -346,7 +346,7 @@ class FaultyCycle:
 
     def take(self, faults: list[RobotFault]) -> None:
         """Replace the active faults."""
-        self.put_true()
+        self.restore_true_values()
         self._faults = faults
         self.follow()
 
@@ -362,7 +362,7 @@ class FaultyCycle:
     def read(self, time_ns: int, period_s: float) -> None:
         if any(fault.busy_until_ns for fault in self._faults):
             return
-        self.put_true()
+        self.restore_true_values()
         self._stages.read(time_ns, period_s)
         hardware = self._robot.parts.hardware
         handles = [handle for joint in hardware.interfaces() for handle in hardware.handles(joint)]
@@ -406,7 +406,7 @@ class FaultyCycle:
         for handle, attribute, command in commands:
             setattr(handle, attribute, command)
 
-    def put_true(self) -> None:
+    def restore_true_values(self) -> None:
         """Set the handles to the true values of the last read."""
         for handle, position, velocity, effort in self._true:
             handle.position, handle.velocity, handle.effort = position, velocity, effort
@@ -420,7 +420,7 @@ class FaultyCycle:
                 fault.end()
             self._faults = [fault for fault in self._faults if fault not in over]
             if not self._faults:
-                self.put_true()
+                self.restore_true_values()
                 self.follow()
         return self._faults
 
@@ -571,7 +571,7 @@ class Faults:
         full = names.resolve(target, targets, kind=target_kind, namespace=namespace)
         robot, part = targets[full]
         owner = robot.name if robot is not None else ""
-        asked = Asked(self._free_name(name, kind), kind, full, owner, part, start_ns, end_ns, seed, checked)
+        asked = FaultRequest(self._free_name(name, kind), kind, full, owner, part, start_ns, end_ns, seed, checked)
         fault = self._made(asked)
         if isinstance(fault, ChangeFault):
             fault.change.check()
@@ -601,11 +601,11 @@ class Faults:
             self._install(fault)
         return gone
 
-    def asked(self) -> list[Asked]:
+    def asked(self) -> list[FaultRequest]:
         """The requests of all faults, for `make`."""
         return [fault.asked for fault in self._faults.values()]
 
-    def make(self, wanted: Sequence[Asked]) -> None:
+    def make(self, wanted: Sequence[FaultRequest]) -> None:
         """Replace all faults by new ones. The caller then restores their state and calls `go_on`.
 
         Raises Refused: a fault is on a joint or a link that does not exist.
@@ -697,7 +697,7 @@ class Faults:
             number += 1
         return name or f"{stem}_{number}"
 
-    def _made(self, asked: Asked) -> Fault:
+    def _made(self, asked: FaultRequest) -> Fault:
         kind, options, world = asked.kind, asked.options, self._simulation.world
         if KINDS[kind].target == "topic":
             return TopicFault(asked)

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from slidectl.simulation.lockstep import LockStepService
     from slidectl.simulation.spawned_robots import SpawnedRobot
 
-FEW = 16
+LEAST_TABLE_CYCLES = 16
 """With fewer cycles than this, when not driven, copying the state into the tables and back costs more than it saves."""
 
 
@@ -280,7 +280,7 @@ class Loop:
             self.between_cycles("step")
         if not self.engine.is_settled:
             self.engine.advance(cycles)
-        runner = self.runner if self.driven or cycles >= FEW else self.plain
+        runner = self.runner if self.driven or cycles >= LEAST_TABLE_CYCLES else self.plain
         left, run = cycles, self.run
         try:
             while left > 0:

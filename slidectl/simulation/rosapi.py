@@ -20,7 +20,7 @@ from slidectl.simulation.parameters import Parameters
 NODE = "/rosapi"
 _ACTION = ("cancel", "feedback", "result", "status")
 """The topics of an action, besides its goal."""
-Offer = tuple[str, Callable[[Message], Message]]
+ServiceEntry = tuple[str, Callable[[Message], Message]]
 """The service type without its package, and the handler."""
 
 _LONGEST = 8 * 1024 * 1024
@@ -38,7 +38,7 @@ def advertise(graph: Graph) -> None:
         node.advertise_service(name, f"rosapi/{kind}", answer)
 
 
-def _graph_services(graph: Graph) -> dict[str, Offer]:
+def _graph_services(graph: Graph) -> dict[str, ServiceEntry]:
     topics, services = graph.topics, graph.services
 
     def listing() -> Message:
@@ -97,7 +97,7 @@ def _having(types: dict[str, str], wanted: str) -> list[str]:
 # Types: the requested one, then its parts, depth first, each once, as in rosapi
 
 
-def _type_services() -> dict[str, Offer]:
+def _type_services() -> dict[str, ServiceEntry]:
     """The services for types. An unknown type fails the call, with similar names."""
 
     def details(type_name: str) -> Message:
@@ -148,7 +148,7 @@ def _example(field: msgs.Field, value: Any) -> str:
 # Parameters: values are JSON text
 
 
-def _parameter_services(parameters: Parameters) -> dict[str, Offer]:
+def _parameter_services(parameters: Parameters) -> dict[str, ServiceEntry]:
     def get(request: Message) -> Message:
         default = _text_or_json(request["default"]) if request["default"] else MISSING
         value = parameters.look(absolute(request["name"]), default)

@@ -89,7 +89,7 @@ class Simulation:
         self.snapshots = Snapshots(self)
         self.kept: dict[str, object] = {}
         """Objects that a snapshot saves in addition to world, clock, parameters and robots, by name. Any module may
-        add one. `kept_state` defines which of an object's attributes are saved."""
+        add one. `saved_state` defines which of an object's attributes are saved."""
         self.chosen: set[str] = set()
         """The settings (`speed`, `timestep`, `gravity`) that the user has set. A world file does not change them."""
         self.world.clock = self.graph.clock.now_ns

@@ -26,8 +26,8 @@ from slidectl.fault_kinds import checked_options
 from slidectl.physics import mujoco_library
 from slidectl.physics.hulls import Hull, MeshSource
 from slidectl.simulation.clock import NEVER
-from slidectl.simulation.faults import Asked
-from slidectl.simulation.kept_state import NOT_SAVED, Method, Named, NotSaved, Ref, SavedObject
+from slidectl.simulation.faults import FaultRequest
+from slidectl.simulation.saved_state import NOT_SAVED, Method, Named, NotSaved, Ref, SavedObject
 from slidectl.simulation.snapshots import Snapshot, SpawnedAs
 
 MAGIC = b"slidectl snapshot\n"
@@ -131,7 +131,7 @@ def _unpack_all(packed: _Packed) -> Snapshot:
         SpawnedAs(**{**one, "hulls": dict(_hull(*hull) for hull in one["hulls"])}) for one in values.pop("robots")
     ]
     values["is_from_file"] = True
-    faults = [Asked(*one) for one in values.pop("faults")]
+    faults = [FaultRequest(*one) for one in values.pop("faults")]
     entries = [SavedObject(*entry) for entry in values.pop("entries")]
     return Snapshot(robots=robots, faults=faults, entries=entries, **values)
 

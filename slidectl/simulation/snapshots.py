@@ -24,8 +24,8 @@ from slidectl.errors import BadName, Refused, SlidectlError, UnknownName
 from slidectl.physics.hulls import Hulls
 from slidectl.rotations import Pose
 from slidectl.simulation.action_server import ActionGoal
-from slidectl.simulation.faults import Asked
-from slidectl.simulation.kept_state import Restoring, SavedObject, Saving
+from slidectl.simulation.faults import FaultRequest
+from slidectl.simulation.saved_state import Restoring, SavedObject, Saving
 from slidectl.simulation.spawned_robots import ParsedRobot, SpawnedRobot
 
 if TYPE_CHECKING:
@@ -89,7 +89,7 @@ class Snapshot:
     is_from_file: bool
     """True when it was read from a file: its values may be invalid."""
     robots: list[SpawnedAs]
-    faults: list[Asked]
+    faults: list[FaultRequest]
     parameters: dict[str, Any]
     world: dict[str, Any]
     entries: list[SavedObject]

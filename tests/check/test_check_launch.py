@@ -91,7 +91,9 @@ SLIPS = [
 ]
 
 
-@pytest.mark.parametrize(("part", "start", "end"), [slip[1:] for slip in SLIPS], ids=[slip[0] for slip in SLIPS])
+@pytest.mark.parametrize(
+    ("part", "start", "end"), [mistake[1:] for mistake in SLIPS], ids=[mistake[0] for mistake in SLIPS]
+)
 def test_a_slip_is_found_at_its_line(launch: Launch, part: str, start: str, end: str) -> None:
     (line,) = launch(ROBOT, part).of("ignored", "wrong")
     assert line.startswith(start)

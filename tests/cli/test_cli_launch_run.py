@@ -108,8 +108,8 @@ def test_the_tutorials_slip_is_pointed_out_with_its_line(slidectl: CommandLine, 
     )
     launched = Launched(slidectl, path)
     text = launched.up()
-    slip = "slip.launch:3: /rsp: /joint_states is remapped to /rrbot/joint_states, which nobody publishes"
-    assert f"{slip}; did you mean /slider/joint_states?" in text
+    mistake = "slip.launch:3: /rsp: /joint_states is remapped to /rrbot/joint_states, which nobody publishes"
+    assert f"{mistake}; did you mean /slider/joint_states?" in text
     assert "/rsp: the simulation publishes the frames of slider at 50 Hz" in text
     assert launched.interrupt() == 130
 

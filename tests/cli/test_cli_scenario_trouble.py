@@ -81,8 +81,10 @@ def test_what_no_world_would_take_is_a_slip_unless_the_step_is_to_fail(
     file = write("slip.yaml", f"cases: [{{name: a}}, {{name: b}}]\nsteps:\n  - {spawn}\n  - {step}\n")
     done = slidectl("test", str(file), "--check")
     assert (done.returncode, done.stdout) == (2, "")
-    slips = [line for line in done.stderr.removeprefix("error: ").splitlines() if line.startswith(f"{file}:")]
-    assert all(slip.startswith(f"{file}:4: ") and part in slip for slip, part in zip(slips, said, strict=True))
+    mistakes = [line for line in done.stderr.removeprefix("error: ").splitlines() if line.startswith(f"{file}:")]
+    assert all(
+        mistake.startswith(f"{file}:4: ") and part in mistake for mistake, part in zip(mistakes, said, strict=True)
+    )
 
 
 def test_nothing_is_a_slip_that_an_earlier_step_may_have_made_right(slidectl: CommandLine, write: Write) -> None:

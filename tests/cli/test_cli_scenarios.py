@@ -358,8 +358,8 @@ def test_the_printed_schema_takes_the_examples_and_no_slips(slidectl: CommandLin
     assert examples
     for file in examples:
         validator.validate(yaml.safe_load(file.read_text("utf-8")))
-    for slip in ({"steps": [{"spwan": "slider"}]}, {"stps": []}, {"steps": [{"wait": {"target": "a", "nera": 1}}]}):
-        assert not validator.is_valid(slip)
+    for mistake in ({"steps": [{"spwan": "slider"}]}, {"stps": []}, {"steps": [{"wait": {"target": "a", "nera": 1}}]}):
+        assert not validator.is_valid(mistake)
 
 
 def test_maxfail_stops_at_so_many_failures(slidectl: CommandLine, write: Write) -> None:

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slidectl.daemon.outbox import MOST_BYTES, MOST_BYTES_IN_ALL, Channel, Outbox, Publications, Share
+from slidectl.daemon.outbox import MOST_BYTES, MOST_BYTES_IN_ALL, Channel, Outbox, Publications, ReaderPosition
 
 
 def report(topic: str, dropped: int) -> bytes:
@@ -31,8 +31,8 @@ class Desk:
         self.read(channel, limit)
         return channel
 
-    def read(self, channel: Channel, limit: int) -> Share:
-        share = channel.readers[self] = Share(channel, limit)
+    def read(self, channel: Channel, limit: int) -> ReaderPosition:
+        share = channel.readers[self] = ReaderPosition(channel, limit)
         self.outbox.join(share)
         return share
 

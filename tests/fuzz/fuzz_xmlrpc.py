@@ -24,7 +24,7 @@ _METHODS = ("registerService", "unregisterService", "registerSubscriber", "unreg
 _WORDS = ("/a", "/b/c", "~x", "y", "*", "std_msgs/Float64", "http://h:1/", "rosrpc://h:2", *ODD_VALUES)
 
 
-class _Nobody:
+class _DiscardingReader:
     """Carries no data, and knows nobody."""
 
     def __getattr__(self, _: str) -> Any:
@@ -44,7 +44,7 @@ class XmlRpcCalls:
         return "answered or refused"
 
     async def _calls(self, rng: Random) -> None:
-        nobody: Any = _Nobody()
+        nobody: Any = _DiscardingReader()
         api = Api()
         Master(NativeGraph(lambda node: f"http://h:1{node}"), nobody, nobody).add_methods(api)
 

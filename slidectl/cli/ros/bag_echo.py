@@ -13,7 +13,7 @@ from pathlib import Path
 from slidectl import names
 from slidectl.cli import output
 from slidectl.cli.context import Context
-from slidectl.cli.echo import Look, predicate, writer
+from slidectl.cli.echo import MessageFormat, predicate, writer
 from slidectl.cli.ros.arguments import Failure
 from slidectl.cli.topic_streams import Event
 from slidectl.errors import BadFile
@@ -54,7 +54,9 @@ def list_topics(path: str, namespace: str | None) -> None:
         return output.write(f"{len(times)} message(s) from {first} to {last}")
 
 
-def echo(ctx: Context, path: str, target: str | None, look: Look, condition: str | None, count: int | None) -> None:
+def echo(
+    ctx: Context, path: str, target: str | None, look: MessageFormat, condition: str | None, count: int | None
+) -> None:
     """Print the messages of a topic or a field, or without a target of all topics, in recorded order."""
     printed = 0
     with open_bag(path) as recording:

@@ -25,7 +25,7 @@ class NotYaml(Exception):
     """Text that is not YAML, or has values that no message can hold."""
 
 
-class Misfit(Exception):
+class WrongStructure(Exception):
     """Values whose number, names or nesting do not fit the type."""
 
 
@@ -149,9 +149,9 @@ def _wrong(schema: Schema, type_name: str, given: Any, prefix: str) -> Iterator[
     for field, value in _paired(schema, type_name, given, prefix):
         name = _plain(prefix) + field.name
         if field.array >= 0 and not isinstance(value, list | tuple):
-            raise Misfit(f"Field [{name}] must be a list or tuple instead of: {type(value).__name__}")
+            raise WrongStructure(f"Field [{name}] must be a list or tuple instead of: {type(value).__name__}")
         if field.array > 0 and len(value) != field.array:
-            raise Misfit(f"Field [{name}] has incorrect number of elements: {len(value)} != {field.array}")
+            raise WrongStructure(f"Field [{name}] has incorrect number of elements: {len(value)} != {field.array}")
         path = prefix + field.name + ("[]" if field.array >= 0 else "")
         for each in value if field.array >= 0 else [value]:
             if field.type not in TIMES and not schema.fields(field.type):
@@ -160,7 +160,7 @@ def _wrong(schema: Schema, type_name: str, given: Any, prefix: str) -> Iterator[
                     yield f"field {path} {trouble}"
             elif isinstance(each, str):
                 if each != {"std_msgs/Header": "auto", "time": "now"}.get(field.type):
-                    raise Misfit(f"No key named [{each}]")
+                    raise WrongStructure(f"No key named [{each}]")
             elif field.type not in TIMES or not isinstance(each, int) or isinstance(each, bool):
                 yield from _wrong(schema, field.type, each, f"{path}.")
 
@@ -179,15 +179,15 @@ def _paired(schema: Schema, type_name: str, given: Any, prefix: str) -> Iterator
     if isinstance(given, Mapping):
         for name, value in given.items():
             if name not in names:
-                raise Misfit(f"No field name [{_plain(prefix)}{name}]")
+                raise WrongStructure(f"No field name [{_plain(prefix)}{name}]")
             yield fields[names.index(name)], value
     elif isinstance(given, list | tuple):
         if len(given) != len(names):
             trouble = "Too many" if len(given) > len(names) else "Not enough"
-            raise Misfit(f"{trouble} arguments:\n * Given: {list(given)}\n * Expected: {names}")
+            raise WrongStructure(f"{trouble} arguments:\n * Given: {list(given)}\n * Expected: {names}")
         yield from zip(fields, given, strict=True)
     else:
-        raise Misfit(f"invalid msg_args type: {given}")
+        raise WrongStructure(f"invalid msg_args type: {given}")
 
 
 def _trouble(type_name: str, value: Any) -> str | None:

@@ -28,7 +28,7 @@ _USAGE = """roslaunch [options] [package] <filename> [arg_name:=value...]
 If <filename> is a single dash ('-'), launch XML is read from standard input."""
 _EXCLUSIVE = ("nodes", "find_node", "args", "ros_args")
 
-_NOTHING_TO_SAY = (
+_SILENT_OPTIONS = (
     option("--local", "no effect: everything is local"),
     option("--no-summary", "no effect: there is no summary"),
     option("--skip-log-check", "no effect: the log does not grow without end"),
@@ -56,7 +56,7 @@ def roslaunch(ctx: Context, argv: Sequence[str]) -> None:
         else Option(param.opts[0], help=param.help, action="append", metavar=param.metavar)
         for param in own
     ]
-    parser = Parser("roslaunch", _USAGE, *passed_on, *_NOTHING_TO_SAY, _CORE, *_IDLE, _VERBOSE)
+    parser = Parser("roslaunch", _USAGE, *passed_on, *_SILENT_OPTIONS, _CORE, *_IDLE, _VERBOSE)
     given = parser.parse(argv)
     files = [word for word in given.words if ":=" not in word]
     if sum(bool(getattr(given, dest)) for dest in _EXCLUSIVE) > 1:

@@ -151,7 +151,7 @@ def _documents() -> Iterator[Sequence[Any]]:
 def _filled(ctx: Context, kind: str, request: Typedefs, values: Sequence[Any]) -> dict[str, Any]:
     try:
         return genpy.filled(ctx, request, values)
-    except genpy.Misfit as error:
+    except genpy.WrongStructure as error:
         given = "".join(f" * {value} (type {type(value).__name__})\n" for value in values)
         raise Failure(
             f"ERROR: Incompatible arguments to call service:\n{error}\nProvided arguments are:\n{given}\n"

@@ -133,7 +133,7 @@ def awaited(ctx: Context, name: str) -> Target:
 
 def echo(ctx: Context, argv: Sequence[str]) -> None:
     """Print messages until -n are printed or Ctrl-C comes."""
-    from slidectl.cli.echo import Look, print_messages
+    from slidectl.cli.echo import MessageFormat, print_messages
 
     parser = Parser(
         "rostopic",
@@ -161,7 +161,7 @@ def echo(ctx: Context, argv: Sequence[str]) -> None:
     if width is not None and width < 2:
         parser.error("Fixed width for numeric values must be at least 2")
     form = "csv" if given.plot else "text"
-    look = Look(
+    look = MessageFormat(
         form, not given.noarr, not given.nostr, width, bool(given.clear), bool(given.offset), from_bag=bool(given.bag)
     )
     if given.bag:

@@ -217,7 +217,7 @@ class _Run:
         try:
             with refusals():
                 return genpy.filled(self._ctx, typedefs, values)
-        except genpy.Misfit as error:
+        except genpy.WrongStructure as error:
             raise Failure(f"ERROR: {error}\n\nArgs are: [{' '.join(argument_names(typedefs))}]") from None
         except genpy.WrongType as error:
             from slidectl import msgs

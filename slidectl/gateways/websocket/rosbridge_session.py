@@ -60,7 +60,7 @@ class RosbridgeSession:
         self._fragment_size = 0
         self._fragments = FragmentBuffer(most_bytes)
         self._sent_in_fragments = count(1)
-        self._wishes: dict[str, dict[str | None, str]] = {}
+        self._requests: dict[str, dict[str | None, str]] = {}
         """Topic -> id of a subscription -> its compression, of all that were subscribed with one."""
         self._encoders: dict[bytes, Encode] = {}
 
@@ -129,12 +129,12 @@ class RosbridgeSession:
             what = f"compression {str(compression)[:60]!r} is not offered"
             raise UsageError(what, f"compression: {listing(COMPRESSIONS)}")
         if isinstance(topic, str) and len(topic) <= names.LONGEST:
-            topic, wish_id = names.join("/", topic), _wish_id(message)
+            topic, wish_id = names.join("/", topic), _subscription_id(message)
             if len(wish_id or "") > _LONGEST_ID:
                 raise UsageError(f"an id of more than {_LONGEST_ID} characters")
-            before = self._wishes.get(topic, {})
+            before = self._requests.get(topic, {})
             if compression != "none" or before:
-                if wish_id not in before and sum(map(len, self._wishes.values())) >= _MOST_WISHES:
+                if wish_id not in before and sum(map(len, self._requests.values())) >= _MOST_WISHES:
                     raise UsageError(f"{_MOST_WISHES} subscriptions with compressions, and no more may be")
                 await self._choose(topic, {**before, wish_id: compression}, str(message.get("type") or ""))
         if compression == "cbor-raw":
@@ -143,14 +143,14 @@ class RosbridgeSession:
 
     async def _unsubscribe(self, message: Message) -> None:
         topic = names.join("/", str(message.get("topic")))
-        wish_id, wishes = _wish_id(message), self._wishes.get(topic, {})
+        wish_id, wishes = _subscription_id(message), self._requests.get(topic, {})
         await self._choose(topic, {key: wish for key, wish in wishes.items() if wish_id not in (None, key)}, "")
 
     async def _choose(self, topic: str, wishes: dict[str | None, str], given: str) -> None:
         """The encoder of the strongest of the wishes. Raises UsageError, UnknownName: no such type."""
         compression = max(wishes.values(), key=COMPRESSIONS.index, default="none")
         if compression == "none":
-            self._wishes.pop(topic, None)
+            self._requests.pop(topic, None)
             self._encoders.pop(topic.encode(), None)
             return
         needs_type = compression != "png"
@@ -160,7 +160,7 @@ class RosbridgeSession:
                 f"no topic {topic}: with compression {compression!r} its type is needed", "give 'type' too"
             )
         self._encoders[topic.encode()] = encoder(compression, type_name)
-        self._wishes[topic] = wishes
+        self._requests[topic] = wishes
 
     def _complain(self, error: SlidectlError, message: Message) -> None:
         """As the daemon answers what it refuses."""
@@ -214,7 +214,7 @@ def _only_reads(message: Message) -> bool:
     return is_reading(names.join("/", service))
 
 
-def _wish_id(message: Message) -> str | None:
+def _subscription_id(message: Message) -> str | None:
     """As the daemon tells subscriptions apart."""
     given = message.get("id")
     return None if given is None else str(given)

@@ -31,7 +31,7 @@ _FIRST_BACK_OFF_S = 1.0
 _LONGEST_BACK_OFF_S = 30.0
 """The longest pause for a program that keeps ending soon after its start; the pause begins at 1 s and doubles."""
 _LONGEST_FIRST_LINE = 256
-_POLITE_S = 0.5
+_STOP_WAIT_S = 0.5
 """How long `stop` waits for the end of one process before the next one is stopped."""
 _LOOK_S = 0.1
 """The polling interval while waiting for a program's end, so that another Ctrl-C is noticed."""
@@ -180,7 +180,7 @@ class Process(Task):
         self.ending = True
         if self.is_alive and self.child is not None:
             self.child.signal(signal.SIGINT)
-            _until(run, lambda: not self.is_alive, _POLITE_S)
+            _until(run, lambda: not self.is_alive, _STOP_WAIT_S)
 
     def finish(self, run: Run, deadline_s: float, number: int) -> None:
         """Wait until the deadline on the monotonic clock. If the process still runs, warn and send the signal."""
