@@ -16,11 +16,11 @@ INTEGER_RANGES = {
     "byte": (-128, 127),
     "char": (0, 255),
 }
-"""ROS 1's integers with their lowest and highest value. `byte` is an int8 and `char` an uint8 there."""
+"""ROS 1's integer types -> lowest and highest value. In ROS 1 `byte` is an int8 and `char` an uint8."""
 FLOATS = frozenset({"float32", "float64"})
 TIMES = frozenset({"time", "duration"})
 BYTES = frozenset({"uint8", "char"})
-"""Arrays of these are base64 text in a message, as on the wire."""
+"""Arrays of these types are base64 text in a message, as in the protocol."""
 PRIMITIVES = frozenset(INTEGER_RANGES) | FLOATS | TIMES | {"bool", "string"}
 
 
@@ -38,13 +38,13 @@ class Field(NamedTuple):
 
 
 FieldsOf = Callable[[str], Sequence[Field]]
-"""Gives the fields of a type that is not a primitive one."""
+"""Returns the fields of a non-primitive type."""
 Typedefs = list[dict[str, Any]]
-"""rosapi/TypeDef of a type and of all that it is made of."""
+"""A rosapi/TypeDef of a type and of every type used in it."""
 
 
 class Schema:
-    """The message type `root` and every type that it is made of."""
+    """The message type `root` and every type used in it."""
 
     def __init__(self, root: str, types: Mapping[str, tuple[Field, ...]]) -> None:
         self.root = root
@@ -55,17 +55,17 @@ class Schema:
         return self.types.get(type_name, ())
 
     def field(self, type_name: str, name: str) -> Field | None:
-        """The field of that name, if there is one."""
+        """The field of that name, or None."""
         return next((field for field in self.fields(type_name) if field.name == name), None)
 
     @property
     def has_header(self) -> bool:
-        """True when the type has a std_msgs/Header called `header`: the message has a stamp."""
+        """True when the type has a std_msgs/Header named `header`: the message has a stamp."""
         return self.field(self.root, "header") == Field("header", "std_msgs/Header")
 
 
 def from_typedefs(typedefs: Iterable[Mapping[str, Any]]) -> Schema:
-    """The schema of a `typedefs` list (rosapi/TypeDef); the first one is the root."""
+    """The schema of a `typedefs` list (rosapi/TypeDef); the first entry is the root."""
     types = {
         str(entry["type"]): tuple(map(Field, entry["fieldnames"], entry["fieldtypes"], entry["fieldarraylen"]))
         for entry in typedefs
