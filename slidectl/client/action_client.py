@@ -108,7 +108,7 @@ class Action:
         self._ended: dict[str, ActionResult | None] = {}
         """The goals that were sent here, with their results."""
         self._listed: set[str] = set()
-        """Those that were in the server's list."""
+        """The goals that were in the server's list."""
 
     def send(self, goal: Message, goal_id: str = "") -> str:
         """Send a goal (the fields of the action's Goal message) and return its id, a new one by default.

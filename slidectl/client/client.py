@@ -164,8 +164,7 @@ class Client:
         """Provide a service until the client is closed. The handler takes a request and returns the response.
 
         Requests are answered while the client waits in a call. An exception of the handler is the failure of the
-        caller's
-        call. A name without a leading slash is in the root namespace.
+        caller's call. A name without a leading slash is in the root namespace.
 
         Raises:
             Refused: the service exists already, or the type does not exist.
@@ -230,8 +229,7 @@ class Client:
         `time_ns`.
 
         Returns an id without waiting, for `is_answered` and `published`. A client may have at most 10000 waiting
-        messages.
-        They are discarded when the client disconnects.
+        messages. They are discarded when the client disconnects.
         """
         at = {"secs": time_ns // 10**9, "nsecs": time_ns % 10**9}
         publish_id = self._publish(topic, message, type, latch, at=at, ack=True, **_typed(type))
@@ -286,8 +284,7 @@ class Client:
             throttle_rate: minimum interval between two messages in wall milliseconds.
             take: called, while a call waits, with each publish object: `topic`, `msg` and `time`, the simulated time of
                 publication. A message latched before the subscription has `latch`, and the time of the subscription.
-                With
-                `take` no messages are queued.
+                With `take` no messages are queued.
             wait: False returns without waiting, so that many subscriptions begin together; `flush` raises refusals.
 
         Raises:
@@ -362,8 +359,8 @@ class Client:
             with_field: of a topic: a field may follow the name.
 
         Returns:
-            slidectl/Resolve's response: `name` is the full name; then `field`, `type`, `typedefs`,
-            `response_typedefs` and `nodes`, as far as the kind has them.
+            slidectl/Resolve's response: `name` is the full name; then `field`, `type`, `typedefs`, `response_typedefs`
+                and `nodes`, as far as the kind has them.
 
         Raises:
             UnknownName: no match. AmbiguousName: several matches. Unused: the topic has no node in the role.
@@ -750,9 +747,7 @@ class Client:
             self._link.last_status = str(status.get("msg", ""))
 
     def _why_nothing_happens(self) -> str | None:
-        """The hint of a TimedOut: the world is paused or waits for lock-step, or the daemon hangs. None when
-        unknown.
-        """
+        """The hint of a TimedOut: the world is paused or waits for lock-step, or the daemon hangs. None when unknown."""
         call_id = self.call_async("/slidectl/status")
         if not self._becomes(lambda: call_id in self._answers, _PROBE_S):
             self.forget(call_id)
@@ -927,10 +922,8 @@ class LockStep:
 
         Raises:
             TimedOut: not within `timeout` wall seconds: other clients are not done, or the world is paused. The next
-                `step`
-                waits on for the same period. Refused: the daemon ended this client's lock-step, because the world
-                waited
-                longer than its time-out.
+                `step` waits on for the same period. Refused: the daemon ended this client's lock-step, because the
+                world waited longer than its time-out.
         """
         client = self._client
         call = self._under_way = self._under_way or client.call_async("/slidectl/lockstep")

@@ -58,9 +58,7 @@ class ClientLink(Protocol):
         """The file descriptor for `select`."""
 
     def call_back(self, action: Callable[[], object] | None) -> bool:
-        """Set a callback for data that arrives while other clients wait; returns whether this connection supports
-        it.
-        """
+        """Set a callback for data that arrives while other clients wait; returns whether this connection supports it."""
 
     def send(self, line: bytes, deadline: float) -> None:
         """Send a line. Raises TimedOut, NoDaemon."""

@@ -38,8 +38,7 @@ def check(type_name: str, value: Any) -> Message:
     """Complete and check a message of the type: missing fields get their default.
 
     Integers become floats in float fields, and null becomes nan; 0 and 1 are valid bools; bytes (`uint8[]`, `char[]`)
-    may
-    be base64 text, a list of integers or bytes, and become base64 text.
+    may be base64 text, a list of integers or bytes, and become base64 text.
 
     Raises:
         UnknownName: no such type. BadMessage: the value does not fit; its `path` is the field.

@@ -1,8 +1,8 @@
 """Message, service and action types: finding and parsing definitions, their text and md5 sum.
 
 The files in `data` hold every type that slidectl itself uses. rosbags' type store has the other common ROS 1 types;
-building it takes some hundred milliseconds, so it is imported only when one of those is needed.
-The grammar is one field or constant per line (http://wiki.ros.org/msg).
+building it takes some hundred milliseconds, so it is imported only when one of those is needed. The grammar is one
+field or constant per line (http://wiki.ros.org/msg).
 """
 
 from __future__ import annotations

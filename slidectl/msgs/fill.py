@@ -63,13 +63,13 @@ def fill(
 ) -> Message:
     """Build a message from parsed values. Fields that are not given are left out; the receiver sets their defaults.
 
-    A single mapping is by name; otherwise there must be one value per field, nested messages as lists or mappings.
-    The numbers of a multi-array may be given alone. The word `now` is the present time, `auto` a header with it;
-    an integer for a time or duration counts nanoseconds. `number_of` converts texts in number fields.
+    A single mapping is by name; otherwise there must be one value per field, nested messages as lists or mappings. The
+    numbers of a multi-array may be given alone. The word `now` is the present time, `auto` a header with it; an integer
+    for a time or duration counts nanoseconds. `number_of` converts texts in number fields.
 
     Raises:
         BadMessage: unknown fields, too few or too many values, a value that does not fit. UnknownName: no such type.
-        What `number_of` raises.
+            What `number_of` raises.
     """
     try:
         return _Filler(fields_of, now, number_of).whole(type_name, args)

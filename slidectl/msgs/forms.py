@@ -44,9 +44,9 @@ def is_plain(text: str) -> bool:
 class YamlForm:
     """Prints values of the types of one schema.
 
-    `width`: characters of a number (`rostopic echo -w`). `arrays` and `strings`: False prints only type and length.
-    As with rostopic, the elements of a printed list are printed in full. `offset_ns` is subtracted from every time;
-    set it before each message.
+    `width`: characters of a number (`rostopic echo -w`). `arrays` and `strings`: False prints only type and length. As
+    with rostopic, the elements of a printed list are printed in full. `offset_ns` is subtracted from every time; set it
+    before each message.
     """
 
     def __init__(self, schema: Schema, width: int | None = None, arrays: bool = True, strings: bool = True) -> None:

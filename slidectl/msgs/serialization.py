@@ -32,8 +32,7 @@ def unpacker(name: str, fields_of: FieldsOf, most_elements: int | None = None) -
     """A function that deserializes messages; for invalid bytes it raises struct.error or ValueError.
 
     `most_elements` limits the elements of all lists of a message, byte arrays excluded; None for the number of bytes.
-    Text
-    that is not UTF-8 is decoded with replacement characters. Raises ValueError: the type is too large.
+    Text that is not UTF-8 is decoded with replacement characters. Raises ValueError: the type is too large.
     """
     return _Unpacker(name, fields_of, most_elements).function()
 

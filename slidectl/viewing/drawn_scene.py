@@ -197,9 +197,7 @@ class Viewpoint(NamedTuple):
 
 
 class ViewpointChoice:
-    """The viewpoint named by `--camera`, for pictures of one size. A fixed view is computed once, for the first
-    scene.
-    """
+    """The viewpoint named by `--camera`, for pictures of one size. A fixed view is computed once, for the first scene."""
 
     def __init__(self, scene: DrawnScene, camera: str, size: tuple[int, int]) -> None:
         """Raises UnknownName, AmbiguousName."""

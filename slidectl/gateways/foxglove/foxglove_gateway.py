@@ -341,9 +341,7 @@ class FoxgloveGateway(Gateway):
                 await self._join(app, subscription, channel)
 
     async def _join(self, app: AppConnection, subscription: int, channel: AppChannel) -> None:
-        """Subscribe an app. Its first app subscribes at the daemon; a later one needs the latched message sent
-        again.
-        """
+        """Subscribe an app. Its first app subscribes at the daemon; a later one needs the latched message sent again."""
         app.subscriptions[subscription] = channel.id
         is_first = not channel.apps
         channel.apps[app] = subscription
@@ -624,5 +622,5 @@ def _with_ros1_times(type_name: str, value: Any) -> Any:
 
 
 def _concerns(changed: str, subscribed: str) -> bool:
-    """Whether a change of the one is a change of the other: one is in the other."""
+    """True when a change of one parameter changes the other: one contains the other."""
     return names.is_under(subscribed, changed) or names.is_under(changed, subscribed)

@@ -28,8 +28,7 @@ class Invalid(Exception):
 
 class Api:
     """A table of methods by name. `add` takes a method, the value of its answer on failure, and the checks of its
-    arguments
-    except the first, the caller's name.
+    arguments except the first, the caller's name.
     """
 
     def __init__(self) -> None:

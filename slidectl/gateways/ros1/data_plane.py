@@ -31,8 +31,7 @@ _LISTED_ONLY_MS = 10**9
 """Throttle of a subscription that only makes a node appear in the graph: after the first message nothing arrives."""
 _OF_ACTIONS = ("ActionFeedback", "ActionResult", "actionlib_msgs/GoalStatusArray")
 """Type name endings of action topics. Their publishers are subscribed early: slidectl's client sends its goal as soon
-as
-it subscribes, and a quick result would be lost.
+as it subscribes, and a quick result would be lost.
 """
 _PROBES = 4
 _FIRST_PROBE_PAUSE_S = 0.5
@@ -270,7 +269,7 @@ class DataPlane:
         return node in self._natives.get(topic, {}).get("subscribers", ())
 
     def _publishes(self, node: str, topic: str) -> bool:
-        """True when the daemon knows the node as a publisher. Earlier, its messages would be refused."""
+        """True when the daemon knows the node as a publisher. Earlier, its first message would be lost."""
         return node in self._foreign and topic in self._foreign[node].published
 
     def _latched_keys(self, topic: str) -> set[int]:

@@ -287,8 +287,7 @@ class Master:
         """The node that represents all native publishers of a topic; empty when the topic is not served.
 
         Without a publisher it is the gateway's own node, so that messages of a short-lived command are received. The
-        node is
-        kept as long as possible: foreign subscribers keep their connection, and no message is lost.
+        node is kept as long as possible: foreign subscribers keep their connection, and no message is lost.
         """
         if not self._data.serves(topic):
             self._shown.pop(topic, None)
@@ -348,9 +347,7 @@ class Master:
         return 1, "", os.getpid()
 
     def shutdown(self, caller: str, _: Any) -> Answered:
-        """Refuse: the master ends with its process. Any node could call this, and the simulation would lose its
-        nodes.
-        """
+        """Refuse: the master ends with its process. Any node could call this, and the simulation would lose its nodes."""
         _log.info("%s asks the master to shut down: it goes on", cut(caller, 120))
         return -1, "the gateway ends with: slidectl gateway ros1 stop", 0
 

@@ -191,8 +191,7 @@ class Ros1Gateway(Gateway):
         """The address to listen on, and the host name to advertise. Raises Refused: no such host.
 
         Without ROS_IP, ROS_HOSTNAME and --host that is loopback, or, for a master on another machine, the address by
-        which
-        this machine reaches it.
+        which this machine reaches it.
         """
         host = self._options.host
         override = os.environ.get("ROS_HOSTNAME") or os.environ.get("ROS_IP") or ""

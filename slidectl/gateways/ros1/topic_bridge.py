@@ -97,7 +97,7 @@ class TopicStream:
         self._update()
 
     def _update(self) -> None:
-        """Keep one link per node: a node may connect to another publisher before it leaves the last one."""
+        """Send to one link per node: a node may connect to another publisher before it leaves the last one."""
         self._active = tuple({link.caller: link for link in self.links}.values())
 
 

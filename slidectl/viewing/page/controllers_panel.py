@@ -31,7 +31,7 @@ class ControllersPanel(Panel):
     def __init__(self, page: Page) -> None:
         super().__init__(page)
         self._known: dict[str, dict[str, str]] = {}
-        """Namespace -> known controller -> its type in the parameters; empty for loaded ones without."""
+        """Namespace -> known controller -> its type in the parameters; empty for loaded ones."""
         self._used: set[str] = set()
         """Namespaces in which a user did something; their folders are open."""
         self._chosen: dict[tuple[str, str], str] = {}

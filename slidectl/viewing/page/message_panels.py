@@ -51,8 +51,7 @@ class MessageForm:
     """One input per field, nested ones as `a.b`: a checkbox for a bool, else text. They go into the entered container.
 
     Numbers may be expressions in i and t, times `now`; arrays are YAML and may contain expressions. Empty inputs take
-    the
-    default.
+    the default.
     """
 
     def __init__(self, page: Page, schema: Schema, chosen: dict[str, str | bool]) -> None:
@@ -256,8 +255,7 @@ class _TimedPublication:
     """Messages on a topic at simulated times, sent to the daemon in advance. Closing `client` withdraws them.
 
     i counts the messages, and t is i / rate. Both restart when simulated time goes back. Times that have already
-    passed,
-    for example after a jump forward, are skipped.
+    passed, for example after a jump forward, are skipped.
     """
 
     folder: GuiFolderHandle

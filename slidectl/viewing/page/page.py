@@ -183,8 +183,7 @@ class Page:
         """Queue an action for the page's thread; callable from any thread.
 
         Of waiting actions with the same key only the newest is done, for example for a dragged slider. Errors are shown
-        in
-        all browsers. When the queue is full the action is dropped, and the browsers are notified.
+        in all browsers. When the queue is full the action is dropped, and the browsers are notified.
         """
         key = object() if key is None else key
         if self._queue.qsize() >= _MOST_WANTED:

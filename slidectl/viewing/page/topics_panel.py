@@ -110,8 +110,7 @@ class _MonitoredTopic:
     """The rate of messages in simulated time, and the last message.
 
     Messages with a header are throttled, since their count is in it. Messages with lists may be long, so at most a
-    hundred
-    per second are received.
+    hundred per second are received.
     """
 
     shown: GuiHtmlHandle
