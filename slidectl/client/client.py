@@ -86,9 +86,7 @@ class Client:
         That is the last `call`, `answer`, `deliver` or `flush`, whether it raised or not.
         """
         self.on_other_version: Callable[[str], None] = lambda _version: None
-        """Called once when the daemon's version differs from the client's. The argument is empty if the daemon sends
-        none.
-        """
+        """Called once with the daemon's version if it differs from the client's; empty if the daemon sends none."""
         self._serial = 0
         self._awaited: set[str] = set()
         """Ids of the requests whose answers are kept for `answer`; other answers are discarded."""
@@ -194,9 +192,7 @@ class Client:
     # --- topics -------------------------------------------------------------------------------------------------
 
     def advertise(self, topic: str, type: str | None = None, latch: bool = False) -> None:
-        """Become a publisher of the topic until the client is closed; `latch` keeps the last message for new
-        subscribers.
-        """
+        """Become a publisher until the client is closed; `latch` keeps the last message for new subscribers."""
         if (topic, type, latch) in self._advertised:
             return
         advertise_id = self._advertised[topic, type, latch] = self._next_id("advertise")
@@ -237,9 +233,7 @@ class Client:
         return publish_id
 
     def published(self, publish_id: str, *, timeout: float | None = None) -> bool:
-        """Wait until a message of `publish_at` is published. False when its time had passed before it arrived at the
-        daemon.
-        """
+        """Wait until a message of `publish_at` is published. False when it reached the daemon after its time."""
         answer = self._answer(publish_id, timeout)
         if publish_id in self._refusals:
             raise self._refusals.pop(publish_id)
@@ -329,9 +323,7 @@ class Client:
         return list(self.call("/rosapi/services")["services"])
 
     def _full(self, kind: str, name: str, role: str = "", type: str | None = None) -> str:
-        """The full name of a relative one, cached for this connection. A new topic with a type is in the root
-        namespace.
-        """
+        """The full name of a relative one, cached. A new topic with a type is in the root namespace."""
         if name.startswith("/"):
             return name
         full = self._full_names.get((kind, name))
@@ -360,7 +352,7 @@ class Client:
 
         Returns:
             slidectl/Resolve's response: `name` is the full name; then `field`, `type`, `typedefs`, `response_typedefs`
-                and `nodes`, as far as the kind has them.
+            and `nodes`, as far as the kind has them.
 
         Raises:
             UnknownName: no match. AmbiguousName: several matches. Unused: the topic has no node in the role.
@@ -747,7 +739,7 @@ class Client:
             self._link.last_status = str(status.get("msg", ""))
 
     def _why_nothing_happens(self) -> str | None:
-        """The hint of a TimedOut: the world is paused or waits for lock-step, or the daemon hangs. None when unknown."""
+        """The hint of a TimedOut: the world is paused or waits for lock-step, or the daemon hangs; None if unknown."""
         call_id = self.call_async("/slidectl/status")
         if not self._becomes(lambda: call_id in self._answers, _PROBE_S):
             self.forget(call_id)
@@ -1085,7 +1077,7 @@ class Manager:
         self._answered(f"load {name}", self.client.call_async("/slidectl/load_controller_file", request))
 
     def reload(self, name: str) -> None:
-        """Replace a controller loaded from a user's file with the present version of the file. Raises Refused with the
+        """Replace a controller loaded from a user's file by the file's present version. Raises Refused with the
         reasons.
         """
         request = {"robot": self.namespace, "name": name}
@@ -1104,9 +1096,7 @@ class Manager:
         each(lambda name: self._answered(f"load {name}", calls[name]), list(calls))
 
     def bring_up(self, wanted: Sequence[str], start: bool = True) -> None:
-        """Load the controllers that are not loaded, then start those that do not run in one strict switch. Raises
-        Refused.
-        """
+        """Load the controllers that are not loaded, then start the idle ones in one strict switch. Raises Refused."""
         states = self.states()
         self.loaded(self.ask_to_load([name for name in wanted if name not in states]))
         idle = [name for name in dict.fromkeys(wanted) if states.get(name) != "running"]
@@ -1119,11 +1109,7 @@ class Manager:
         self.check_started(wanted)
 
     def check_started(self, wanted: Sequence[str]) -> None:
-        """Check that controllers have started. Raises Refused.
-
-        A controller may not run although its switch is done: it aborted. One that waits for its joints counts as
-        started.
-        """
+        """Check that controllers run or wait for their joints: one may abort after its switch. Raises Refused."""
         states = self.states()
         failed = [f"{name} is {states.get(name, UNLOADED)}" for name in wanted if states.get(name) not in STARTED]
         if failed:

@@ -20,9 +20,7 @@ from slidectl.paths import DEFAULT_INSTANCE, InstancePaths, check_private
 _CHUNK = 64 * 1024
 """Bytes per receive call. Python allocates this many each time; above 128 KiB malloc would map and unmap memory."""
 _GRACE_S = 0.25
-"""Seconds after a deadline in which data that has already arrived is still read. Bounds the wait under constant
-traffic.
-"""
+"""Seconds after a deadline in which arrived data is still read. Bounds the wait under constant traffic."""
 _LONGEST_WAIT_S = 1e6
 """`select` and `settimeout` accept no longer wait, in s."""
 
@@ -58,7 +56,7 @@ class ClientLink(Protocol):
         """The file descriptor for `select`."""
 
     def call_back(self, action: Callable[[], object] | None) -> bool:
-        """Set a callback for data that arrives while other clients wait; returns whether this connection supports it."""
+        """Set a callback for data that arrives while other clients wait. Returns whether the connection supports it."""
 
     def send(self, line: bytes, deadline: float) -> None:
         """Send a line. Raises TimedOut, NoDaemon."""

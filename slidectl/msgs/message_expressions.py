@@ -112,9 +112,7 @@ class Filter:
         raise UsageError(f"{self._expression.text!r}: {missing}")
 
     def _shown(self, value: Any, field: Field | None) -> Any:
-        """The value as the expression sees it: null is nan, base64 is numbers, times have rospy's `to_sec()`,
-        `to_nsec()`.
-        """
+        """The value for the expression: null is nan, base64 is numbers, times have rospy's `to_sec()`, `to_nsec()`."""
         if field is None or (field.array >= 0 and field.type in BYTES):
             return value if field is None else byte_values(value)
         if field.array >= 0:

@@ -61,9 +61,7 @@ class DrawnScene:
     """Robots and ground; `place` sets the present poses."""
 
     def __init__(self, answer: dict[str, Any], collisions: bool = False) -> None:
-        """`answer` is that of /slidectl/scene, with descriptions. `collisions`: draw collision shapes instead of
-        visuals.
-        """
+        """`answer` is that of /slidectl/scene, with descriptions. `collisions`: draw collision shapes, not visuals."""
         self.ground = bool(answer["ground"])
         self.robots: dict[str, Robot] = {
             name: description.parse(xml) for name, xml in zip(answer["robots"], answer["descriptions"], strict=True)
@@ -85,9 +83,7 @@ class DrawnScene:
         return {f"{name}::{sensor.name}": sensor for name, sensor in sensors if isinstance(sensor, Camera)}
 
     def place(self, answer: dict[str, Any]) -> bool:
-        """Set the present poses of the links. Returns False when the robots have changed, so that a new scene is
-        needed.
-        """
+        """Set the present poses of the links. Returns False when the robots have changed: make a new scene."""
         if "poses" in vars(self) and answer["serials"] != self._serials:
             return False
         self._serials: list[int] = answer["serials"]
@@ -197,7 +193,7 @@ class Viewpoint(NamedTuple):
 
 
 class ViewpointChoice:
-    """The viewpoint named by `--camera`, for pictures of one size. A fixed view is computed once, for the first scene."""
+    """The viewpoint named by `--camera`, for pictures of one size. A fixed view is computed once."""
 
     def __init__(self, scene: DrawnScene, camera: str, size: tuple[int, int]) -> None:
         """Raises UnknownName, AmbiguousName."""

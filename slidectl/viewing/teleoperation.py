@@ -117,9 +117,7 @@ It stops when the key is let go; any other key stops it at once."""
         return bool(self._direction)
 
     def _begin(self) -> None:
-        """Read the set point at the start of a motion: others may have moved it. Without a state topic, use the joint
-        position.
-        """
+        """Read the set point, which others may have moved. Without a state topic, use the joint position."""
         self._time_ns, self._set_point = self._now_ns(), None
         if not self._has_state:
             _, joint = _joints(self._client).get(self._full, ({}, {}))

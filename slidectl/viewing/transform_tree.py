@@ -34,7 +34,7 @@ class Edge(NamedTuple):
 
 
 class View(NamedTuple):
-    """A pose between two frames, and the time up to which it is known (None if all transforms between them are static)."""
+    """A pose between two frames, and the time up to which it is known (None if all transforms are static)."""
 
     pose: FramePose
     time_ns: int | None

@@ -75,9 +75,7 @@ def _schema(kind: str) -> Message:
 
 
 class AdvertisedGraph:
-    """The channels and services that apps know. Empty until the first `update` and after `update({})`, without a
-    daemon.
-    """
+    """The channels and services that apps know. Empty until the first `update`, and after `update({})`."""
 
     def __init__(self, own_node: str, is_offered: Callable[[str], bool]) -> None:
         """`is_offered` takes the name of a service and returns whether apps may call it."""

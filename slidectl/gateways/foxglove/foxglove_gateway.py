@@ -341,7 +341,7 @@ class FoxgloveGateway(Gateway):
                 await self._join(app, subscription, channel)
 
     async def _join(self, app: AppConnection, subscription: int, channel: AppChannel) -> None:
-        """Subscribe an app. Its first app subscribes at the daemon; a later one needs the latched message sent again."""
+        """Subscribe an app. The first app subscribes at the daemon; for later ones the latched message is read."""
         app.subscriptions[subscription] = channel.id
         is_first = not channel.apps
         channel.apps[app] = subscription

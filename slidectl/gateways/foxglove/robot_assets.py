@@ -42,7 +42,7 @@ class RobotAssets:
             self._robots = robots
 
     def read(self, uri: str) -> bytes:
-        """The content of the file. Raises UnknownName: no robot names it. Refused: it cannot be read, or is too large."""
+        """The content of a file. Raises UnknownName: no robot names it. Refused: it is unreadable or too large."""
         path = self._files.get(uri)
         if path is None:
             raise UnknownName("asset", uri, list(self._files), "of a robot in the world")

@@ -30,9 +30,7 @@ MOST_CONNECTIONS = 1000
 _LISTED_ONLY_MS = 10**9
 """Throttle of a subscription that only makes a node appear in the graph: after the first message nothing arrives."""
 _OF_ACTIONS = ("ActionFeedback", "ActionResult", "actionlib_msgs/GoalStatusArray")
-"""Type name endings of action topics. Their publishers are subscribed early: slidectl's client sends its goal as soon
-as it subscribes, and a quick result would be lost.
-"""
+"""Type name endings of action topics, subscribed early: slidectl's client could miss a quick result otherwise."""
 _PROBES = 4
 _FIRST_PROBE_PAUSE_S = 0.5
 _ASK_AGAIN_S = 1.0
@@ -158,9 +156,7 @@ class DataPlane:
                 self._touch(self._users(topic))
 
     def set_foreign_topic(self, topic: str, type: str, publishers: dict[str, str], subscribers: set[str]) -> None:
-        """Set all foreign publishers of a topic, node -> address of its slave API, and subscribers. The type may be
-        `*`.
-        """
+        """Set a topic's foreign publishers, node -> address of its slave API, and subscribers. The type may be `*`."""
         self._touch(self._users(topic))
         self._foreign_topics[topic] = ForeignTopic(type, publishers, subscribers)
         if not publishers and not subscribers:
@@ -360,9 +356,7 @@ class DataPlane:
     # --- messages of foreign publishers -------------------------------------------------------------------------
 
     def _update_followers(self, topic: str) -> None:
-        """Subscribe the foreign publishers of a topic with native subscribers, or of an action topic. Close other
-        followers.
-        """
+        """Update the followers of a topic: it needs them with native subscribers, or as an action topic."""
         subscribers = self._natives.get(topic, {}).get("subscribers", ())
         kind = self._type_of(topic)
         is_wanted = bool(subscribers) or kind.endswith(_OF_ACTIONS)

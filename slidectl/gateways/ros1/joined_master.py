@@ -229,9 +229,7 @@ class JoinedMaster:
             await self._call("subscribeParam", self._address, f"/{top}")
 
     async def _take_parameter(self, key: str, value: Any) -> None:
-        """Apply a change at the master to the daemon: set, or delete for an empty value. A refused change is undone
-        there.
-        """
+        """Set a parameter of the master in the daemon; an empty value deletes it. A refusal is undone at the master."""
         key = "/" + key.strip("/")
         if names.is_under("/use_sim_time", key):
             return

@@ -275,9 +275,7 @@ class Master:
             self._calls.send(address, "publisherUpdate", topic, uris)
 
     def natives_changed(self) -> None:
-        """After a change of the daemon's graph: notify the foreign subscribers of topics whose native publisher
-        changed.
-        """
+        """Notify the foreign subscribers of topics whose native publisher has changed."""
         for topic in self._subscribers:
             before = self._shown.get(topic, "")
             if self._native_publisher(topic) != before:
@@ -347,7 +345,7 @@ class Master:
         return 1, "", os.getpid()
 
     def shutdown(self, caller: str, _: Any) -> Answered:
-        """Refuse: the master ends with its process. Any node could call this, and the simulation would lose its nodes."""
+        """Refuse: the master ends with its process. Any node could call this and cut the simulation off."""
         _log.info("%s asks the master to shut down: it goes on", cut(caller, 120))
         return -1, "the gateway ends with: slidectl gateway ros1 stop", 0
 

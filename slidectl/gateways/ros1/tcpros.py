@@ -87,7 +87,7 @@ class TcprosConnection(asyncio.Protocol):
     _held = 0
 
     def __init__(self, on_header: Callable[[TcprosConnection, Fields], None], has_status: bool = False) -> None:
-        """`has_status`: each message has a leading byte that distinguishes success from an error text, as for services."""
+        """`has_status`: a byte before each message tells success from an error text, as for services."""
         self.on_header = on_header
         self.on_message: Callable[[bytes, bool], None] = lambda _body, _is_done: None
         """Takes the body, and False when it is an error text."""

@@ -109,9 +109,7 @@ class TopicServer:
         self.topics: dict[str, tuple[str, list[str]]] = {}
         """Topic -> type and native publishers; the list is empty if foreign subscribers wait for a publisher."""
         self.foreign_latched: Callable[[str], set[int]] = lambda _: set()
-        """Returns the keys of a topic's messages latched by foreign publishers: foreign subscribers receive these
-        directly.
-        """
+        """Returns the keys of a topic's messages latched by foreign publishers, which send these themselves."""
         self._streams: dict[str, TopicStream] = {}
         self._connection: DaemonConnection | None = None
         self._asker: DaemonConnection | None = None

@@ -354,7 +354,9 @@ class XmlRpcServer:
             return fault_xml(XmlRpcFault(1, error.message))
 
     async def _one_of_many(self, path: str, call: Any) -> Any:
-        """Process one call of system.multicall, as Python's servers do: the value in a list, or the fault as a struct."""
+        """Process one call of system.multicall as Python's servers do: the value in a list, or the fault as a
+        struct.
+        """
         try:
             if not isinstance(call, dict) or not isinstance(call.get("methodName"), str):
                 raise XmlRpcFault(1, "a call of system.multicall has a methodName and params")

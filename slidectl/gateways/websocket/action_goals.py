@@ -94,9 +94,7 @@ class ActionGoals:
         raise Refused(f"no goal of this connection with that id runs on {action}")
 
     def forget(self, tell: Callable[[Message], None]) -> None:
-        """Discard the goals of a browser that has disconnected. The goals go on, as those of an actionlib client that
-        ends.
-        """
+        """Discard the goals of a disconnected browser. They go on, as those of an actionlib client that ends."""
         for action, goals in list(self._goals.items()):
             for name in [name for name, goal in goals.items() if goal.tell == tell]:
                 self._end(action, name)

@@ -165,9 +165,7 @@ class GainsPanel(Panel):
                 self._inputs[space, name].value = value
 
     def _save(self, browser: ClientHandle) -> None:
-        """Send the controller parameters of the robot as a file to the requesting browser, and show them in all
-        browsers.
-        """
+        """Send the robot's controller parameters as a file to the requesting browser, and show them in all."""
         manager = self.page.client.controllers(self._robot)
         tree = {name: self.page.client.params[names.join(self._robot, name)] for name in manager.configured()}
         text = yaml.safe_dump(nest(self._robot, tree), sort_keys=False, allow_unicode=True)

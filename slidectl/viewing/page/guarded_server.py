@@ -114,9 +114,7 @@ class AccessGuard:
         return None
 
     def word(self) -> str:
-        """Make a one-time word that opens the page instead of the token: a browser's arguments show in the process
-        list.
-        """
+        """Make a one-time word to use in place of the token: a browser's arguments show in the process list."""
         self._word = secrets.token_urlsafe()
         return self._word
 

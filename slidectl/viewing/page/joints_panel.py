@@ -93,9 +93,7 @@ class JointsPanel(Panel):
         return sliders
 
     def _follow(self, drive: _Drive, sliders: list[Any], topics: dict[str, str]) -> None:
-        """Update the sliders from others' commands: from the controller's set point if published, else its command
-        topic.
-        """
+        """Update the sliders from others' commands: from the published set point, else the command topic."""
         state = names.join(names.parent(drive.topic), "state")
         is_told = not drive.is_array and topics.get(state) == "control_msgs/JointControllerState"
         commands = self._commands[drive.topic]

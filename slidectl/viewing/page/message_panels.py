@@ -29,9 +29,7 @@ _MOST_STEPS = 10_000
 """Limit of an expression: the page is blocked while it is evaluated."""
 _MOST_RUNNING = 8
 _AHEAD_NS = 5 * _SECOND
-"""Simulated ns by which messages are sent to the daemon before their time, so that the page may be slower than the
-world.
-"""
+"""Simulated ns by which messages are sent to the daemon in advance: the page may be slower than the world."""
 _MOST_AHEAD = 2000
 _LONGEST_TURN_S = 0.01
 """CPU seconds per turn of the page for making messages: other panels wait meanwhile."""
