@@ -146,7 +146,11 @@ class FollowedTopic:
             self._counts.popleft()
 
     def rate(self, now_ns: int) -> float | None:
-        """The rate in Hz over the last seconds, or the last two messages; None while unknown."""
+        """The rate in Hz over the last seconds, or the last two messages; None while unknown.
+
+        0 when no message came for longer than both, and since the call before the last one: wall time passes between
+        calls, and in fast worlds much simulated time.
+        """
         self._looks += 1
         if not self._counts:
             return None
@@ -173,7 +177,3 @@ def _last_lines(log: str, begin: str) -> list[Record]:
         first = max((number for number, line in enumerate(lines) if line.endswith(begin)), default=0)
         return [{"line": line} for line in lines[first:]]
     return []
-
-
-# when no message came for longer than both, and since at least two calls: in fast worlds much simulated time passes in
-# little wall time.
