@@ -1,7 +1,7 @@
-"""The client's side of an action: send a goal, follow it, cancel it, take its result.
+"""The client's side of an action: send a goal, follow it, cancel it, read its result.
 
-An action is five topics below one name, as in actionlib: `goal`, `cancel`, `status`, `feedback`, `result`. No thread:
-what arrives is taken in while a call waits.
+An action is five topics below one name, as in actionlib: `goal`, `cancel`, `status`, `feedback`, `result`. The client
+starts no thread: messages are read while a call waits.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ Message = dict[str, Any]
 STATES = (
     "pending", "active", "preempted", "succeeded", "aborted", "rejected", "preempting", "recalling", "recalled", "lost",
 )  # fmt: skip
-"""By the numbers of actionlib_msgs/GoalStatus."""
+"""The states of a goal; the index is the number in actionlib_msgs/GoalStatus."""
 SUCCEEDED, LOST = 3, 9
 _SUFFIX = "ActionGoal"
 _LOOK_EVERY_S = 1.0
-"""Between two looks whether somebody serves the action still."""
+"""Wall seconds between two checks that the action still has a server."""
 _NOBODY = "nobody serves the action any more: its robot or its controller has gone"
 
 _serial = itertools.count(1)
@@ -43,12 +43,12 @@ class ActionResult(NamedTuple):
 
     @property
     def state(self) -> str:
-        """The status in a word, as `succeeded`."""
+        """The status as a word, for example `succeeded`."""
         return STATES[self.status] if 0 <= self.status < len(STATES) else str(self.status)
 
     @property
     def succeeded(self) -> bool:
-        """Whether the goal was reached."""
+        """True when the goal was reached."""
         return self.status == SUCCEEDED
 
 
@@ -62,10 +62,9 @@ def goal_topics(topics: dict[str, str]) -> dict[str, str]:
 
 
 def resolve_action(name: str, known: Sequence[str], namespace: str = "/") -> str:
-    """The full name of an action: the name's own, the unique end of one, or the only one of a controller.
+    """The full name of an action.
 
-    Raises:
-        UnknownName, AmbiguousName.
+    `name` is the full name, the unique end of it, or the name of a controller that has exactly one action.
     """
     try:
         return names.resolve(name, known, kind="action", namespace=namespace)
@@ -81,7 +80,7 @@ def resolve_action(name: str, known: Sequence[str], namespace: str = "/") -> str
 
 
 def new_goal_id() -> str:
-    """An id that no other goal has."""
+    """A new, unique goal id."""
     return f"slidectl-{os.getpid()}-{next(_serial)}-{time.time_ns()}"
 
 
@@ -91,7 +90,7 @@ class Action:
     Args:
         name: the full name, or the unique end of it, as `arm_controller/follow_joint_trajectory`; or the name of a
             controller with one action, as `arm_controller`.
-        namespace: where relative names begin, and which of several is meant.
+        namespace: relative names begin here; it also decides between several matches.
 
     Raises:
         UnknownName, AmbiguousName: no such action, or several.
@@ -109,7 +108,7 @@ class Action:
         self._ended: dict[str, ActionResult | None] = {}
         """The goals that were sent here, with their results."""
         self._listed: set[str] = set()
-        """Those that were in the server's list."""
+        """The goals that were in the server's list."""
 
     def send(self, goal: Message, goal_id: str = "") -> str:
         """Send a goal (the fields of the action's Goal message) and return its id, a new one by default.

@@ -1,7 +1,7 @@
 """The blocking client: connect, call, publish, subscribe. The public Python API for scripts.
 
-It keeps no thread: what arrives is sorted into answers, messages and refusals while some call waits. A daemon that
-ends is NoDaemon; the client does not connect again. Standard library only.
+The client starts no thread: what arrives is sorted into answers, messages and refusals while a call waits. When the
+daemon ends, calls raise NoDaemon; the client does not connect again. Standard library only.
 """
 
 from __future__ import annotations
@@ -47,26 +47,27 @@ SPAWN_LIMIT_S = 30.0
 _PROBE_S = 0.5
 _MOST_REFUSALS = 1000
 _SYNCHRONIZE = "/rosapi/get_time"
-"""A service that changes nothing: its answer says that all that was sent before it has been taken in."""
+"""A service that changes nothing. Its answer means that the daemon has processed everything sent before it."""
 _NAME_ERRORS = {cause.__name__: cause for cause in (AmbiguousName, UnknownName, Unused)}
 
 
 class Client:
-    """A connection to a daemon. Use it as a context manager: leaving it waits until what was published is taken in.
+    """A connection to a daemon. Use it as a context manager: leaving it waits until the daemon has taken what was
+    published.
 
-    It raises MessageRefused then for what was refused, and for a topic of which no message has reached anybody.
+    Leaving it raises MessageRefused for a refused message, and for a topic none of whose messages reached a subscriber.
     A name without a leading slash is the unique end of a full name, as on the command line.
 
     Args:
         instance: the daemon's name; by default `SLIDECTL_SOCKET`, `SLIDECTL_INSTANCE` or `default` decide.
-        socket: the path of its socket instead.
-        timeout: wall seconds that any one wait may take unless it says otherwise; `inf` for ever.
-        link: a connection that there is already, instead of a new one.
+        socket: the path of the daemon's socket, instead of `instance`.
+        timeout: default limit of each wait in wall seconds; `inf` for no limit.
+        link: an existing connection to use instead of a new one.
 
-    It is for one thread: where several use one at a time, one takes the answers of the others. Give each its own.
+    Use a client from one thread only: threads that share one take each other's answers. Give each thread its own.
 
     Raises:
-        NoDaemon: nobody answers. Refused: the socket's folder is not private, or the daemon is another user's.
+        NoDaemon: no daemon answers. Refused: the socket's folder is not private, or the daemon is another user's.
     """
 
     def __init__(
@@ -80,29 +81,29 @@ class Client:
         self.paths = self._link.paths
         self.timeout = timeout
         self.reasons: list[Reason] = []
-        """What the daemon warned of, or gave as an error, while it carried out the request answered last.
+        """The daemon's warnings and errors from the request that was answered last.
 
         That is the last `call`, `answer`, `deliver` or `flush`, whether it raised or not.
         """
         self.on_other_version: Callable[[str], None] = lambda _version: None
-        """Called once, with the version of a daemon that is not this client's; empty for one that does not say."""
+        """Called once with the daemon's version if it differs from the client's; empty if the daemon sends none."""
         self._serial = 0
         self._awaited: set[str] = set()
-        """Ids of requests whose answers somebody will ask for; other answers are not kept."""
+        """Ids of the requests whose answers are kept for `answer`; other answers are discarded."""
         self._answers: dict[str, Message] = {}
         self._refusals: dict[str, SlidectlError] = {}
-        """The first ones, by the id of what was refused."""
+        """Request id -> its first error."""
         self._subscriptions: dict[str, list[Subscription]] = {}
         self._advertised: dict[tuple[str, str | None, bool], str] = {}
         self._published = False
         self._full_names: dict[tuple[str, str], str] = {}
         self._sent: dict[str, int] = {}
-        """Topic -> messages that were published and not latched."""
+        """Topic -> number of messages published without latch."""
         self._unheard: dict[str, int] = {}
-        """Topic -> those of them that nobody got."""
+        """Topic -> number of those messages that no subscriber received."""
         self._first_call: str | None = None
         self._handlers: dict[str, Callable[[Message], Message]] = {}
-        """Of the services that this client provides."""
+        """Service -> handler, of the services that this client provides."""
 
     # --- services -----------------------------------------------------------------------------------------------
 
@@ -116,19 +117,19 @@ class Client:
         return self.answer(self.call_async(service, request), timeout=timeout)
 
     def call_async(self, service: str, request: Message | None = None) -> str:
-        """Send a call and return its id at once; `answer` waits for the response."""
+        """Send a call and return its id without waiting; `answer` waits for the response."""
         full = self._full("service", service)
         call_id = self._next_id("call")
         self._awaited.add(call_id)
         message = {"op": "call_service", "id": call_id, "service": full, "args": request or {}}
-        if self._first_call is None:  # it asks for the daemon's version too, which costs no round trip
+        if self._first_call is None:  # the first call also asks for the daemon's version: no extra round trip
             self._first_call = call_id
             message["version"] = __version__
         self._send(**message)
         return call_id
 
     def answer(self, call_id: str, *, timeout: float | None = None) -> Message:
-        """The response to an earlier `call_async`. Raises as `call` does."""
+        """Wait for the response to an earlier `call_async` and return it. Raises as `call` does."""
         answer = self._answer(call_id, timeout)
         values = answer.get("values")
         if not answer.get("result", True):
@@ -136,7 +137,7 @@ class Client:
         return values if isinstance(values, dict) else {}
 
     def _answer(self, call_id: str, timeout: float | None) -> Message:
-        """Wait for the answer, as it is on the wire."""
+        """Wait for the answer and return the object as received."""
         try:
             if call_id not in self._answers:
                 self.wait_until(lambda: call_id in self._answers, timeout, "the service did not answer")
@@ -144,27 +145,27 @@ class Client:
             self._awaited.discard(call_id)
         answer = self._answers.pop(call_id)
         texts = list(map(str, answer.get("reasons", ())))
-        levels = answer.get("levels", ["error"] * len(texts))  # an older daemon does not tell them
+        levels = answer.get("levels", ["error"] * len(texts))  # an older daemon sends no levels
         self.reasons = [Reason(text, level) for text, level in zip(texts, levels, strict=True)]
         return answer
 
     def is_answered(self, call_id: str) -> bool:
-        """True when the response to an earlier `call_async` is here: `answer` will not wait."""
+        """True when the response to an earlier `call_async` has arrived: `answer` will not wait."""
         return call_id in self._answers
 
     def forget(self, call_id: str) -> None:
-        """Nobody will ask for the response to an earlier `call_async`."""
+        """Discard the response to an earlier `call_async`, now or when it arrives."""
         self._awaited.discard(call_id)
         self._answers.pop(call_id, None)
 
     def advertise_service(self, service: str, type: str, handler: Callable[[Message], Message]) -> None:
-        """Provide a service until the client is closed: the handler makes the response of a request.
+        """Provide a service until the client is closed. The handler takes a request and returns the response.
 
-        Requests are answered while the client waits for something. What the handler raises is the caller's failure. A
-        name without a leading slash is in the root.
+        Requests are answered while the client waits in a call. An exception of the handler is the failure of the
+        caller's call. A name without a leading slash is in the root namespace.
 
         Raises:
-            Refused: there is such a service already, or no such type.
+            Refused: the service exists already, or the type does not exist.
         """
         service = names.join("/", service)
         if service in self._handlers:
@@ -179,19 +180,19 @@ class Client:
 
     def _serve(self, request: Message) -> None:
         handler = self._handlers.get(request["service"])
-        if handler is None:  # whoever advertised it by hand reads `events`
+        if handler is None:  # a script that advertised the service without a handler reads `events`
             return
         answer: Message = {"op": "service_response", "id": request["id"], "service": request["service"]}
         try:
             line = _line(answer | {"values": handler(request["args"]), "result": True})
-        except Exception as error:  # the caller's, not ours; also about a response that is no JSON
+        except Exception as error:  # reported to the caller; also raised for a response that JSON cannot hold
             line = _line(answer | {"values": str(error) or type(error).__name__, "result": False})
         self._link.send(line, self.monotonic() + self.timeout)
 
     # --- topics -------------------------------------------------------------------------------------------------
 
     def advertise(self, topic: str, type: str | None = None, latch: bool = False) -> None:
-        """Become a publisher of the topic until the client is closed; `latch` keeps the last message for latecomers."""
+        """Become a publisher until the client is closed; `latch` keeps the last message for new subscribers."""
         if (topic, type, latch) in self._advertised:
             return
         advertise_id = self._advertised[topic, type, latch] = self._next_id("advertise")
@@ -200,9 +201,9 @@ class Client:
         self._published = True
 
     def publish(self, topic: str, message: Message, type: str | None = None, latch: bool = False) -> None:
-        """Send one message. A topic that exists needs no type; `flush` says whether the message was taken."""
+        """Send one message. An existing topic needs no type; `flush` raises if the message was refused."""
         topic = self._full("topic", topic, "subscribers", type)
-        if latch:  # it is kept for those who come later
+        if latch:  # a latched message is kept for later subscribers
             self._publish(topic, message, type, latch)
         else:
             self._publish(topic, message, type, latch, unheard=True)
@@ -210,7 +211,7 @@ class Client:
         self._published = True
 
     def _publish(self, topic: str, message: Message, type: str | None, latch: bool, /, **more: Any) -> str:
-        """`more` are further fields of the publish object. Returns the id."""
+        """Send a publish object with the further fields `more`. Returns its id."""
         if type is not None or latch:
             self.advertise(topic, type, latch)
         full, publish_id = self._full("topic", topic, "subscribers", type), self._next_id("publish")
@@ -220,10 +221,11 @@ class Client:
     def publish_at(
         self, topic: str, message: Message, time_ns: int, type: str | None = None, latch: bool = False
     ) -> str:
-        """Send a message that the daemon publishes at the end of the first cycle with that simulated time or a later.
+        """Send a message that the daemon publishes at the end of the first cycle whose simulated time is at least
+        `time_ns`.
 
-        Returns an id at once, for `is_answered` and `published`. At most 10000 messages of a client may wait for their
-        time. They are not published when the client has gone.
+        Returns an id without waiting, for `is_answered` and `published`. A client may have at most 10000 waiting
+        messages. They are discarded when the client disconnects.
         """
         at = {"secs": time_ns // 10**9, "nsecs": time_ns % 10**9}
         publish_id = self._publish(topic, message, type, latch, at=at, ack=True, **_typed(type))
@@ -231,27 +233,23 @@ class Client:
         return publish_id
 
     def published(self, publish_id: str, *, timeout: float | None = None) -> bool:
-        """Wait until what `publish_at` sent is published; False when its time had passed before it was there.
-
-        Raises:
-            MessageRefused, TimedOut, NoDaemon.
-        """
+        """Wait until a message of `publish_at` is published. False when it reached the daemon after its time."""
         answer = self._answer(publish_id, timeout)
         if publish_id in self._refusals:
             raise self._refusals.pop(publish_id)
         return not answer.get("late", False)
 
     def deliver(self, topic: str, message: Message, type: str | None = None, latch: bool = False) -> None:
-        """`publish` and `flush` in one, in the time of one call. Raises as `flush`."""
+        """`publish` and `flush` in one round trip. Raises as `flush`."""
         publish_id = self._publish(topic, message, type, latch, ack=True)
         self._awaited.add(publish_id)
         self._flushed(publish_id, None)
 
     def flush(self, *, timeout: float | None = None) -> None:
-        """Wait until all that was sent has been taken in and has reached the subscribers.
+        """Wait until the daemon has processed everything that was sent and passed it to the subscribers.
 
         Raises:
-            MessageRefused: the first of the refusals that came back, with its exit code; TimedOut, NoDaemon.
+            MessageRefused: the first refusal, with its exit code. TimedOut. NoDaemon.
         """
         self._flushed(self.call_async(_SYNCHRONIZE), timeout)
 
@@ -275,16 +273,16 @@ class Client:
         """Receive the topic's messages from now on.
 
         Args:
-            type: needed only for a topic that nobody has advertised yet.
-            queue_length: messages kept for a slow reader, the newest; 0 means 1000.
-            throttle_rate: least wall milliseconds between two messages.
-            take: called with each publish object (`topic`, `msg`, and the simulated `time` at which it was published;
-                with `latch`, where it was published before, that of the subscription) while some call waits; nothing is
-                kept then.
-            wait: False returns at once, to subscribe many topics from one moment on; `flush` raises what was refused.
+            type: needed only for a topic that is not advertised yet.
+            queue_length: the newest messages kept for a slow reader; 0 means 1000.
+            throttle_rate: minimum interval between two messages in wall milliseconds.
+            take: called, while a call waits, with each publish object: `topic`, `msg` and `time`, the simulated time of
+                publication. A message latched before the subscription has `latch`, and the time of the subscription.
+                With `take` no messages are queued.
+            wait: False returns without waiting, so that many subscriptions begin together; `flush` raises refusals.
 
         Raises:
-            Refused: no such topic, or it has another type.
+            Refused: the topic does not exist or has another type.
         """
         topic = self._full("topic", topic, "publishers", type)
         subscription = Subscription(self, topic, self._next_id("subscribe"), queue_length, take)
@@ -305,18 +303,18 @@ class Client:
         return subscription
 
     def unsubscribe(self, subscription: Subscription) -> None:
-        """What `Subscription.close` does."""
+        """End a subscription. `Subscription.close` calls this."""
         receivers = self._subscriptions.get(subscription.topic, [])
         if subscription not in receivers:
             return
         receivers.remove(subscription)
-        with suppress(NoDaemon):  # a dead daemon has unsubscribed us already
+        with suppress(NoDaemon):  # a daemon that ended has no subscriptions left
             self._send(op="unsubscribe", id=subscription.id, topic=subscription.topic)
 
     # --- names --------------------------------------------------------------------------------------------------
 
     def topics(self, *, timeout: float | None = None) -> dict[str, str]:
-        """Every topic with its type."""
+        """Every topic -> its type."""
         answer = self.call("/rosapi/topics", timeout=timeout)
         return dict(zip(answer["topics"], answer["types"], strict=True))
 
@@ -325,7 +323,7 @@ class Client:
         return list(self.call("/rosapi/services")["services"])
 
     def _full(self, kind: str, name: str, role: str = "", type: str | None = None) -> str:
-        """The full name of a relative one, remembered for this connection. A new topic with a type is in the root."""
+        """The full name of a relative one, cached. A new topic with a type is in the root namespace."""
         if name.startswith("/"):
             return name
         full = self._full_names.get((kind, name))
@@ -344,20 +342,20 @@ class Client:
     def resolve(
         self, kind: str, name: str, *, namespace: str = "/", role: str = "", with_field: bool = False
     ) -> Message:
-        """What a short name means, as the command line has it: itself, or the one name that ends with it.
+        """The full name of a short one: the name itself, or the only name that ends with it, as on the command line.
 
         Args:
             kind: `topic`, `service`, `parameter` (or a namespace of parameters), `node` or `robot`.
-            namespace: where relative names begin, and which of several is meant.
+            namespace: relative names begin here; it also decides between several matches.
             role: of a topic: only those with `publishers`, or with `subscribers`; empty for all.
             with_field: of a topic: a field may follow the name.
 
         Returns:
-            slidectl/Resolve's response: `name` is the full name; then `field`, `type`, `typedefs`,
-            `response_typedefs` and `nodes`, as far as the kind has them.
+            slidectl/Resolve's response: `name` is the full name; then `field`, `type`, `typedefs`, `response_typedefs`
+            and `nodes`, as far as the kind has them.
 
         Raises:
-            UnknownName: nothing fits. AmbiguousName: several do. Unused: the topic has nobody in the role.
+            UnknownName: no match. AmbiguousName: several matches. Unused: the topic has no node in the role.
         """
         request = {"kind": kind, "name": name, "namespace": namespace, "role": role, "with_field": with_field}
         call_id = self.call_async("/slidectl/resolve", request)
@@ -368,7 +366,7 @@ class Client:
         if cause is None:
             raise _refusal(Refused, str(answer.get("values")), answer)
         message, _, hint = str(answer.get("values")).partition("\n")
-        error = cause.__new__(cause)  # without its constructor, which makes the text that is here already
+        error = cause.__new__(cause)  # skips the constructor, which would build the text again
         SlidectlError.__init__(error, message, hint or None)
         if isinstance(error, AmbiguousName):
             error.matches = list(map(str, answer.get("matches", ())))
@@ -387,22 +385,22 @@ class Client:
         transmissions: str | None = None,
         **xacro_arguments: str,
     ) -> Message:
-        """Put a robot, or all models of a file, into the world, as `slidectl spawn` does.
+        """Spawn a robot, or all models of a file, as `slidectl spawn` does.
 
-        Returns slidectl/RobotInfo, of a world the first model's.
+        Returns slidectl/RobotInfo; for a world, that of the first model.
 
         Args:
             model: a shipped model's name, the path of a .xacro, .urdf, .sdf or .world file, or `model://NAME`.
             at: x, y, z in m, or these and roll, pitch, yaw in rad.
             controllers: the YAML file of its controllers' parameters.
             start: controllers to load and start.
-            joints: where joints start, rad or m.
-            transmissions: `gazebo` or `real`, whatever the model says.
+            joints: start positions of joints, rad or m.
+            transmissions: `gazebo` or `real`; overrides the model.
 
         Raises:
-            BadFile, UnknownName, UsageError: before anything is changed. Refused: with the daemon's reason.
+            BadFile, UnknownName, UsageError: nothing has been changed. Refused: with the daemon's reason.
         """
-        # What reads a robot's files is imported here: a script that spawns none starts without it.
+        # Imported here because it reads robot files: a script that spawns nothing starts without it.
         from slidectl.client import spawning
 
         if name is not None:
@@ -442,22 +440,22 @@ class Client:
         *,
         timeout: float = SPAWN_LIMIT_S,
     ) -> list[str]:
-        """Put a URDF into the world at a geometry_msgs/Pose, with joints where they start (rad or m).
+        """Spawn a URDF at a geometry_msgs/Pose, with start positions of joints (rad or m).
 
         Returns the world's remarks. Raises Refused.
         """
         request = {"model_name": name, "model_xml": xml, "initial_pose": pose}
         if not joints:
             return self._spawn("urdf", request, timeout)
-        with self._spawning() as spawned:  # no moment passes between the two
+        with self._spawning() as spawned:  # the world is paused: no cycle runs between the two calls
             self._spawn("urdf", request, timeout)
             spawned.append(name)
-            return self.start_joints(name, joints)  # what it was put into with its joints at 0 is not in them
+            return self.start_joints(name, joints)  # replaces the spawn's remarks, which are about joints at 0
 
     def start_joints(self, robot: str, positions: Mapping[str, float]) -> list[str]:
-        """Put joints of a robot there (rad or m), at rest, and let resets do so too.
+        """Move joints of a robot to these positions (rad or m) at rest, and make them the positions after a reset.
 
-        Returns the world's remarks on the robot as it is now. Raises Refused.
+        Returns the world's remarks on the robot in its new state. Raises Refused.
         """
         names, values = list(positions), list(positions.values())
         answer = self.call("/slidectl/start_joints", {"robot": robot, "joint_names": names, "joint_positions": values})
@@ -466,9 +464,9 @@ class Client:
         return list(answer["message"].split("\n")[1:])
 
     def spawn_models(self, models: Sequence[Message], *, timeout: float = SPAWN_LIMIT_S) -> list[str]:
-        """Put models into the world, all or none; it stands still meanwhile. Returns the world's remarks.
+        """Spawn models, all or none; the world is paused meanwhile. Returns the world's remarks.
 
-        Each of `models` is a request of gazebo_msgs/SpawnModel, of SDF or of the URDF that was made of it.
+        Each of `models` is a gazebo_msgs/SpawnModel request, with SDF or a URDF made from it.
 
         Raises:
             Refused: a name is taken, or the world cannot take a model.
@@ -481,12 +479,12 @@ class Client:
         with self._spawning() as spawned:
             for model in models:
                 remarks += self._spawn("sdf", model, timeout)
-                spawned.append(model["model_name"])  # not before: what could not be spawned may be another's
+                spawned.append(model["model_name"])  # after the call: a refused name may be another model's
         return remarks
 
     @contextmanager
     def _spawning(self) -> Iterator[list[str]]:
-        """The world stands still, and the models that are listed leave it again if this fails."""
+        """Pause the world inside the context. On an exception, delete the models in the list that it gives."""
         was_running = not self.call("/slidectl/status")["paused"]
         spawned: list[str] = []
         if was_running:
@@ -510,7 +508,7 @@ class Client:
         return list(answer["status_message"].split("\n")[1:])
 
     def delete(self, name: str) -> None:
-        """Take a robot out of the world. Raises UnknownName, Refused."""
+        """Delete a robot from the world. Raises UnknownName, Refused."""
         full = self.resolve("robot", name)["name"]
         answer = self.call("/gazebo/delete_model", {"model_name": full})
         if not answer["success"]:
@@ -532,15 +530,15 @@ class Client:
         namespace: str = "/",
         **options: Any,
     ) -> Message:
-        """Let something go wrong from one simulated time (s; now) to another (until it is removed).
+        """Add a fault from one simulated time (s; by default now) to another (by default until it is removed).
 
         Returns slidectl/Fault, with its options as a dict.
 
         Args:
             target: a joint, link (`robot/joint`), controller or topic; the unique end of its name is enough.
             kind: `sensor-noise`, `joint-stuck` ...; `slidectl fault kinds` lists them with their options.
-            seed: of its random numbers.
-            name: how it is listed; without one it gets one.
+            seed: the seed of its random numbers.
+            name: the fault's name in lists; by default the daemon makes one.
             namespace: where the target is looked for first.
 
         Raises:
@@ -552,11 +550,11 @@ class Client:
         return _with_options(answer["fault"])
 
     def faults(self) -> list[Message]:
-        """All faults, each as slidectl/Fault, with what they did so far and their options as a dict."""
+        """All faults, each as slidectl/Fault, with their effects so far and their options as a dict."""
         return [_with_options(fault) for fault in self.call("/slidectl/fault/list")["faults"]]
 
     def remove_faults(self, *names: str) -> list[str]:
-        """Take these faults back, or all there are. Returns their names. Raises Refused: one is not there."""
+        """Remove these faults, or all without names. Returns the names. Raises Refused: a fault does not exist."""
         return list(self.call("/slidectl/fault/remove", {"names": names})["names"])
 
     def controllers(self, namespace: str) -> Manager:
@@ -564,7 +562,7 @@ class Client:
         return Manager(self, names.join("/", namespace).rstrip("/") or "/")
 
     def action(self, name: str) -> Action:
-        """An action by its name, or by that of a controller with one: send goals, follow and cancel them.
+        """An action by its name, or by the name of a controller with one action: send goals, follow and cancel them.
 
         Raises:
             UnknownName, AmbiguousName.
@@ -579,12 +577,13 @@ class Client:
         return Params(self)
 
     def step(self, cycles: int | None = None, *, seconds: float = 0.0, until: float = 0.0) -> float:
-        """Pause the world and run so many cycles (1), or simulated seconds, or up to a simulated time above 0.
+        """Pause the world and run `cycles` cycles (1 by default), `seconds` simulated seconds, or up to the time
+        `until`.
 
         Returns the simulated time in s.
 
         Raises:
-            Refused: a time that is no whole number of cycles away, or has passed, or the steps were given up.
+            Refused: the time has passed or is no whole number of cycles away, or the steps were interrupted.
         """
         if (cycles is not None) + bool(seconds) + bool(until) > 1:
             raise UsageError("step takes one of cycles, seconds and until")
@@ -596,42 +595,45 @@ class Client:
         return float(answer["time"])
 
     def sleep(self, seconds: float, *, timeout: float | None = None) -> float:
-        """Wait until so many simulated seconds have passed. Returns the simulated time in s.
+        """Wait until `seconds` of simulated time have passed. Returns the simulated time in s.
 
-        `timeout` is in wall seconds; a minute plus ten times the simulated ones when not given. Raises TimedOut, also
-        for a world that is paused.
+        `timeout` is in wall seconds; the default is 60 plus ten times `seconds`. Raises TimedOut, also for a paused
+        world.
         """
         limit = 60.0 + 10.0 * seconds if timeout is None else timeout
         return float(self.call("/slidectl/sleep", {"duration": seconds}, timeout=limit)["time"])
 
     def save(self, name: str, file: str | None = None) -> float:
-        """Keep the whole state of the world under a name, and write it to the file as well if there is one.
+        """Save the whole state of the world under a name, and also to `file` if given.
 
-        Returns the simulated time in s. Raises Refused: a switch is under way, or a class has what no snapshot holds.
+        Returns the simulated time in s. Raises Refused: a switch is in progress, or a class has state that a snapshot
+        cannot hold.
         """
         return float(self.call("/slidectl/save", {"name": name, "file": _absolute(file)})["time"])
 
     def load(self, name: str | None = None, file: str | None = None) -> float:
-        """Put the world back to what was saved under the name, or what the file holds. Returns the simulated time in s.
+        """Restore the world from the snapshot `name` or from the file. Returns the simulated time in s.
 
-        Raises Refused: no such snapshot, one of another version, cut off or damaged, or a switch is under way.
+        Raises Refused: no such snapshot, one of another version, truncated or damaged, or a switch is in progress.
         """
         return float(self.call("/slidectl/load", {"name": name or "", "file": _absolute(file)})["time"])
 
     def snapshots(self) -> list[Message]:
-        """Those that the daemon keeps, in the order of their saving (slidectl/SnapshotInfo)."""
+        """The daemon's snapshots (slidectl/SnapshotInfo), oldest first."""
         return list(self.call("/slidectl/snapshots")["snapshots"])
 
     @contextmanager
     def lockstep(self, period: float = 0.0, timeout: float = 5.0) -> Iterator[LockStep]:
-        """Inside, the world goes on only by `step` of what this gives: one period each, of every client in lock-step.
+        """Run the world in lock-step inside the context: it advances only by `step` of the LockStep that this gives.
+
+        Each step is one period. With several clients in lock-step, the world advances when all have called `step`.
 
         Args:
-            period: simulated seconds, whole cycles; one cycle when not given.
-            timeout: wall seconds for which the world waits for this client; then it goes on without it.
+            period: simulated seconds, a whole number of cycles; one cycle by default.
+            timeout: wall seconds that the world waits for this client; then it goes on without it.
 
         Raises:
-            Refused: no whole number of cycles.
+            Refused: the period is no whole number of cycles.
         """
         seconds = period or float(self.call("/slidectl/status")["timestep"])
         joined = self.call("/slidectl/lockstep", {"period": seconds, "timeout": timeout})
@@ -639,7 +641,7 @@ class Client:
         try:
             yield lock
         finally:
-            with suppress(NoDaemon, Refused):  # it was let go already
+            with suppress(NoDaemon, Refused):  # the daemon has already ended this client's lock-step
                 self.call("/slidectl/lockstep", {"leave": True})
 
     def wait(
@@ -658,10 +660,10 @@ class Client:
         """Wait until a field of a topic (`joint_states/position[0]`) meets one condition. Returns its value.
 
         Args:
-            tol: how far `near` may be off.
+            tol: tolerance of `near`.
             within: simulated seconds after which it fails; 0 for no limit.
             for_: simulated seconds that the condition must hold.
-            timeout: wall seconds; a minute plus ten times the simulated ones when not given.
+            timeout: limit in wall seconds; by default 60 plus ten times the simulated ones.
 
         Raises:
             Refused: not met `within`. TimedOut. UnknownName, Unused: no such topic or field.
@@ -685,13 +687,13 @@ class Client:
     # --- what arrives -------------------------------------------------------------------------------------------
 
     def events(self, timeout: float = math.inf) -> Iterator[Message]:
-        """Every object that arrives, as it is on the wire, until nothing has come for `timeout` seconds."""
+        """Every object that arrives, as received. Ends when nothing arrives for `timeout` seconds."""
         while (message := self._link.receive(self.monotonic() + timeout)) is not None:
             self._sort(message)
             yield message
 
     def wait_until(self, condition: Callable[[], bool], timeout: float | None, failure: str) -> None:
-        """Take in what arrives until the condition is true. Raises TimedOut with the text of `failure`, NoDaemon."""
+        """Read what arrives until the condition is true. Raises TimedOut with the text of `failure`, NoDaemon."""
         seconds = self.timeout if timeout is None else timeout
         if not self._becomes(condition, seconds):
             raise TimedOut(f"{failure} within {seconds:.3g} s", self._why_nothing_happens())
@@ -736,7 +738,7 @@ class Client:
             self._link.last_status = str(status.get("msg", ""))
 
     def _why_nothing_happens(self) -> str | None:
-        """The hint of a TimedOut: a paused world answers nobody who waits for its time, and a daemon may hang."""
+        """The hint of a TimedOut: the world is paused or waits for lock-step, or the daemon hangs; None if unknown."""
         call_id = self.call_async("/slidectl/status")
         if not self._becomes(lambda: call_id in self._answers, _PROBE_S):
             self.forget(call_id)
@@ -758,26 +760,27 @@ class Client:
         return self._link.daemon_pid
 
     def another(self) -> Client:
-        """A further connection to the same daemon, with the same `timeout`. Raises as a new client."""
+        """Open a further connection to the same daemon, with the same `timeout`. Raises as the constructor."""
         return Client(link=self._link.another(self.monotonic() + self.timeout), timeout=self.timeout)
 
     def monotonic(self) -> float:
-        """The clock of all waits, in s: that of the machine, unless the world is in this process and has its own."""
+        """The clock of all waits, in s: the machine's, or that of a world in this process that has its own."""
         return self._link.monotonic()
 
     def fileno(self) -> int:
-        """The socket, for a `select` of the caller's."""
+        """The file descriptor of the socket, for the caller's `select`."""
         return self._link.fileno()
 
     def call_back(self, action: Callable[[], object] | None) -> bool:
-        """In a world in this process: call it between two cycles whenever something has come while others wait.
+        """Set a callback for a world in this process: run between two cycles when something arrived while other clients
+        wait.
 
-        None: no more. False where the world is in another process, and `fileno` says when something has come.
+        None removes it. Returns False for a world in another process; use `fileno` there.
         """
         return self._link.call_back(action)
 
     def _send(self, **message: Any) -> None:
-        """Raises BadLine: one that the daemon would not take. TimedOut, NoDaemon."""
+        """Send one object. Raises BadLine: the daemon would refuse it. TimedOut. NoDaemon."""
         self._link.send(_line(message), self.monotonic() + self.timeout)
 
     def _next_id(self, purpose: str) -> str:
@@ -785,7 +788,7 @@ class Client:
         return f"{purpose}:{self._serial}"
 
     def close(self) -> None:
-        """Let go of the connection at once; what it advertised and subscribed ends with it."""
+        """Close the connection without waiting. Its advertisements and subscriptions end."""
         self._link.close()
 
     def __enter__(self) -> Client:
@@ -809,7 +812,7 @@ def _with_options(fault: Message) -> Message:
 
 
 def _line(message: Message) -> bytes:
-    """Raises BadLine."""
+    """Encode an object as a line. Raises BadLine: it is too long."""
     line = encode(message)
     if len(line) > LONGEST_LINE:
         raise BadLine(f"a message of {len(line)} bytes is more than the {LONGEST_LINE} that fit a line")
@@ -817,7 +820,7 @@ def _line(message: Message) -> bytes:
 
 
 def _absolute(file: str | None) -> str:
-    """For the daemon, which works in another folder."""
+    """The absolute path, since the daemon works in another folder; empty for None."""
     return os.path.abspath(file) if file else ""
 
 
@@ -834,8 +837,8 @@ def _refusal(cause: type[Refused], text: str, answer: Message) -> Refused:
 class Subscription:
     """Messages of one topic, in order. Iterating waits for each without a limit; `get` waits with one.
 
-    `dropped` counts the messages that came faster than they were read and were given up, the oldest first, by the
-    daemon or here.
+    `dropped` counts the messages that the daemon or the client discarded, oldest first, because the reader was too
+    slow.
     """
 
     def __init__(
@@ -854,7 +857,7 @@ class Subscription:
         self._queue: deque[Message] = deque(maxlen=queue_length or DEFAULT_QUEUE)
 
     def put(self, published: Message) -> None:
-        """Called by the client for each publish object that arrives."""
+        """Take a publish object that has arrived. The client calls this."""
         if self._take is not None:
             self._take(published)
             return
@@ -863,10 +866,10 @@ class Subscription:
         self._queue.append(published["msg"])
 
     def get(self, timeout: float | None = None) -> Message:
-        """The next message; waits at most `timeout` wall seconds (the client's by default, `inf` for ever).
+        """Return the next message; wait at most `timeout` wall seconds (the client's by default, `inf` for no limit).
 
         Raises:
-            TimedOut: none came. NoDaemon: the daemon went away.
+            TimedOut: no message arrived. NoDaemon: the daemon ended.
         """
         queue = self._queue
         if not queue:
@@ -880,11 +883,11 @@ class Subscription:
         return self.get(math.inf)
 
     def __len__(self) -> int:
-        """Messages that are here already."""
+        """The number of messages in the queue."""
         return len(self._queue)
 
     def close(self) -> None:
-        """Unsubscribe. Messages that are here already can still be read."""
+        """Unsubscribe. Messages in the queue can still be read."""
         self._client.unsubscribe(self)
 
     def __enter__(self) -> Subscription:
@@ -895,23 +898,23 @@ class Subscription:
 
 
 class LockStep:
-    """A client for which the world waits; see Client.lockstep. `time` is the simulated time at which it stands, s."""
+    """A client in lock-step with the world; see Client.lockstep. `time` is the simulated time of the world in s."""
 
     def __init__(self, client: Client, time: float) -> None:
         self._client = client
         self._under_way: str | None = None
-        """The call of a step that timed out."""
+        """The id of a step call that timed out."""
         self.time = time
 
     def step(self, timeout: float = math.inf) -> float:
-        """Say that this client is done, and wait until its next period is over. Returns the simulated time in s.
+        """Report this client as done and wait until its next period is over. Returns the simulated time in s.
 
         All messages of the period have arrived then.
 
         Raises:
-            TimedOut: not within `timeout` wall seconds: others are not done, or the world is paused. The next `step`
-                waits on for the same period. Refused: this client was let go, since the world waited for it for longer
-                than its time-out.
+            TimedOut: not within `timeout` wall seconds: other clients are not done, or the world is paused. The next
+                `step` waits on for the same period. Refused: the daemon ended this client's lock-step, because the
+                world waited longer than its time-out.
         """
         client = self._client
         call = self._under_way = self._under_way or client.call_async("/slidectl/lockstep")
@@ -922,9 +925,9 @@ class LockStep:
 
 
 class Params:
-    """The parameters of a daemon. A value is a number, text, truth value, list, or a dict for all below a namespace.
+    """The parameters of a daemon. A value is a number, text, truth value or list, or a dict for a whole namespace.
 
-    Names may be short, as on the command line; a new parameter's name begins at the root.
+    Names may be short, as on the command line; a new parameter's name is relative to the root namespace.
     """
 
     def __init__(self, client: Client) -> None:
@@ -949,7 +952,7 @@ class Params:
         self.set_all({full: value})
 
     def set_all(self, values: Mapping[str, Any]) -> None:
-        """Set several by their full names, all or none. Raises Refused: a loaded controller cannot take a value."""
+        """Set several by full name, all or none. Raises Refused: a loaded controller cannot take a value."""
         texts = [json.dumps(value, allow_nan=False) for value in values.values()]
         self._client.call("/slidectl/set_params", {"names": list(values), "values": texts})
 
@@ -963,12 +966,12 @@ class Params:
 
 
 class Manager:
-    """`/<namespace>/controller_manager/*`. What it refuses is raised with the reasons that its answer brings.
+    """A client of the services `/<namespace>/controller_manager/*`. A refusal raises Refused with the answer's reasons.
 
     Args:
-        warn: called with each warning, and with each error of a request that went well all the same.
-        limit_s: wall seconds that one call may take; None: as the client has it.
-        timeout_s: longest simulated time that a switch may take; 0: no limit.
+        warn: called with each warning, and with each error of a request that succeeded nevertheless.
+        limit_s: limit of one call in wall seconds; None for the client's `timeout`.
+        timeout_s: limit of a switch in simulated seconds; 0 for no limit.
     """
 
     def __init__(
@@ -993,7 +996,7 @@ class Manager:
         self._answered(what, self.client.call_async(f"{self.name}/{verb}", request))
 
     def _answered(self, what: str, call_id: str) -> None:
-        """Wait for the answer of a service that says `ok`. Raises Refused."""
+        """Wait for an answer with the field `ok`. Raises Refused."""
         ok = self.client.answer(call_id, timeout=self._limit_s)["ok"]
         reasons = self.client.reasons
         for reason in reasons:
@@ -1007,12 +1010,12 @@ class Manager:
         return Refused("\n".join(reasons) or f"cannot {what}, and no reason was given")
 
     def is_there(self) -> bool:
-        """Whether its services exist."""
+        """True when the services of the controller manager exist."""
         known = self.client.services()
         return all(f"{self.name}/{service}" in known for service in _MANAGER_SERVICES)
 
     def ask_for_controllers(self) -> str:
-        """Send the request; `controllers` and `states` take the answer."""
+        """Send the request of `controllers` and `states` ahead."""
         return self.client.call_async(f"{self.name}/list_controllers")
 
     def controllers(self, asked: str | None = None) -> list[Message]:
@@ -1025,32 +1028,32 @@ class Manager:
         return {controller["name"]: controller["state"] for controller in self.controllers(asked)}
 
     def update_times(self) -> list[Message]:
-        """How long the updates of the loaded controllers took, in load order (slidectl/UpdateTimes)."""
+        """Update durations of the loaded controllers, in load order (slidectl/UpdateTimes)."""
         return list(self.client.call("/slidectl/update_times", {"robot": self.namespace})["controllers"])
 
     def types(self) -> Message:
-        """`types` and `base_classes`, parallel lists."""
+        """The controller types: `types` and `base_classes`, parallel lists."""
         return self._call("list_controller_types")
 
     def configured(self) -> list[str]:
-        """Controllers that have a `type` parameter here, loaded or not."""
+        """The controllers with a `type` parameter in this namespace, loaded or not."""
         return configured(self.client.params.names(), self.namespace)
 
     def known(self) -> list[str]:
-        """Controllers that are loaded or could be."""
+        """Names of the controllers that are loaded or configured, sorted."""
         return sorted({*self.states(), *self.configured()})
 
     def type_parameter(self, name: str) -> str:
-        """The type that the parameters give a controller; empty when they give none."""
+        """The type of a controller in its parameters; empty without one."""
         request = {"name": names.join(self.namespace, f"{name}/type"), "default": '""'}
         return str(json.loads(self.client.call("/rosapi/get_param", request)["value"]))
 
     def load(self, name: str) -> None:
-        """Raises Refused with the reason."""
+        """Load a controller. Raises Refused with the reason."""
         self._act(f"load {name}", "load_controller", name=name)
 
     def unload(self, name: str) -> None:
-        """Raises Refused with the reason."""
+        """Unload a controller. Raises Refused with the reason."""
         self._act(f"unload {name}", "unload_controller", name=name)
 
     def switch(
@@ -1069,16 +1072,18 @@ class Manager:
         )
 
     def reload_libraries(self) -> None:
-        """Raises Refused when controllers are in the way."""
+        """Reload the controller libraries. Raises Refused when controllers prevent it."""
         self._act("reload the libraries", "reload_controller_libraries", force_kill=True)
 
     def load_file(self, name: str, file: str, class_name: str = "") -> None:
-        """Load a controller of a class in a Python file (an absolute path). Raises Refused with the reason."""
+        """Load a controller from a class in a Python file (an absolute path). Raises Refused with the reason."""
         request = {"robot": self.namespace, "name": name, "file": file, "class_name": class_name}
         self._answered(f"load {name}", self.client.call_async("/slidectl/load_controller_file", request))
 
     def reload(self, name: str) -> None:
-        """Put a controller of a user in its place as its file is now. Raises Refused with the reasons."""
+        """Replace a controller loaded from a user's file by the file's present version. Raises Refused with the
+        reasons.
+        """
         request = {"robot": self.namespace, "name": name}
         before = self.states().get(name)
         self._answered(f"reload {name}", self.client.call_async("/slidectl/reload_controller", request))
@@ -1086,12 +1091,12 @@ class Manager:
             self.check_started([name])
 
     def ask_to_load(self, wanted: Sequence[str]) -> dict[str, str]:
-        """Send the requests; `loaded` takes the answers."""
+        """Send load requests without waiting. Returns name -> call id, for `loaded`."""
         service = f"{self.name}/load_controller"
         return {name: self.client.call_async(service, {"name": name}) for name in dict.fromkeys(wanted)}
 
     def loaded(self, calls: dict[str, str]) -> None:
-        """The answers to `ask_to_load`. Raises Refused with what went wrong."""
+        """Wait for the answers to `ask_to_load`. Raises Refused with the errors."""
         each(lambda name: self._answered(f"load {name}", calls[name]), list(calls))
 
     def bring_up(
@@ -1103,15 +1108,15 @@ class Manager:
         states: Mapping[str, str] | None = None,
         loads: dict[str, str] | None = None,
     ) -> dict[str, str]:
-        """Load what is not loaded, then start what does not run in one strict switch. Returns the states afterwards.
+        """Load the controllers that are not loaded, then start the idle ones in one strict switch. Returns the states.
 
         Args:
             stop: running controllers that the same switch stops.
-            states: those before; None: they are asked for.
-            loads: calls of `ask_to_load` that are under way; None: what is not loaded is asked for here.
+            states: the states before; None: they are requested.
+            loads: calls of `ask_to_load` under way; None: the missing controllers are loaded here.
 
         Raises:
-            Refused: what cannot be loaded, and then nothing is started; or what did not start.
+            Refused: a controller cannot be loaded, and none is started; or one did not start.
         """
         states = self.states() if states is None else states
         self.loaded(self.ask_to_load([name for name in wanted if name not in states]) if loads is None else loads)
@@ -1119,12 +1124,12 @@ class Manager:
         return self.start(idle, stop) if start and (idle or stop) else self.states()
 
     def start(self, wanted: Sequence[str], stop: Sequence[str] = ()) -> dict[str, str]:
-        """Start loaded controllers in one strict switch, and see that they run. Returns the states. Raises Refused."""
+        """Start loaded controllers in one strict switch, and check that they run. Returns the states. Raises Refused."""
         self.switch(wanted, stop)
         return self.check_started(wanted)
 
     def check_started(self, wanted: Sequence[str]) -> dict[str, str]:
-        """A switch may be done and a controller still not run: it was aborted. Returns the states. Raises Refused."""
+        """Check that controllers run: one may abort after its switch. Returns the states. Raises Refused."""
         states = self.states()
         failed = [f"{name} is {states.get(name, UNLOADED)}" for name in wanted if states.get(name) not in STARTED]
         if failed:
@@ -1133,20 +1138,20 @@ class Manager:
 
 
 def configured(parameters: Sequence[str], namespace: str) -> list[str]:
-    """Controllers of a namespace that have a `type` among these parameters."""
+    """Names of the controllers in a namespace that have a `type` among these parameters."""
     prefix = namespace.rstrip("/") + "/"
     inside = (name.removeprefix(prefix) for name in parameters if name.startswith(prefix))
     return [name.removesuffix("/type") for name in inside if name.endswith("/type") and name.count("/") == 1]
 
 
 def claimed_text(resources: Sequence[Message]) -> str:
-    """`EffortJointInterface: joint1 joint2`, several parted by semicolons."""
+    """The claims as text, for example `EffortJointInterface: joint1 joint2`; `; ` separates interfaces."""
     parts = ((item["hardware_interface"].rpartition("::")[2], item["resources"]) for item in resources)
     return "; ".join(f"{interface}: {' '.join(claimed)}" if claimed else interface for interface, claimed in parts)
 
 
 def each(action: Callable[[str], None], wanted: Sequence[str]) -> None:
-    """Try all of them; then raise Refused with what went wrong."""
+    """Call `action` for each name, then raise Refused with all the errors if there were any."""
     failures = []
     for name in wanted:
         try:

@@ -1,6 +1,6 @@
-"""JSON lines: one object a line, as both ends of the socket write and read them.
+"""JSON lines: one object per line, in both directions of the socket.
 
-Encoding, decoding and cutting a stream of bytes into lines of bounded length. Knows no socket and no operation.
+Encoding, decoding and splitting a stream of bytes into lines of bounded length. It knows no socket and no operation.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from typing import Any
 from slidectl.errors import UsageError
 
 LONGEST_LINE = 16 * 1024 * 1024
-"""Bytes of a line, in both directions."""
+"""The maximum length of a line in bytes, in both directions."""
 _QUOTED = 60
 _MOST_VALUES = 100_000
 _MOST_MAPPINGS = 20_000
-"""A mapping may stand for a message with all its default values."""
+"""Lower than the limit of values: a mapping may stand for a message with all its default values."""
 
 _ENCODER = json.JSONEncoder(allow_nan=False, check_circular=False, separators=(",", ":"))
-# `JSONEncoder.encode` makes this object anew for each message, which takes as long as a short message itself.
+# `JSONEncoder.encode` makes this object anew for each message, which takes as long as encoding a short message.
 _pieces = json.encoder.c_make_encoder(  # type: ignore[attr-defined]
     None, _ENCODER.default, json.encoder.encode_basestring_ascii, None, ":", ",", False, False, False
 )
@@ -39,21 +39,21 @@ def encode(message: dict[str, Any]) -> bytes:
     """The object as one line. NaN becomes null, as rosbridge sends it; infinities stay, see `numbers_of_json`."""
     try:
         text = "".join(_pieces(message, 0))
-    except ValueError:  # there are some, which is rare
+    except ValueError:  # the message has NaN or infinity, which is rare
         text = numbers_of_json(_encode_all(message))
     return (text + "\n").encode("ascii")
 
 
 def numbers_of_json(text: str) -> str:
-    """What Python writes as NaN and Infinity, as JSON has it: null, and 1e999, which readers take for infinity."""
+    """Replace Python's NaN and Infinity by JSON: null, and 1e999, which readers parse as infinity."""
     return _TEXTS_AND_NUMBERS.sub(lambda match: _IN_JSON.get(match[0], match[0]), text)
 
 
 def check_size(line: bytes) -> None:
-    """Raises BadLine for one that would take long to read.
+    """Check that a line can be decoded quickly. Raises BadLine.
 
-    Text is quick to read, values are not: a message of more than so many holds up the world. They are counted by what
-    stands between them, without looking whether that is inside of a text.
+    Long texts decode quickly, many values do not: decoding them delays the world. Values are counted by their
+    separators, also those inside texts.
     """
     if len(line) < _MOST_VALUES:
         return
@@ -68,7 +68,8 @@ def check_size(line: bytes) -> None:
 def decode(line: bytes) -> dict[str, Any]:
     """The object that the line holds. Raises BadLine."""
     try:
-        # json.loads does the same when it has looked for other encodings and byte order marks, which takes as long.
+        # json.loads does the same after checks for other encodings and byte order marks, which take as long as
+        # decoding.
         is_plain = line.startswith(b"{")
         value = _decode(line.decode("utf-8", "surrogatepass")) if is_plain else json.loads(line)
     except (ValueError, RecursionError) as error:
@@ -84,7 +85,7 @@ def _beginning(line: bytes) -> str:
 
 
 class LineBuffer:
-    """Bytes in, whole lines out. Never holds more of an unfinished line than `longest` bytes."""
+    """Splits received bytes into whole lines. An unfinished line is at most `longest` bytes."""
 
     def __init__(self, longest: int = LONGEST_LINE) -> None:
         self._longest = longest
@@ -93,11 +94,11 @@ class LineBuffer:
 
     @property
     def unfinished(self) -> int:
-        """Bytes of a line whose end has not come."""
+        """The number of bytes of the last line, whose end has not arrived."""
         return len(self._rest)
 
     def feed(self, data: bytes) -> None:
-        """Take in what was received. Raises BadLine when a line outgrows the limit; whole lines before it are kept."""
+        """Add received bytes. Raises BadLine when a line exceeds the limit; whole lines before it are kept."""
         *whole, rest = data.split(b"\n")
         if whole and self._rest:
             whole[0] = b"".join((self._rest, whole[0]))  # one copy: the line may have 16 MiB

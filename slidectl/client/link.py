@@ -1,6 +1,6 @@
-"""The client's end of the socket: connect to a daemon of the same user, send lines, receive lines, within deadlines.
+"""The client's end of the socket: connect to a daemon of the same user, send and receive lines, within deadlines.
 
-Knows lines and the clock, not operations. Nothing waits without looking at the socket, so a daemon's end is noticed.
+It knows lines and the clock, not operations. Every wait watches the socket, so the end of the daemon is noticed.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from slidectl.errors import NoDaemon, Refused, TimedOut
 from slidectl.paths import DEFAULT_INSTANCE, InstancePaths, check_private
 
 _CHUNK = 64 * 1024
-"""Bytes of one receive. Python makes room for as many each time, and more than 128 KiB would be mapped and unmapped."""
+"""Bytes per receive call. Python allocates this many each time; above 128 KiB malloc would map and unmap memory."""
 _GRACE_S = 0.25
-"""How long after a deadline what has arrived is still taken in. It ends, however fast other things go on arriving."""
+"""Seconds after a deadline in which arrived data is still read. Bounds the wait under constant traffic."""
 _LONGEST_WAIT_S = 1e6
-"""`select` and `settimeout` take no wait of any length."""
+"""`select` and `settimeout` accept no longer wait, in s."""
 
 
 def command(paths: InstancePaths, words: str) -> str:
-    """The command line that does `words` with this instance, as a user would type it."""
+    """The shell command that runs `words` on this instance."""
     if paths.prefix:
         return f"slidectl --socket {paths.socket_text} {words}"
     name = paths.name
@@ -34,38 +34,38 @@ def command(paths: InstancePaths, words: str) -> str:
 
 
 def peer(connection: socket) -> tuple[int, int]:
-    """Process id and user id at the other end, as the kernel has them (SO_PEERCRED)."""
+    """Process id and user id of the process at the other end, from the kernel (SO_PEERCRED)."""
     pid, uid, _ = struct.unpack("3i", connection.getsockopt(SOL_SOCKET, SO_PEERCRED, struct.calcsize("3i")))
     return pid, uid
 
 
 class ClientLink(Protocol):
-    """What a client sends and receives by. Deadlines are on `monotonic`; `inf` is none."""
+    """A client's connection to a daemon. Deadlines are on `monotonic`; `inf` is none."""
 
     paths: InstancePaths
     daemon_pid: int
     last_status: str
 
     def another(self, deadline: float) -> ClientLink:
-        """A further connection to the same daemon. Raises NoDaemon."""
+        """Open a further connection to the same daemon. Raises NoDaemon."""
 
     def monotonic(self) -> float:
-        """A clock, in s."""
+        """The clock of deadlines, in s."""
 
     def fileno(self) -> int:
-        """What a `select` takes."""
+        """The file descriptor for `select`."""
 
     def call_back(self, action: Callable[[], object] | None) -> bool:
-        """Call it when something has come while others wait; whether that is done here."""
+        """Set a callback for data that arrives while other clients wait. Returns whether the connection supports it."""
 
     def send(self, line: bytes, deadline: float) -> None:
-        """Hand over a line. Raises TimedOut, NoDaemon."""
+        """Send a line. Raises TimedOut, NoDaemon."""
 
     def receive(self, deadline: float) -> dict[str, Any] | None:
         """The next object, or None when the deadline passes first. Raises NoDaemon."""
 
     def close(self) -> None:
-        """Let go of the connection."""
+        """Close the connection."""
 
 
 class SocketLink:
@@ -76,7 +76,7 @@ class SocketLink:
         self._incoming = LineBuffer()
         self._closed = False
         self.last_status = ""
-        """The text of the status that came last, which says why the daemon goes away when it does."""
+        """The text of the last status. When the daemon ends, it gives the reason."""
         self._socket = self._connect(deadline)
         self._to_wait = (self._socket.fileno(),)
         self.daemon_pid, uid = peer(self._socket)
@@ -85,25 +85,25 @@ class SocketLink:
             raise Refused(f"the daemon on {paths.socket_text} belongs to another user (uid {uid})")
 
     def another(self, deadline: float) -> SocketLink:
-        """A further connection to the same daemon. Raises as the constructor."""
+        """Open a further connection to the same daemon. Raises as the constructor."""
         return SocketLink(self.paths, deadline)
 
     def monotonic(self) -> float:
-        """The clock of deadlines."""
+        """The clock of deadlines, in s."""
         return time.monotonic()
 
     def fileno(self) -> int:
         return self._socket.fileno()
 
     def call_back(self, action: Callable[[], object] | None) -> bool:  # noqa: ARG002
-        """Whether it is called when something has come: a process that waits for its socket need not be."""
+        """Return False: a process that has a socket waits on `fileno` and needs no callback."""
         return False
 
     def _connect(self, deadline: float) -> socket:
         connection = socket(AF_UNIX)
         try:
             if self.paths.prefix:
-                os.lstat(self.paths.socket_text)  # where nothing is, nobody answers, whatever the folder is like
+                os.lstat(self.paths.socket_text)  # a missing socket is NoDaemon, whatever the folder's permissions are
             check_private(self.paths.folder_text)
             # The kernel makes a connect wait while the daemon's backlog is full, but only that of a blocking socket.
             # One with a timeout is non-blocking underneath: then a full backlog is EAGAIN, and the connect is repeated.
@@ -137,7 +137,7 @@ class SocketLink:
         return NoDaemon(f"no daemon answers on {self.paths.socket_text}: {error.strerror or error}", hint)
 
     def send(self, line: bytes, deadline: float) -> None:
-        """Hand a line to the kernel; lines that arrive meanwhile are kept. Raises TimedOut, NoDaemon."""
+        """Send a line; lines that arrive meanwhile are kept. Raises TimedOut, NoDaemon."""
         rest: bytes | memoryview = line
         while rest:
             try:
@@ -146,7 +146,7 @@ class SocketLink:
                     return
                 rest = memoryview(rest)[count:]
             except BlockingIOError:
-                # A daemon whose answers we do not take stops reading from us, so take them while we wait.
+                # A daemon whose answers are not read stops reading, so read them while waiting.
                 left = deadline - time.monotonic()
                 readable, writable, _ = select.select(self._to_wait, self._to_wait, (), _for_select(left))
                 if not readable and not writable:
@@ -174,7 +174,7 @@ class SocketLink:
         return decode(lines.popleft())
 
     def _read(self) -> bool:
-        """Take what has arrived; False when there is nothing, now or ever."""
+        """Read what has arrived; False when there is nothing to read or the connection has ended."""
         try:
             data = self._socket.recv(_CHUNK)
         except BlockingIOError:

@@ -1,7 +1,7 @@
-"""A robot's files, read for a spawn: the model, its name and place, and its controllers' parameters.
+"""Reading a robot's files for a spawn: the model, its name and pose, and its controllers' parameters.
 
-Knows no connection. What needs the description of robots imports it when a robot is spawned: a script that spawns none,
-and every other command, starts without it.
+It knows no connection. The description package is imported inside the functions: a script that spawns nothing, and
+every other command, starts without it.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 Tree = dict[str, Any]
 
 FARTHEST = 1e6
-"""m or rad. The physics gives up at 1e10, and models become unsteady long before."""
+"""The largest coordinate, in m or rad. The physics fails at 1e10, and models become unstable long before."""
 
 
 def document(
@@ -34,9 +34,9 @@ def document(
     missing: Missing | None = None,
     title: str | None = None,
 ) -> Document:
-    """The model, expanded; one with an argument `namespace` gets `/name`. Raises BadFile, UnknownName.
+    """Expand the model. An xacro argument `namespace` is set to `/name` unless given. Raises BadFile, UnknownName.
 
-    `places` is where packages are; without it they are looked for from the working folder upwards.
+    `places` is where packages are; by default they are searched from the working folder upwards.
     """
     from slidectl import description
 
@@ -47,7 +47,7 @@ def document(
 
 
 def with_transmissions(model: Document, how: str | None, xml: str | None = None) -> str:
-    """The URDF of the model, or `xml` made of it, whose transmissions count so; None: as it says."""
+    """The URDF `xml`, by default the model's, with transmissions of the kind `how`; None leaves them unchanged."""
     from slidectl import description
 
     xml = model.xml if xml is None else xml
@@ -57,10 +57,10 @@ def with_transmissions(model: Document, how: str | None, xml: str | None = None)
 def identity(
     xml: str, model: Document, name: str | None, strict: bool = False, joints: Mapping[str, float] | None = None
 ) -> tuple[str, str]:
-    """The robot's name and namespace. `joints` is where some of its joints are to start, rad or m.
+    """The robot's name and namespace. `joints` holds start positions of joints, rad or m.
 
     Raises:
-        BadFile: the model is broken. BadName. UnknownName, Refused: a joint that is not there, or cannot be there.
+        BadFile: the model is broken. BadName. UnknownName: no such moving joint. Refused: a position out of range.
     """
     from slidectl import description
     from slidectl.description.robot import MOVING, check_position
@@ -88,7 +88,7 @@ def check_free(robots: Sequence[Mapping[str, Any]], name: str, namespace: str) -
 
 
 def is_scene(source: str) -> bool:
-    """Whether a model is one of SDF: a .sdf or .world file, or `model://NAME`."""
+    """True for an SDF model: a .sdf or .world file, or `model://NAME`."""
     from slidectl.description import sdf
 
     return sdf.is_scene(source)
@@ -101,7 +101,7 @@ def check_scene_options(
     joints: Mapping[str, float] | None = None,
     transmissions: str | None = None,
 ) -> None:
-    """Raise UsageError for what only a robot of URDF or xacro has."""
+    """Raise UsageError for options that only a URDF or xacro robot has."""
     if arguments:
         raise UsageError(f"SDF takes no arguments: {', '.join(arguments)}")
     if joints:
@@ -113,7 +113,7 @@ def check_scene_options(
 
 
 def scene(source: str, places: Packages | None = None, missing: Missing | None = None) -> Scene:
-    """The models of an SDF file, of a world, or of `model://NAME`. Raises BadFile, NotThere: nothing is in it."""
+    """The models of an SDF file, of a world, or of `model://NAME`. Raises BadFile, NotThere: it has no models."""
     from slidectl import description
     from slidectl.description import sdf
 
@@ -127,13 +127,13 @@ def scene(source: str, places: Packages | None = None, missing: Missing | None =
 
 
 def request(model: SdfModel, at: Sequence[float] = (), what: str = "at") -> dict[str, Any]:
-    """gazebo_msgs/SpawnModel for a model whose file stands at X Y Z (m) R P Y (rad)."""
+    """A gazebo_msgs/SpawnModel request: the model's own pose moved by X Y Z (m) R P Y (rad)."""
     place = rotations.compose(_pose(at, what), model.pose)
     return {"model_name": names.check_robot(model.name), "model_xml": model.xml, "initial_pose": _message(place)}
 
 
 def pose(at: Sequence[float], what: str = "at") -> dict[str, Any]:
-    """geometry_msgs/Pose of X Y Z (m), or X Y Z R P Y (rad). Raises UsageError; `what` is how the caller calls it."""
+    """geometry_msgs/Pose of X Y Z (m), or X Y Z R P Y (rad). Raises UsageError; `what` names the option in the text."""
     return _message(_pose(at, what))
 
 
@@ -157,7 +157,7 @@ def _pose(at: Sequence[float], what: str) -> rotations.Pose:
 
 
 def find(file: str) -> Path:
-    """The file, else the shipped one of that name, so that the tutorials' lines work in any folder."""
+    """The file, else the shipped file of that name, so that the tutorials' commands work in any folder."""
     from slidectl.paths import share
 
     path = Path(os.path.expanduser(file))
@@ -176,7 +176,7 @@ def controller_parameters(file: str, namespace: str) -> Tree:
 
 
 def placements(tree: Tree, namespaces: Sequence[str]) -> tuple[Tree, str | None, bool]:
-    """The tree for the one of the namespaces that it fits best, a remark, and whether it had to be moved there."""
+    """The tree moved to the best matching namespace, a remark, and whether it was changed."""
     from slidectl.description.controllers_file import retarget
 
     best: tuple[Tree, str | None, bool] = (tree, None, False)
@@ -191,7 +191,7 @@ def placements(tree: Tree, namespaces: Sequence[str]) -> tuple[Tree, str | None,
 def leaves(tree: Tree, namespace: str = "/") -> Iterator[tuple[str, Any]]:
     """Full name and value of every parameter in a tree. Lists and empty mappings are values.
 
-    A key that begins with a slash leaves the namespace, as with rosparam.
+    A key that begins with a slash is an absolute name, as with rosparam.
     """
     for key, value in tree.items():
         name = names.check_parameter(names.join(namespace, key.rstrip("/")))

@@ -1,4 +1,4 @@
-"""Goals for joint trajectory controllers: which there are, where their joints are meant to be, and a way to go on."""
+"""Goals for joint trajectory controllers: find the controllers, read desired positions, make goals, hold."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ def trajectory_controllers(topics: dict[str, str]) -> dict[str, str]:
 
 
 def desired_positions(client: Client, controller: str) -> dict[str, float]:
-    """The desired position of each joint at this moment. Raises Refused: the controller does not run."""
+    """Joint -> its desired position now. Raises Refused: the controller does not run."""
     now = client.call("/rosapi/get_time")["time"]
     answer = client.call(f"{controller}/query_state", {"time": now})
     return dict(zip(answer["name"], answer["position"], strict=True))
 
 
 def goal_to(positions: Mapping[str, float], duration: float) -> dict[str, Any]:
-    """The goal of all joints of a controller being there, at rest, in so many simulated seconds."""
+    """A goal that moves the joints to `positions`, at rest, in `duration` simulated seconds."""
     secs, nsecs = divmod(round(duration * 1e9), 10**9)
     zeros = [0.0] * len(positions)
     point = {
@@ -38,5 +38,5 @@ def goal_to(positions: Mapping[str, float], duration: float) -> dict[str, Any]:
 
 
 def hold(client: Client, controller: str) -> None:
-    """Give up what is under way, and hold the joints in place."""
+    """Cancel the trajectory in progress and hold the joints in place."""
     client.deliver(f"{controller}/command", {})

@@ -1,1 +1,1 @@
-"""What speaks other protocols: ROS 1, WebSocket, Foxglove. Each gateway is a process and a client of the daemon."""
+"""Gateways to other protocols: ROS 1, WebSocket, Foxglove. Each is a process and a client of the daemon."""

@@ -1,4 +1,4 @@
-"""`python -m slidectl.gateways`: the process of a gateway in the background, which reads what `start` wrote."""
+"""`python -m slidectl.gateways`: a gateway's background process. It reads from standard input what `start` wrote."""
 
 import sys
 

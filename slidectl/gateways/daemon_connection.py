@@ -24,19 +24,19 @@ ServiceHandler = Callable[[Message], Awaitable[Message]]
 
 CALL_LIMIT_S = 10.0
 GRAPH_CHANGES, PARAMETER_CHANGES = "/slidectl/graph_changes", "/slidectl/parameter_changes"
-"""Topics that tell of changes, a std_msgs/Empty and a slidectl/ParameterChanges each."""
+"""Topics that announce changes: std_msgs/Empty and slidectl/ParameterChanges."""
 _MOST_UNSENT = 4 * 1024 * 1024
-"""Bytes that may wait for the daemon before `drain` waits."""
+"""Limit of unsent bytes to the daemon; above it `drain` waits."""
 _MOST_SERVED = 100
-"""Requests of one service that may wait for its handler; the daemon is told of those beyond."""
+"""Limit of unfinished requests per service; further requests fail."""
 _SYNCHRONIZE = "/rosapi/get_time"
 
 
 class DaemonConnection(asyncio.Protocol):
-    """One connection, made by `open`. All of it runs on one event loop.
+    """A connection to the daemon, made by `open`. It runs on one event loop.
 
-    `on_refused` takes the text of what the daemon refused of what was sent without waiting for an answer. With
-    `on_line` every line goes there as it is, and nothing else here is of use but `send_line`.
+    `on_refused` takes the text of a refusal of something that was sent without waiting for an answer. When `on_line` is
+    set, it takes every received line unchanged, and then only `send_line` is of use.
     """
 
     def __init__(self, on_lost: Callable[[], None]) -> None:
@@ -50,7 +50,7 @@ class DaemonConnection(asyncio.Protocol):
         self._serial = 0
         self._calls: dict[str, asyncio.Future[Message]] = {}
         self._refusals: dict[str, SlidectlError] = {}
-        """Of the subscriptions and services that are under way, by id."""
+        """Id -> refusal, of subscribe and advertise requests in progress."""
         self._awaited: set[str] = set()
         self._takers: dict[str, Take] = {}
         self._handlers: dict[str, ServiceHandler] = {}
@@ -62,10 +62,10 @@ class DaemonConnection(asyncio.Protocol):
     async def open(
         cls, paths: InstancePaths, node: str = "", on_lost: Callable[[], None] | None = None
     ) -> DaemonConnection:
-        """A connection to the daemon of `paths`; `on_lost` is called when it has gone.
+        """Connect to the daemon of `paths`; `on_lost` is called when the daemon ends.
 
         Raises:
-            NoDaemon: nobody answers. Refused: the name of the node is taken, or the daemon is another user's.
+            NoDaemon: no daemon answers. Refused: the node's name is taken, or the daemon is another user's.
         """
         try:
             check_private(paths.folder_text)
@@ -114,11 +114,11 @@ class DaemonConnection(asyncio.Protocol):
                     self.on_line(lines.popleft())
                 else:
                     self._take(decode(lines.popleft()))
-        except BadLine:  # nothing that a daemon says
+        except BadLine:  # the daemon never sends such a line
             self.close()
 
     def connection_lost(self, error: Exception | None) -> None:  # noqa: ARG002
-        if self._transport is None:  # closed by us
+        if self._transport is None:  # `close` was called
             return
         self._end()
         self._on_lost()
@@ -127,14 +127,14 @@ class DaemonConnection(asyncio.Protocol):
 
     @property
     def is_open(self) -> bool:
-        """False once the daemon has gone, or `close` was called."""
+        """False after the daemon has ended or `close` was called."""
         return self._transport is not None
 
     async def call(self, service: str, request: Message | None = None, timeout_s: float = CALL_LIMIT_S) -> Message:
-        """The response of a service.
+        """Call a service and return its response.
 
         Raises:
-            Refused: it failed, with the daemon's text and exit code. TimedOut. NoDaemon: the daemon went away.
+            Refused: the service failed, with the daemon's text and exit code. TimedOut. NoDaemon: the daemon ended.
         """
         answer = await self._ask({"op": "call_service", "service": service, "args": request or {}}, timeout_s)
         values = answer.get("values")
@@ -145,24 +145,24 @@ class DaemonConnection(asyncio.Protocol):
         return values if isinstance(values, dict) else {}
 
     def advertise(self, topic: str, type: str, latch: bool = False) -> None:
-        """Become a publisher."""
+        """Become a publisher of a topic."""
         self._send({"op": "advertise", "topic": topic, "type": type, "latch": latch})
 
     def unadvertise(self, topic: str) -> None:
-        """Stop being one."""
+        """Stop publishing a topic."""
         self._send({"op": "unadvertise", "topic": topic})
 
     def publish(self, topic: str, message: Message) -> None:
-        """Send a message. Nobody waits for it; what the daemon refuses goes to `on_refused`."""
+        """Send a message without waiting. A refusal goes to `on_refused`."""
         self._send({"op": "publish", "topic": topic, "msg": message})
 
     async def subscribe(
         self, topic: str, type: str, take: Take, queue_length: int = 0, throttle_rate_ms: int = 0
     ) -> None:
-        """Have `take` called with each publish object of the topic: topic, msg, time, and latch where it was latched.
+        """Call `take` with each publish object of the topic: topic, msg, time, and latch if it was latched.
 
         Raises:
-            Refused: the topic has another type, or there is no such type. NoDaemon.
+            Refused: the topic has another type, or the type does not exist. NoDaemon.
         """
         options = {"queue_length": queue_length, "throttle_rate": throttle_rate_ms, "stamped": True}
         self._takers[topic] = take
@@ -173,7 +173,7 @@ class DaemonConnection(asyncio.Protocol):
             raise
 
     def unsubscribe(self, topic: str) -> None:
-        """`take` is not called any more."""
+        """End a subscription."""
         if self._takers.pop(topic, None) is not None:
             self._send({"op": "unsubscribe", "topic": topic})
 
@@ -181,9 +181,9 @@ class DaemonConnection(asyncio.Protocol):
         """Provide a service. A SlidectlError of the handler is the failure of the call.
 
         Raises:
-            Refused: there is such a service already, or no such type. NoDaemon.
+            Refused: the service exists already, or the type does not exist. NoDaemon.
         """
-        self._handlers[service] = handler  # it may be called before the answer to this is here
+        self._handlers[service] = handler  # a request may arrive before the confirmation
         try:
             await self._confirmed("advertise_service", service=service, type=type)
         except SlidectlError:
@@ -191,33 +191,33 @@ class DaemonConnection(asyncio.Protocol):
             raise
 
     def unadvertise_service(self, service: str) -> None:
-        """Provide it no longer."""
+        """Stop providing a service."""
         if self._handlers.pop(service, None) is not None:
             self._send({"op": "unadvertise_service", "service": service})
 
     async def drain(self) -> None:
-        """Wait while the daemon does not take what was sent. Raises NoDaemon."""
+        """Wait while too much is unsent. Raises NoDaemon."""
         await self._may_send.wait()
         if self._transport is None:
             raise self._gone()
 
     def send_line(self, raw: bytes) -> None:
-        """Send a line, with its end, as it is. Does nothing when the daemon has gone."""
+        """Send a line, with its line end, unchanged. Does nothing after the daemon has ended."""
         if self._transport is not None:
             self._transport.write(raw)
 
     def pause(self) -> None:
-        """Take in nothing for now. What the daemon drops meanwhile it counts, and tells when it is taken in again."""
+        """Stop reading. The daemon counts the messages that it drops meanwhile, and reports them after `resume`."""
         if self._transport is not None:
             self._transport.pause_reading()
 
     def resume(self) -> None:
-        """Take in again what the daemon sends."""
+        """Start reading again after `pause`."""
         if self._transport is not None:
             self._transport.resume_reading()
 
     def close(self) -> None:
-        """End the connection; what it advertised and subscribed ends with it. `on_lost` is not called."""
+        """End the connection, with its advertisements and subscriptions. `on_lost` is not called."""
         if self._transport is not None:
             transport, self._transport = self._transport, None
             transport.close()
@@ -247,11 +247,15 @@ class DaemonConnection(asyncio.Protocol):
             raise TimedOut(f"{message['service']} did not answer within {timeout_s:g} s") from None
         finally:
             self._calls.pop(call_id, None)
-            if not answered.done() or answered.cancelled():  # the daemon would keep it open for ever
+            if not answered.done() or answered.cancelled():  # else the daemon would keep the call for ever
                 self._send({"op": "cancel_call", "id": call_id})
 
     async def _confirmed(self, op: str, **fields: Any) -> None:
-        """Send what is answered only when it is refused, and wait until it was taken in. Raises Refused, NoDaemon."""
+        """Send a request that is answered only when refused, and wait until the daemon has processed it.
+
+        Raises:
+            Refused, TimedOut, NoDaemon.
+        """
         self._serial += 1
         sent_id = f"{op}:{self._serial}"
         self._awaited.add(sent_id)
@@ -302,7 +306,7 @@ class DaemonConnection(asyncio.Protocol):
             self._respond(request, await handler(request["args"]), is_done=True)
         except SlidectlError as error:
             self._respond(request, str(error), is_done=False)
-        except Exception:  # a fault of ours is the failure of one call
+        except Exception:  # an error of the gateway fails only this call
             traceback.print_exc()
             self._respond(request, "internal error; the log of the gateway has more", is_done=False)
 
@@ -311,7 +315,7 @@ class DaemonConnection(asyncio.Protocol):
         self._send({**about, "values": values, "result": is_done})
 
     def _end(self) -> None:
-        """What waits will not be answered."""
+        """Fail all waiting calls with NoDaemon and cancel the handlers."""
         self._transport = None
         self._may_send.set()
         self._served.cancel()

@@ -1,4 +1,4 @@
-"""What all gateways have in common: they wait for the daemon, come back when it does, and end when they are told to."""
+"""The base class of gateways, and the loop that runs one: it waits for the daemon, reconnects, and ends on a signal."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from slidectl.gateways.daemon_connection import DaemonConnection
 from slidectl.paths import InstancePaths
 
 _LOOK_EVERY_S = 0.1
-"""Between two looks whether there is a daemon again."""
+"""Wall seconds between two attempts to connect to the daemon."""
 _READING = frozenset(
     [
         *(f"/rosapi/{name}" for name in (
@@ -42,50 +42,51 @@ _READING_ENDS = ("/controller_manager/list_controllers", "/controller_manager/li
 
 
 class Gateway:
-    """Speaks another protocol for the daemon. `open` comes first; then `attach` and `detach` alternate."""
+    """A server of another protocol for the daemon. `open` comes first; then `attach` and `detach` alternate."""
 
     kind: ClassVar[str]
 
     def __init__(self) -> None:
         self.lost = asyncio.Event()
-        """Set when the daemon has gone; cleared before `attach`."""
+        """Set when the daemon has ended; cleared before `attach`."""
 
     async def open(self) -> str:
         """Listen, and return the address to show.
 
         Raises:
-            Refused: the port is taken, or the host is not of this machine.
+            Refused: the port is taken, or the host is no address of this machine.
         """
         raise NotImplementedError
 
     async def attach(self, paths: InstancePaths) -> None:
-        """There is a daemon. Raises NoDaemon: it has gone again."""
+        """Connect to the daemon. Raises NoDaemon: it has ended again."""
         raise NotImplementedError
 
     async def detach(self) -> None:
-        """The daemon has gone. Foreign clients stay where their protocol lets them."""
+        """Disconnect from a daemon that has ended. Foreign clients stay connected if their protocol allows it."""
         raise NotImplementedError
 
     async def close(self) -> None:
-        """Stop listening, and let all foreign clients go."""
+        """Stop listening, and disconnect all foreign clients."""
         raise NotImplementedError
 
     def status(self) -> dict[str, Any]:
-        """Numbers and texts for `slidectl gateway status`: `connections`, `dropped`, and what else is of use."""
+        """Values for `slidectl gateway status`: `connections`, `dropped`, and others."""
         raise NotImplementedError
 
 
 async def serve(gateway: Gateway, paths: InstancePaths, opened: Callable[[str], None]) -> None:
-    """Run a gateway until SIGTERM or SIGINT. `opened` is called with its address when it listens and has a daemon.
+    """Run a gateway until SIGTERM, SIGINT or SIGHUP. `opened` is called with its address when it listens and has a
+    daemon.
 
     Raises:
-        Refused: as `open`. NoDaemon: none answers at the start.
+        Refused: as `open`. NoDaemon: no daemon answers at the start.
     """
     ended = asyncio.Event()
 
     def end() -> None:
         ended.set()
-        gateway.lost.set()  # that is what is waited for
+        gateway.lost.set()  # wakes the loop below
 
     loop = asyncio.get_running_loop()
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
@@ -106,7 +107,7 @@ async def serve(gateway: Gateway, paths: InstancePaths, opened: Callable[[str], 
                     break
                 except NoDaemon:
                     pass
-                except Exception:  # a daemon that ends meanwhile may be the reason, and it is tried again
+                except Exception:  # possibly because the daemon ends; try again
                     traceback.print_exc()
                 with suppress(TimeoutError):
                     await asyncio.wait_for(ended.wait(), _LOOK_EVERY_S)
@@ -116,7 +117,7 @@ async def serve(gateway: Gateway, paths: InstancePaths, opened: Callable[[str], 
 
 
 async def _attached(gateway: Gateway, paths: InstancePaths, address: str) -> DaemonConnection:
-    """Attach it, and offer its status in the graph. Raises NoDaemon."""
+    """Attach the gateway and provide its status service. Raises NoDaemon."""
     gateway.lost.clear()
 
     async def status(_: dict[str, Any]) -> dict[str, Any]:
@@ -136,10 +137,10 @@ async def _attached(gateway: Gateway, paths: InstancePaths, address: str) -> Dae
 
 
 def status_service(kind: str) -> str:
-    """The name of the service by which a gateway tells its status."""
+    """The name of the service that returns a gateway's status."""
     return f"/slidectl/gateways/{kind}"
 
 
 def is_reading(service: str) -> bool:
-    """Whether a service, by its full name, changes nothing: one that a read-only gateway lets its clients call."""
+    """True when a service, by full name, changes nothing: clients of a read-only gateway may call it."""
     return service in _READING or service.endswith(_READING_ENDS)

@@ -1,6 +1,6 @@
-"""A gateway's process: start it in the background, find it, stop it; and what runs in it. One of a kind for a daemon.
+"""A gateway's process: start it in the background, find it, stop it, run it. A daemon has at most one of each kind.
 
-The lock says whether it lives; its file holds the process id and the address, a line each.
+A held lock means that it runs. The lock file holds the process id and the address, one per line.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ KINDS: Mapping[str, tuple[str, str]] = {
     "websocket": ("slidectl.gateways.websocket.websocket_gateway", "WebSocketGateway"),
     "foxglove": ("slidectl.gateways.foxglove.foxglove_gateway", "FoxgloveGateway"),
 }
-"""Module and class of each. A class has the dataclass of its options as `Options`, and is made of one of these."""
+"""Kind -> module and class. The class has a dataclass `Options`; its constructor takes one."""
 START_LIMIT_S = 30.0
 STOP_LIMIT_S = 10.0
 _LOOK_EVERY_S = 0.02
 
 
 class RunningGateway(NamedTuple):
-    """Its process, and where it listens."""
+    """A gateway's process and the address where it listens."""
 
     kind: str
     pid: int
@@ -48,25 +48,25 @@ class RunningGateway(NamedTuple):
 
 
 def find(paths: InstancePaths, kind: str) -> RunningGateway | None:
-    """The gateway of that kind of the daemon of `paths`, or None; one that is starting has no address yet."""
+    """The running gateway of that kind for the daemon of `paths`, or None. While it starts, its address is empty."""
     lock = _lock_file(paths, kind)
     pid = processes.holder(lock)
     if pid is None:
         return None
     try:
         _, _, address = lock.read_text(encoding="utf-8").partition("\n")
-    except OSError:  # it ends at this moment
+    except OSError:  # the process ends right now
         address = ""
     return RunningGateway(kind, pid, address)
 
 
 def find_all(paths: InstancePaths) -> list[RunningGateway]:
-    """All that run."""
+    """All running gateways."""
     return [found for kind in KINDS if (found := find(paths, kind)) is not None]
 
 
 def log_file(paths: InstancePaths, kind: str) -> Path:
-    """Where a gateway in the background writes what it has to say."""
+    """The log file of a background gateway."""
     return paths.folder / f"{paths.prefix}gateway-{kind}.log"
 
 
@@ -77,10 +77,10 @@ def _lock_file(paths: InstancePaths, kind: str) -> Path:
 def start(
     paths: InstancePaths, kind: str, options: dict[str, Any], timeout_s: float = START_LIMIT_S
 ) -> tuple[RunningGateway, bool]:
-    """Start one in the background and wait until it listens. Returns also whether it ran already.
+    """Start a gateway in the background and wait until it listens. Returns also whether it ran already.
 
     Raises:
-        Refused: it ended, with the reason. TimedOut.
+        Refused: the process ended, with the reason. TimedOut.
     """
     make_private(paths.folder)
     if (found := find(paths, kind)) is not None:
@@ -93,7 +93,7 @@ def start(
         process = processes.start(words, log, stdin=subprocess.PIPE, pass_fds=[write_end])
         os.close(write_end)
         assert process.stdin is not None
-        with suppress(BrokenPipeError), process.stdin:  # no argument: a token must not stand in the list of processes
+        with suppress(BrokenPipeError), process.stdin:  # not as arguments: a token would be visible in the process list
             process.stdin.write(text.encode())
         try:
             if not select.select([ready], [], [], timeout_s)[0]:
@@ -114,7 +114,7 @@ def start(
 
 
 def stop(paths: InstancePaths, kind: str, timeout_s: float = STOP_LIMIT_S) -> RunningGateway | None:
-    """Stop it and wait until its process has ended. Returns what ran. Raises TimedOut."""
+    """Stop a gateway and wait until its process has ended. Returns it, or None if none ran. Raises TimedOut."""
     found = find(paths, kind)
     if found is None:
         return None
@@ -126,16 +126,16 @@ def stop(paths: InstancePaths, kind: str, timeout_s: float = STOP_LIMIT_S) -> Ru
         if time.monotonic() > deadline:
             raise TimedOut(f"the {kind} gateway is still there after {timeout_s:g} s", f"kill -KILL {found.pid}")
         time.sleep(_LOOK_EVERY_S)
-    with suppress(ChildProcessError):  # a long-lived starter is its parent still
+    with suppress(ChildProcessError):  # a long-lived process that started it is still its parent
         os.waitpid(found.pid, os.WNOHANG)
     return found
 
 
 def run(paths: InstancePaths, kind: str, options: dict[str, Any], opened: Callable[[str], None]) -> None:
-    """Be the gateway until SIGTERM or Ctrl-C; `opened` is called with the address when it listens.
+    """Run a gateway in this process until SIGTERM or Ctrl-C; `opened` is called with the address when it listens.
 
     Raises:
-        Refused: one of that kind runs already, a port is taken, or a library is missing. NoDaemon.
+        Refused: a gateway of that kind runs already, a port is taken, or a library is missing. NoDaemon.
     """
     module, name = KINDS[kind]
     try:
@@ -159,7 +159,7 @@ def run(paths: InstancePaths, kind: str, options: dict[str, Any], opened: Callab
 
 @contextmanager
 def _locked(paths: InstancePaths, kind: str) -> Iterator[Callable[[str], object]]:
-    """The lock, while inside; what it gives writes the address there. Raises Refused: another gateway has it."""
+    """Hold the lock; the context gives a function that writes the address there. Raises Refused: the lock is taken."""
     make_private(paths.folder)
     path = _lock_file(paths, kind)
     fd = processes.lock(path)
@@ -176,7 +176,7 @@ def _locked(paths: InstancePaths, kind: str) -> Iterator[Callable[[str], object]
 
 
 def main(text: str) -> int:
-    """The process that `start` starts. Returns its exit code."""
+    """Run the process that `start` starts. Returns its exit code."""
     begun = json.loads(text)
     ready_fd = begun["ready_fd"]
 

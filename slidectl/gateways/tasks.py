@@ -1,4 +1,4 @@
-"""Work of a gateway that goes on beside everything else."""
+"""Background tasks of a gateway."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 
 class Tasks:
-    """Tasks from their beginning to their end. asyncio itself forgets a task that nobody holds."""
+    """Holds running tasks until they end. asyncio keeps only weak references, so an unheld task may be lost."""
 
     def __init__(self) -> None:
         self._running: set[asyncio.Task[None]] = set()

@@ -1,6 +1,6 @@
-"""What listens for WebSockets in a gateway: who may connect, and from where.
+"""The WebSocket listener of a gateway: it decides who may connect, and from where.
 
-Tokens, origins, names of this machine, TLS, and how many at a time. It knows nothing of the protocols on top.
+It checks tokens, origins, host names, TLS and the number of connections. It knows no protocol on top of WebSocket.
 """
 
 from __future__ import annotations
@@ -30,36 +30,36 @@ from slidectl.web_access import LOOPBACK, check_token, host_of, is_loopback, is_
 
 _HANDSHAKE_S, _CLOSE_S = 10.0, 2.0
 _MORE_HANDSHAKES = 50
-"""Connections beyond the most that are answered, to be told so."""
+"""Connections beyond the limit that still get a refusal as answer; further ones are cut."""
 
 
 @dataclass(frozen=True)
 class ListenerOptions:
-    """Where a gateway listens, and who may connect."""
+    """The address where a gateway listens, and who may connect."""
 
     host: str = "localhost"
-    """Address of this machine to listen on; others than loopback need a token."""
+    """Address of this machine to listen on; any except loopback needs a token."""
     port: int = 0
-    """0 takes any that is free."""
+    """The port; 0 for a free one."""
     cert: str = ""
-    """File with a certificate, its chain after it: the gateway speaks TLS (wss://)."""
+    """File with a certificate followed by its chain: the gateway uses TLS (wss://)."""
     key: str = ""
-    """File with the key of the certificate, if it is not in the same file."""
+    """File with the certificate's key, if it is not in the same file."""
     token: str = ""
-    """Only who has this word may connect, as ?token=WORD or as the header Authorization: Bearer WORD."""
+    """Clients must give this token, as ?token=WORD or as the header Authorization: Bearer WORD."""
     token_file: str = ""
-    """File with the token, in place of the token itself."""
+    """File with the token, instead of `token`."""
     origins: tuple[str, ...] = ()
-    """Sites whose pages may connect, as https://site:port, beside those of this machine; null for files, * for all."""
+    """Sites whose pages may connect, as https://site:port, besides this machine's; null for files, * for all."""
     max_connections: int = 200
-    """Clients at a time."""
+    """The maximum number of clients at a time."""
 
 
 class ListenerConnection(ServerConnection):
-    """A connection from the moment in which it is made: those beyond the most are cut."""
+    """A connection; it is cut at once when the server has more than `most`."""
 
     def __init__(self, *args: Any, most: int, **options: Any) -> None:
-        """`most` connections of the server, finished handshakes or not, are looked at."""
+        """`most` counts all connections of the server, before and after their handshakes."""
         super().__init__(*args, **options)
         self._most = most
 
@@ -70,13 +70,13 @@ class ListenerConnection(ServerConnection):
 
 
 class WebSocketListener:
-    """Listens, and hands those who may connect to a handler."""
+    """Listens, and passes accepted connections to a handler."""
 
     def __init__(self, options: ListenerOptions, known_origins: Sequence[str] = ()) -> None:
-        """`known_origins` may connect beside those of the options.
+        """`known_origins` are allowed in addition to those of the options.
 
         Raises:
-            UsageError, BadFile: options that do not fit together, or files that cannot be used.
+            UsageError, BadFile: options that contradict each other, or files that cannot be used.
         """
         self._options = options
         self._token = _token(options)
@@ -86,14 +86,14 @@ class WebSocketListener:
         self._origins = {*map(_checked_origin, options.origins), *known_origins}
         self._server: Server | None = None
         self.connections = 0
-        """How many there are now."""
+        """The present number of connections."""
         self.refused = 0
 
     def is_local(self) -> bool:
-        """Whether only this machine reaches it.
+        """True when only this machine can connect.
 
         Raises:
-            Refused: there is no such host. UsageError: others reach it, and there is no token.
+            Refused: no such host. UsageError: other machines can connect, and there is no token.
         """
         options = self._options
         try:
@@ -113,18 +113,18 @@ class WebSocketListener:
         """Listen, and return the address to show. `more` goes to the library's server.
 
         Raises:
-            Refused: the port is taken, or the host is not of this machine. UsageError: as `is_local`.
+            Refused: the port is taken, or the host is no address of this machine. UsageError: as `is_local`.
         """
         options = self._options
         self.is_local()
         addresses = _addresses(options.host)
         quiet = logging.getLogger("slidectl.gateways")
-        quiet.setLevel(logging.CRITICAL)  # what is no WebSocket is refused, and is no error of ours
+        quiet.setLevel(logging.CRITICAL)  # connections that are no WebSocket are refused; that is not worth a log entry
 
         made = partial(kind, most=options.max_connections + _MORE_HANDSHAKES)
 
         async def count(connection: ServerConnection) -> None:
-            if self.connections >= options.max_connections:  # several came at the same time
+            if self.connections >= options.max_connections:  # several connected at the same time
                 await connection.close(1013, "too many are connected")
                 return
             self.connections += 1
@@ -132,7 +132,7 @@ class WebSocketListener:
                 await handler(connection)
             except ConnectionClosed:
                 pass
-            except Exception:  # a fault of ours ends one connection
+            except Exception:  # an internal error ends one connection
                 traceback.print_exc(file=sys.stderr)
                 await connection.close(1011, "internal error; the log of the gateway has more")
             finally:
@@ -141,7 +141,7 @@ class WebSocketListener:
         try:
             self._server = await serve(
                 count,
-                cast(str, addresses if options.port else addresses[:1]),  # asyncio's server takes several
+                cast(str, addresses if options.port else addresses[:1]),  # asyncio's server accepts a list
                 options.port,
                 ssl=self._tls,
                 process_request=self._judge,
@@ -158,13 +158,13 @@ class WebSocketListener:
         return f"{'wss' if self._tls else 'ws'}://{shown_host(options.host)}:{port}"
 
     async def close(self, code: int, reason: str) -> None:
-        """Stop listening, and end all connections."""
+        """Stop listening and end all connections."""
         if self._server is not None:
             self._server.close(code=code, reason=reason)
             await self._server.wait_closed()
 
     def _judge(self, browser: ServerConnection, request: Request) -> Response | None:
-        """What is answered to one that may not connect; None: it may."""
+        """The refusal of a connection request; None to accept it."""
         status, text = self._objection(request)
         if not text:
             return None
@@ -195,7 +195,7 @@ class WebSocketListener:
         return http.HTTPStatus.OK, ""
 
     def _is_allowed_origin(self, origin: str) -> bool:
-        """Pages of this machine, and those of sites that were given. A program that is no browser has no origin."""
+        """True for pages of this machine and of the given sites. Programs that are no browser send no origin."""
         try:
             parts = urlsplit(origin)
         except ValueError:
@@ -205,7 +205,7 @@ class WebSocketListener:
 
 
 def _token(options: ListenerOptions) -> str:
-    """Raises UsageError, BadFile."""
+    """The token of the options. Raises UsageError, BadFile."""
     if options.token and options.token_file:
         raise UsageError("--token and --token-file are two ways to say one thing", "give one of them")
     token = options.token
@@ -228,7 +228,7 @@ def _given_token(request: Request) -> str | None:
 
 
 def _checked_origin(origin: str) -> str:
-    """As browsers write it. Raises UsageError."""
+    """The origin as browsers write it. Raises UsageError."""
     given = origin.lower().rstrip("/")
     if given in ("*", "null"):
         return given
@@ -245,7 +245,7 @@ def _checked_origin(origin: str) -> str:
 
 
 def _addresses(host: str) -> list[str]:
-    """Those of a host that this machine has: a name may stand for one that is not in use. Raises Refused."""
+    """The host's addresses that belong to this machine: others cannot be listened on. Raises Refused."""
     found: dict[str, None] = {}
     for family, kind, _, _, address in socket.getaddrinfo(host, None, type=socket.SOCK_STREAM):
         with suppress(OSError), socket.socket(family, kind) as probe:
@@ -266,10 +266,10 @@ def _not_bound(options: ListenerOptions, error: OSError) -> SlidectlError:
 
 
 def _server_context(cert: str, key: str) -> ssl.SSLContext:
-    """What serves TLS with the certificate (PEM, its chain after it) and the key, which may be in the same file.
+    """A TLS context for the certificate (PEM, followed by its chain) and the key, which may be in the same file.
 
     Raises:
-        BadFile: a file cannot be read or is none, they do not belong together, or the certificate is not valid today.
+        BadFile: a file cannot be read or is invalid, they do not match, or the certificate is not valid today.
     """
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     files = cert if not key else f"{cert} and {key}"
@@ -290,7 +290,7 @@ def _server_context(cert: str, key: str) -> ssl.SSLContext:
 
 
 def _check_dates(context: ssl.SSLContext, cert: str) -> None:
-    """Shake hands with a client in memory that trusts this very certificate. Raises BadFile."""
+    """Check the certificate's dates: do a handshake in memory with a client that trusts it. Raises BadFile."""
     trusting = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     trusting.check_hostname = False
     trusting.verify_flags = ssl.VerifyFlags.VERIFY_X509_PARTIAL_CHAIN

@@ -1,7 +1,7 @@
-"""Message, service and action types of ROS 1: what they are made of, building messages, and checking them.
+"""Message, service and action types of ROS 1: their definitions, and building and checking messages.
 
-A message is a plain dict in the shape of its JSON, with all fields. Types are named `pkg/Type`. Nothing here knows
-what a message is used for.
+A message is a plain dict in the shape of its JSON, with all fields. Types are named `pkg/Type`. Nothing here knows what
+a message is used for.
 """
 
 from slidectl.msgs.checking import Message, check, default

@@ -1,8 +1,8 @@
 """Building, completing and checking messages: one checker per type, made at its first use.
 
-A message is a dict with all fields of its type, in their order. Checking never changes what it was given. A checker
-returns the value to keep or raises Mismatch; the path to the wrong value is collected while the exception climbs, so
-that nothing is kept while all is well.
+A message is a dict with all fields of its type, in order. Checking never changes its argument. A checker returns the
+checked value or raises Mismatch. The path to the wrong value is built while the exception propagates, so a valid
+message costs nothing extra.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ _NS = 1_000_000_000
 _DEFAULTS: dict[str, Any] = {**dict.fromkeys(INTEGER_RANGES, 0), **dict.fromkeys(FLOATS, 0.0), "bool": False}
 _DEFAULTS["string"] = ""
 _BYTES_WANTED = "base64 text or a list of integers from 0 to 255"
-# What a client sends may be huge; an error stays a line.
+# Values of clients may be huge; an error text stays one line.
 _LONGEST_SHOWN = 40
 _MOST_KEYS = 8
 
 
 def check(type_name: str, value: Any) -> Message:
-    """A complete message of the type from a partial one: missing fields get their default.
+    """Complete and check a message of the type: missing fields get their default.
 
-    Integers become floats where a float is due, and null becomes nan; 0 and 1 pass for bool; bytes (`uint8[]`,
-    `char[]`) may be base64 text, a list of integers or bytes, and become base64 text.
+    Integers become floats in float fields, and null becomes nan; 0 and 1 are valid bools; bytes (`uint8[]`, `char[]`)
+    may be base64 text, a list of integers or bytes, and become base64 text.
 
     Raises:
         UnknownName: no such type. BadMessage: the value does not fit; its `path` is the field.
@@ -50,12 +50,12 @@ def check(type_name: str, value: Any) -> Message:
 
 
 def default(type_name: str) -> Message:
-    """A fresh complete message: zeros, empty texts, empty lists. Raises UnknownName."""
+    """A new message with defaults: zeros, empty texts, empty lists. Raises UnknownName."""
     return check(type_name, {})
 
 
 class Mismatch(Exception):
-    """A value that does not fit a type. `reason` ends the sentence that begins with the path."""
+    """A value does not fit a type. `reason` continues a sentence that begins with the path."""
 
     def __init__(self, reason: str, hint: str | None = None) -> None:
         super().__init__(reason)
@@ -65,26 +65,26 @@ class Mismatch(Exception):
 
     @property
     def path(self) -> str:
-        """The field, as `points[0].x`; empty for the whole message."""
+        """The path of the field, for example `points[0].x`; empty for the whole message."""
         return "".join(step if step[0] == "[" else f".{step}" for step in reversed(self.steps)).removeprefix(".")
 
     def as_error(self, type_name: str) -> BadMessage:
-        """The error for the user who gave this value for a message of `type_name`."""
+        """The error for the user who gave the value as a message of `type_name`."""
         return BadMessage(f"{type_name}: {self.path or 'the message'} {self.reason}", self.path, self.hint)
 
 
 class UnknownField(Mismatch):
-    """A field that the type at this place does not have."""
+    """A field that the type does not have."""
 
     def __init__(self, given: Iterable[Any], type_name: str, fields: Sequence[str]) -> None:
-        """`given` are the keys, one of which is not among the fields."""
+        """`given` are the keys of the value; one of them is not in `fields`."""
         self.field = _short(str(next(key for key in given if key not in fields)))
         hint = f"{type_name} has {'the fields ' + ', '.join(fields) if fields else 'no fields'}"
         super().__init__(f"{self.field!r} is no field of {type_name}", hint)
         self.near = closest(self.field, fields)
 
     def as_error(self, type_name: str) -> BadMessage:
-        """Names the unknown field by its full path, and the known one that is nearest in spelling."""
+        """The error with the full path of the unknown field, and the known field with the most similar spelling."""
         path = f"{self.path}.{self.field}".removeprefix(".")
         near = f"{self.path}.{self.near}".removeprefix(".")
         suggestion = f". Did you mean {near!r}?" if self.near else ""
@@ -92,12 +92,12 @@ class UnknownField(Mismatch):
 
 
 def must_be(expected: str, given: Any, hint: str | None = None) -> Mismatch:
-    """The mismatch for a value of the wrong kind."""
+    """The mismatch of a value of the wrong kind."""
     return Mismatch(f"must be {expected}, not {describe(given)}", hint)
 
 
 def at(step: str, convert: Callable[..., Any], *arguments: Any) -> Any:
-    """What `convert` gives; a mismatch in it happened at this step of the path."""
+    """Call `convert`; a mismatch in it gets this step in its path."""
     try:
         return convert(*arguments)
     except Mismatch as problem:
@@ -106,7 +106,7 @@ def at(step: str, convert: Callable[..., Any], *arguments: Any) -> Any:
 
 
 def describe(value: Any) -> str:
-    """The value as a person would name it: `the text 'abc'`, `a list of 3`, `null`."""
+    """The value in words: `the text 'abc'`, `a list of 3`, `null`."""
     if value is None:
         return "null"
     if isinstance(value, bool):
@@ -126,7 +126,7 @@ def describe(value: Any) -> str:
 def _number_text(value: int | float) -> str:
     try:
         return str(value)
-    except ValueError:  # Python writes no integers of thousands of digits
+    except ValueError:  # Python refuses to print integers of thousands of digits
         return f"of {value.bit_length()} bits" if isinstance(value, int) else repr(value)
 
 
@@ -177,7 +177,7 @@ def _message_checker(type_name: str) -> Checker:
 
 
 def _checker_and_default(field: Field) -> tuple[Checker, Callable[[], Any]]:
-    """How the field is checked, and what makes the value of one that is not given."""
+    """The field's checker, and a function that makes its default."""
     element = checker_of(field.type)
     is_single_value = field.type in PRIMITIVES - TIMES.keys()
     make_one = partial(_DEFAULTS.get, field.type) if is_single_value else partial(element, {})
@@ -188,7 +188,7 @@ def _checker_and_default(field: Field) -> tuple[Checker, Callable[[], Any]]:
     kept_as_is = {float} if field.type == "float64" else set()
 
     def check_list(value: Any) -> list[Any]:
-        # An array of numpy comes from a script beside the simulation.
+        # numpy arrays come from scripts in the same process.
         if type(value) is not list and hasattr(value, "tolist"):
             value = value.tolist()
         values = checked_length(field, value)
@@ -200,7 +200,7 @@ def _checker_and_default(field: Field) -> tuple[Checker, Callable[[], Any]]:
 
 
 def checked_length(field: Field, value: Any) -> Sequence[Any]:
-    """The value, which must be a list of the field's length. Raises Mismatch."""
+    """Check that the value is a list of the field's length. Raises Mismatch."""
     if not isinstance(value, (list, tuple)):
         raise must_be(f"a list ({field.type_text})", value)
     if field.array and len(value) != field.array:
@@ -209,7 +209,7 @@ def checked_length(field: Field, value: Any) -> Sequence[Any]:
 
 
 def _checked_elements(values: Sequence[Any], element: Checker) -> list[Any]:
-    """A mismatch knows the index of the first wrong one."""
+    """Check all elements. A mismatch has the index of the first wrong one."""
     try:
         return [element(value) for value in values]
     except Mismatch:
@@ -218,11 +218,11 @@ def _checked_elements(values: Sequence[Any], element: Checker) -> list[Any]:
         raise
 
 
-# Primitive types. The first line of each checker is the way of a value that is right already.
+# Primitive types. The first line of each checker is the fast path for a correct value.
 
 
 def _check_float64(value: Any) -> float:
-    """A number; null is not-a-number, as rosbridge sends it."""
+    """Check a number; null becomes nan, as rosbridge sends it."""
     return value if type(value) is float else _as_float(value, "float64")
 
 
@@ -230,7 +230,7 @@ def _check_float32(value: Any) -> float:
     number = _as_float(value, "float32")
     if abs(number) > _FLOAT32_MAX and not math.isinf(number):
         raise Mismatch(f"must be float32 (at most 3.4e38), not the number {number}")
-    rounded: float = _FLOAT32.unpack(_FLOAT32.pack(number))[0]  # what a reader in ROS gets
+    rounded: float = _FLOAT32.unpack(_FLOAT32.pack(number))[0]  # the value that a ROS subscriber receives
     return rounded
 
 
@@ -246,8 +246,8 @@ def _as_float(value: Any, expected: str) -> float:
 
 
 def _is_number(value: Any, kind: str) -> bool:
-    """True for numbers of that kind of `numbers` other than bool; numpy's scalars are such."""
-    import numbers  # late: `slidectl pub` sends what is right already
+    """True for numbers of this class of `numbers`, numpy's scalars included, but not for bool."""
+    import numbers  # imported on use: `slidectl pub` sends correct values
 
     return isinstance(value, getattr(numbers, kind)) and not isinstance(value, bool)
 
@@ -276,7 +276,7 @@ def _check_bool(value: Any) -> bool:
 
 
 def _check_string(value: Any) -> str:
-    """Text that can be written as UTF-8."""
+    """Check text; it must be encodable as UTF-8."""
     if type(value) is str and value.isascii():
         return value
     if not isinstance(value, str):
@@ -289,7 +289,7 @@ def _check_string(value: Any) -> str:
 
 
 def _time_checker(type_name: str) -> Checker:
-    """The checker of `time` or `duration`: {"secs", "nsecs"}, brought to 0 <= nsecs < 10^9 as ROS does."""
+    """The checker of `time` or `duration`: {"secs", "nsecs"}, normalized to 0 <= nsecs < 10^9 as in ROS."""
     lowest, highest = INTEGER_RANGES[TIMES[type_name][0].type]
     integer = _integer_checker("int64")
 
@@ -312,7 +312,7 @@ def _time_checker(type_name: str) -> Checker:
 
 
 def bytes_checker(field: Field) -> Checker:
-    """The checker of a list of bytes, which is base64 text in a message: takes that, a list of integers, or bytes."""
+    """The checker of a byte array. It takes base64 text, a list of integers, or bytes, and returns base64 text."""
     element = checker_of(field.type)
 
     def check_bytes(value: Any) -> str:

@@ -1,8 +1,8 @@
-"""Message, service and action types: where their definitions come from, what they are made of, their text and md5 sum.
+"""Message, service and action types: finding and parsing definitions, their text and md5 sum.
 
-The files in `data` hold every type that slidectl itself speaks. rosbags' type store has the other common ROS 1 types;
-building it takes some hundred milliseconds, so it is imported only when one of those is asked for.
-The grammar is one field or constant a line (http://wiki.ros.org/msg).
+The files in `data` hold every type that slidectl itself uses. rosbags' type store has the other common ROS 1 types;
+building it takes some hundred milliseconds, so it is imported only when one of those is needed. The grammar is one
+field or constant per line (http://wiki.ros.org/msg).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from slidectl.errors import UnknownName
 from slidectl.msgs.schema import FLOATS, INTEGER_RANGES, PRIMITIVES, SCALAR, Field
 
 _DATA = os.path.join(os.path.dirname(__file__), "data")
-# Type names come from clients too: nothing but two plain words may become a path.
+# Type names also come from clients: only two plain words may become a path.
 _LEGAL = re.compile(r"[A-Za-z]\w{0,99}/[A-Za-z]\w{0,99}", re.ASCII)
 _LONGEST_SHOWN = 120
 _RULE = "=" * 80
@@ -35,11 +35,11 @@ _ROSBAGS_PACKAGES = {
     *("actionlib", "bond", "diagnostic_msgs", "nav_msgs"),
     *("sensor_msgs", "shape_msgs", "stereo_msgs", "visualization_msgs"),
 }
-"""The packages of which rosbags' store has types beyond the data files: a misspelt name of another costs no store."""
+"""The packages for which rosbags' store has more types. A misspelt name of another package does not load the store."""
 
 
 class Constant(NamedTuple):
-    """A named value of a type. Its value is a str, bool, int or float, after its type."""
+    """A constant of a message type; its value is a str, bool, int or float, according to its type."""
 
     name: str
     type: str
@@ -47,7 +47,7 @@ class Constant(NamedTuple):
 
 
 class Definition(NamedTuple):
-    """A message type. `constant_texts` has the values as they were written: the md5 sum is taken over those."""
+    """A message type. `constant_texts` are the values as written: the md5 sum is computed from them."""
 
     name: str
     fields: tuple[Field, ...]
@@ -57,7 +57,7 @@ class Definition(NamedTuple):
 
 
 class ServiceDefinition(NamedTuple):
-    """A service type: what is asked and what is answered."""
+    """A service type: the request and the response."""
 
     request: Definition
     response: Definition
@@ -72,7 +72,7 @@ _services: dict[str, ServiceDefinition] = {}
 
 
 def parse_message(text: str, name: str) -> Definition:
-    """The definition of `pkg/Type` from the text of its `.msg` file. Raises ValueError for a line that is neither."""
+    """Parse the text of the `.msg` file of `pkg/Type`. Raises ValueError: a line is neither a field nor a constant."""
     package = name.partition("/")[0]
     fields: list[Field] = []
     constants: list[Constant] = []
@@ -96,13 +96,13 @@ def parse_message(text: str, name: str) -> Definition:
 
 
 def parse_service(text: str, name: str) -> ServiceDefinition:
-    """The service `pkg/Type` from the text of its `.srv` file; its messages are `pkg/TypeRequest` and `...Response`."""
+    """Parse the text of a `.srv` file; the messages are `pkg/TypeRequest` and `pkg/TypeResponse`."""
     request, response = _split(text, 2, name)
     return ServiceDefinition(parse_message(request, f"{name}Request"), parse_message(response, f"{name}Response"), text)
 
 
 def parse_action(text: str, name: str) -> dict[str, Definition]:
-    """The seven messages of the action `pkg/Type`, by full name."""
+    """Parse the text of an `.action` file: the seven messages of the action, by full name."""
     goal, result, feedback = _split(text, 3, name)
     stem = name.partition("/")[2]
     texts = {part: body.format(stem=stem) for part, body in _ACTION_TEXTS.items()}
@@ -118,7 +118,7 @@ def _split(text: str, parts: int, name: str) -> list[str]:
 
 
 def _resolved(type_name: str, package: str) -> str:
-    """The full name of a type that a definition in `package` names."""
+    """The full name of a type used in a definition in `package`."""
     if type_name in PRIMITIVES or "/" in type_name:
         return type_name
     return "std_msgs/Header" if type_name == "Header" else f"{package}/{type_name}"
@@ -153,37 +153,37 @@ def service_of(name: str) -> ServiceDefinition:
 
 
 def fields(type_name: str) -> tuple[Field, ...]:
-    """The fields in their order. Raises UnknownName."""
+    """The fields in order. Raises UnknownName."""
     return definition_of(type_name).fields
 
 
 def constants(type_name: str) -> tuple[Constant, ...]:
-    """The constants (name, type, value) in their order. Raises UnknownName."""
+    """The constants (name, type, value) in order. Raises UnknownName."""
     return definition_of(type_name).constants
 
 
 def request_type(service: str) -> str:
-    """The type of a service's request, `pkg/TypeRequest`: as good as any message type. Raises UnknownName."""
+    """The message type of a service's request, `pkg/TypeRequest`. Raises UnknownName."""
     return service_of(service).request.name
 
 
 def response_type(service: str) -> str:
-    """The type of a service's response, `pkg/TypeResponse`. Raises UnknownName."""
+    """The message type of a service's response, `pkg/TypeResponse`. Raises UnknownName."""
     return service_of(service).response.name
 
 
 def exists(type_name: str) -> bool:
-    """True when `pkg/Type` is a message type that is known."""
+    """True when `pkg/Type` is a known message type."""
     return _find(type_name) is not None
 
 
 def service_exists(name: str) -> bool:
-    """True when `pkg/Type` is a service type that is known."""
+    """True when `pkg/Type` is a known service type."""
     return _find_service(name) is not None
 
 
 def type_names() -> list[str]:
-    """All message types, those of actions too, without the requests and responses of services; sorted."""
+    """All message types, including those of actions, but not requests and responses of services; sorted."""
     return sorted(_names_in_files() | set(rosbags_names()))
 
 
@@ -210,7 +210,7 @@ def _names(kind: str) -> Iterator[str]:
 
 
 def _names_to_compare(type_name: str) -> list[str]:
-    """The types among which the one that was meant may be: without rosbags' store wherever the files are enough."""
+    """The names for a spelling suggestion: without rosbags' store if the files are enough."""
     package = type_name.rpartition("/")[0]
     in_files = sorted(_names_in_files())
     has_siblings = any(name.startswith(f"{package}/") for name in in_files)
@@ -218,14 +218,14 @@ def _names_to_compare(type_name: str) -> list[str]:
 
 
 def _unknown(kind: str, name: str, known: list[str]) -> UnknownName:
-    """Shows the names of the same package, else those of the same last word, else all."""
+    """The error for an unknown name, with the names of the same package, else those of the same last word, else all."""
     package, _, word = name.rpartition("/")
     siblings = [other for other in known if package and other.startswith(f"{package}/")]
     return UnknownName(kind, name, siblings or [other for other in known if other.endswith(f"/{word}")] or known)
 
 
 def _find(name: str) -> Definition | None:
-    """The message type, read from the first place that has it: a .msg, .srv or .action file, rosbags' store."""
+    """The message type, from the first source that has it: a .msg, .srv or .action file, rosbags' store."""
     if name in _definitions or not _LEGAL.fullmatch(name):
         return _definitions.get(name)
     text = _read(name, "msg")
@@ -237,7 +237,7 @@ def _find(name: str) -> Definition | None:
 
 
 def _generated(name: str) -> bool:
-    """True when the type is part of a service or an action that has a file; it is known then."""
+    """Load the service or action file that the type is part of. True when the type is known then."""
     for part in ("Request", "Response"):
         if name.endswith(part):
             _find_service(name.removesuffix(part))
@@ -270,17 +270,17 @@ def _read(name: str, kind: str) -> str | None:
 
 @cache
 def _rosbags_store() -> Any:
-    from rosbags.typesys import Stores, get_typestore  # late: see the top of this file
+    from rosbags.typesys import Stores, get_typestore  # imported on use: see the top of this file
 
     return get_typestore(Stores.ROS1_NOETIC)
 
 
 def rosbags_text(name: str) -> str | None:
-    """The text of the `.msg` file of a type in rosbags' store, None when it has none."""
+    """The text of a type's `.msg` file in rosbags' store; None if it is not there."""
     full = name.replace("/", "/msg/")
     if full not in _rosbags_store().fielddefs:
         return None
-    text: str = _rosbags_store().generate_msgdef(full)[0]  # followed by the texts of the types in it
+    text: str = _rosbags_store().generate_msgdef(full)[0]  # the types used in it follow
     return text.partition(_RULE)[0]
 
 
@@ -294,7 +294,7 @@ def definition(type_name: str) -> str:
 
 @cache
 def full_definition(type_name: str) -> str:
-    """The text of the type and of those that it is made of, as recordings and ROS's connections have it.
+    """The text of the type and of all types used in it, as in recordings and ROS connection headers.
 
     Raises UnknownName.
     """
@@ -319,24 +319,24 @@ def service_definition(name: str) -> str:
 
 @cache
 def md5(type_name: str) -> str:
-    """The 32 hexadecimal digits that ROS 1 peers compare. Raises UnknownName."""
+    """The md5 sum that ROS 1 peers compare, 32 hexadecimal digits. Raises UnknownName."""
     return _digest(_md5_text(definition_of(type_name), md5))
 
 
 def md5_of(type_name: str, definitions: Callable[[str], Definition]) -> str:
-    """The same of a type that stands elsewhere, with all that it is made of. Raises what `definitions` raises."""
+    """The md5 sum of a type whose definitions come from `definitions`, which may raise."""
     return _digest(_md5_text(definitions(type_name), lambda inner: md5_of(inner, definitions)))
 
 
 @cache
 def service_md5(name: str) -> str:
-    """As `md5`, of a service. Raises UnknownName."""
+    """The md5 sum of a service. Raises UnknownName."""
     service = service_of(name)
     return _digest(_md5_text(service.request, md5) + _md5_text(service.response, md5))
 
 
 def show(type_name: str) -> str:
-    """The type with its nested types, two blanks a level, constants as NAME=value; no newline at the end."""
+    """The type with its nested types, indented by two spaces per level, constants as NAME=value; no final newline."""
     return "\n".join(_lines(definition_of(type_name), ""))
 
 
@@ -347,7 +347,7 @@ def show_service(name: str) -> str:
 
 
 def _digest(text: str) -> str:
-    import hashlib  # late: OpenSSL takes longer to load than all else that `slidectl pub` needs
+    import hashlib  # imported on use: OpenSSL loads slower than all else that `slidectl pub` needs
 
     return hashlib.md5(text.encode(), usedforsecurity=False).hexdigest()
 

@@ -1,7 +1,8 @@
-"""A message from the values of a command line, as `rostopic pub` and `rosservice call` understand them.
+"""Messages from command-line values, as `rostopic pub` and `rosservice call` interpret them.
 
-One mapping gives fields by name, anything else one value per field (genpy's `fill_message_args`). Types come from a
-look-up that the caller gives, since a client asks the daemon for them: no file is read here, no YAML, no expression.
+A single mapping gives fields by name, anything else one value per field (genpy's `fill_message_args`). The caller
+provides a look-up of types, since a client asks the daemon for them. This module reads no file and parses no YAML or
+expression.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from slidectl.msgs.schema import BYTES, PRIMITIVES, SCALAR, TIMES, Field, Fields
 Time = tuple[int, int]
 """Seconds and nanoseconds."""
 NumberOf = Callable[[str, str], Any]
-"""Takes a text that stands where a number is due, and the type that is due; gives the number that it means."""
+"""Takes a text in place of a number, and the number's type; returns the number."""
 
 _HEADER = "std_msgs/Header"
 _NS = 1_000_000_000
@@ -34,7 +35,7 @@ _CLOCK_WORDS = ("now", "auto")
 
 
 def mentions_clock(values: Any) -> bool:
-    """True when one of the values, at any depth, may stand for the time."""
+    """True when a value, at any depth, may be a word for the present time."""
     if isinstance(values, Mapping):
         values = list(values.values())
     if isinstance(values, (list, tuple)):
@@ -43,7 +44,7 @@ def mentions_clock(values: Any) -> bool:
 
 
 def field_paths(fields_of: FieldsOf, type_name: str) -> list[str]:
-    """All leaves of a type, nested ones as `pose.position.x`: what `rosservice args` prints."""
+    """All leaf fields of a type, nested ones as `pose.position.x`, as `rosservice args` prints them."""
     paths: list[str] = []
     for field in fields_of(type_name):
         if field.array != SCALAR or field.type in PRIMITIVES:
@@ -60,15 +61,15 @@ def fill(
     now: Time | None = None,
     number_of: NumberOf = lambda text, _type_name: text,
 ) -> Message:
-    """The message that the parsed values mean; fields that are not named are left out, for the receiver to default.
+    """Build a message from parsed values. Fields that are not given are left out; the receiver sets their defaults.
 
-    A single mapping is by name; otherwise there must be one value per field, nested messages as lists or mappings.
-    The numbers of a multi-array may be given alone. `now` stands for the time and `auto` for a header of now;
-    an integer for a time or duration counts nanoseconds. `number_of` gives what texts mean where numbers are due.
+    A single mapping is by name; otherwise there must be one value per field, nested messages as lists or mappings. The
+    numbers of a multi-array may be given alone. The word `now` is the present time, `auto` a header with it; an integer
+    for a time or duration counts nanoseconds. `number_of` converts texts in number fields.
 
     Raises:
         BadMessage: unknown fields, too few or too many values, a value that does not fit. UnknownName: no such type.
-        What `number_of` raises.
+            What `number_of` raises.
     """
     try:
         return _Filler(fields_of, now, number_of).whole(type_name, args)
@@ -88,13 +89,13 @@ class _WrongCount(Mismatch):
         super().__init__(f"{few} arguments: {given} given, {len(fields)} expected", hint)
 
     def as_error(self, type_name: str) -> BadMessage:
-        """Without the path when it is the message itself that lacks values."""
+        """The error, without a path when the message itself has the wrong count."""
         where = f"{self.path}: " if self.path else ""
         return BadMessage(f"{type_name}: {where}{self.reason}", self.path, self.hint)
 
 
 class _Filler:
-    """Walks a type and the values given for it."""
+    """Converts values by type, recursively."""
 
     def __init__(self, fields_of: FieldsOf, now: Time | None, number_of: NumberOf) -> None:
         self._fields_of = fields_of
@@ -108,7 +109,7 @@ class _Filler:
         is_multi_array = len(fields) == 2 and fields[0].type == "std_msgs/MultiArrayLayout" and fields[1].name == "data"
         if len(args) == 1 and is_multi_array and _is_plain_list(args[0]):
             return {"data": at("data", self._value, fields[1], args[0])}
-        if len(args) == len(fields):  # an empty argument, which YAML reads as null, means empty text where text is due
+        if len(args) == len(fields):  # YAML reads an empty argument as null: it means empty text in a string field
             texts = [field.array == SCALAR and field.type == "string" for field in fields]
             args = ["" if is_text and value is None else value for is_text, value in zip(texts, args, strict=True)]
         return self._by_position(type_name, args)

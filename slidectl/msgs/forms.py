@@ -1,6 +1,6 @@
-"""How messages look: the YAML of `rostopic echo`, byte for byte, and its CSV. Only layout.
+"""Text output of messages: the YAML of `rostopic echo`, byte for byte, and its CSV. Layout only.
 
-PyYAML is loaded only for text that needs its folding or quoting rules.
+PyYAML is imported only for text that needs its folding or quoting rules.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from slidectl.msgs.schema import BYTES, CODES, FLOATS, INTEGER_RANGES, TIMES, Sc
 
 Printer = Callable[[Any], str]
 
-# Text that PyYAML writes without quotes: no number, no word of YAML's own, nothing that begins like a structure.
+# Text that PyYAML writes without quotes: no number, no YAML keyword, no start of a structure.
 _PLAIN_WORD = re.compile(r"[A-Za-z_/][A-Za-z0-9_/]*\Z")
 _YAML_WORDS = frozenset(("yes", "no", "true", "false", "on", "off", "null"))
 # PyYAML folds a quoted scalar when the column passes 80; shorter text stays on its line.
@@ -37,16 +37,16 @@ def _dumped(value: Any, style: str | None = None) -> str:
 
 
 def is_plain(text: str) -> bool:
-    """True for text that PyYAML surely writes as it is, without quotes and in one line."""
+    """True for text that PyYAML certainly writes unquoted and in one line."""
     return bool(_PLAIN_WORD.match(text)) and text.lower() not in _YAML_WORDS and len(text) < _LONGEST_UNFOLDED
 
 
 class YamlForm:
     """Prints values of the types of one schema.
 
-    `width`: characters of a number (`rostopic echo -w`). `arrays` and `strings` False: only their type and length. As
-    with rostopic what is in a list that is printed is in full.
-    `offset_ns` is subtracted from every time; set it before each message.
+    `width`: characters of a number (`rostopic echo -w`). `arrays` and `strings`: False prints only type and length. As
+    with rostopic, the elements of a printed list are printed in full. `offset_ns` is subtracted from every time; set it
+    before each message.
     """
 
     def __init__(self, schema: Schema, width: int | None = None, arrays: bool = True, strings: bool = True) -> None:
@@ -58,9 +58,9 @@ class YamlForm:
         self._integer = "%d" if width is None else f"%{width}d"
 
     def printer(self, type_name: str, depth: int = 0, full: bool = False) -> Printer:
-        """The printer of a value of this type, wrapped in `depth` lists. The text has no `---` and no last newline.
+        """A printer of values of this type nested in `depth` lists. Its text has no `---` and no final newline.
 
-        `full`: a list or text by itself is printed, whatever `arrays` and `strings` say.
+        `full`: a top-level list or text is printed whatever `arrays` and `strings` are.
         """
         full = full and (depth > 0 or type_name == "string")
         return lambda value: self._list(value, type_name, depth, "", full)
@@ -81,7 +81,7 @@ class YamlForm:
 
     def _single(self, value: Any, type_name: str, indent: str, full: bool) -> str:
         if type_name in FLOATS:
-            return self._float(float("nan") if value is None else float(value))  # what is no number travels as null
+            return self._float(float("nan") if value is None else float(value))  # NaN is null in JSON
         if type_name in INTEGER_RANGES:
             return str(self._integer % value)
         if type_name in TIMES:
@@ -118,17 +118,17 @@ def _length_of(shown: str, type_name: str, value: Any) -> str:
 
 
 class CsvRow(NamedTuple):
-    """One message: its header line without line end (it starts with `%time`) and its line of values."""
+    """One message: its header line (it starts with `%time`) and its values, both without line end."""
 
     header: str
     line: str
 
 
 class CsvForm:
-    """Lays out values of the types of one schema as `rostopic echo -p` does.
+    """Formats values of the types of one schema as `rostopic echo -p` does.
 
-    `arrays` and `strings` False leave such columns out. `offset_ns` is subtracted from every time. Arrays of bytes have
-    no columns, as with rostopic. Text that would break the table is quoted as in RFC 4180.
+    `arrays` and `strings`: False omits such columns. `offset_ns` is subtracted from every time. Byte arrays have no
+    columns, as with rostopic. Text that would break the table is quoted as in RFC 4180.
     """
 
     def __init__(self, schema: Schema, arrays: bool = True, strings: bool = True) -> None:
@@ -138,13 +138,13 @@ class CsvForm:
         self.offset_ns = 0
 
     def row(self, value: Any, type_name: str, depth: int, time_ns: int) -> CsvRow:
-        """The row of a value that is wrapped in `depth` lists; `time_ns` is its time in nanoseconds."""
+        """The row of a value nested in `depth` lists; `time_ns` is its time in nanoseconds."""
         cells = list(self._chosen(value, type_name, depth, "field"))
         names = ",".join(name for name, _ in cells)
         return CsvRow(f"%time,{names}", f"{time_ns - self.offset_ns}," + ",".join(text for _, text in cells))
 
     def _chosen(self, value: Any, type_name: str, depth: int, name: str) -> Iterator[tuple[str, str]]:
-        """What was asked for by itself is there, be it a list or text; options are for what is in it."""
+        """The cells of the selected value. A selected list or text is always included; options apply to its parts."""
         if depth == 0 and type_name == "string":
             yield name, self._text(value, type_name)
         elif depth == 0:

@@ -1,7 +1,7 @@
 """Expressions in values and over messages: `pub -r 'sin(t)'` in `i` and `t`, and `echo --filter` over a message `m`.
 
-The evaluator is that of `slidectl.expressions`. Here stands which names there are, and what the fields of a
-message are in it. Names and fields are checked before the first message.
+`slidectl.expressions` evaluates them. This module defines the names and how message fields appear in an expression.
+Names and fields are checked before the first message.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from slidectl.msgs.schema import BYTES, FLOATS, INTEGER_RANGES, TIMES, Field, Sc
 
 _LONGEST = 4000
 _MOST_STEPS = 10_000_000
-"""More than a launch file may take: every element of an array of the message counts as one."""
+"""Higher than for launch files: every array element of the message counts as a step."""
 _NOT_FINITE = re.compile(r"\s*[-+]?(nan|inf)\s*\Z", re.IGNORECASE)
 _TIMES = {name: (*parts, Field("to_sec", ""), Field("to_nsec", "")) for name, parts in TIMES.items()}
 """What a time has here: its parts, and the functions of rospy."""
 
 
 class _Record:
-    """Values that an expression reads as attributes; `show` makes of each what the expression sees."""
+    """Values that an expression reads as attributes; `show` converts each for the expression."""
 
     def __init__(self, values: Mapping[str, Any], show: Callable[[str, Any], Any] = lambda _name, value: value) -> None:
         self._values = values
@@ -44,7 +44,7 @@ class Expression:
     """A parsed expression in `variables`, the names of the math module and Python's plain functions.
 
     Raises:
-        UsageError: it is no expression, or uses a name that there is not.
+        UsageError: it is no expression, or uses an unknown name.
     """
 
     def __init__(self, text: str, variables: Sequence[str], most_steps: int = _MOST_STEPS) -> None:
@@ -68,7 +68,7 @@ class Expression:
                 raise UsageError(f"{text!r} is not a valid expression: {reason}")
 
     def __call__(self, **names: Any) -> Any:
-        """The value with these variables. Raises Refused when it cannot be computed."""
+        """The value with these variables. Raises Refused: it cannot be computed."""
         try:
             return evaluate(self.tree, _NAMES | names, (_Record,), self._most_steps)
         except (ArithmeticError, ValueError, TypeError, LookupError, NameError, RecursionError) as error:
@@ -76,9 +76,9 @@ class Expression:
 
 
 class Filter:
-    """An expression over a message `m` of the schema's root type; the fields that it names are checked at once.
+    """An expression over a message `m` of the schema's root type; its field names are checked on construction.
 
-    `more` are other names that it may use; the call gives their values.
+    `more` are further variables; a call gives their values.
     """
 
     def __init__(self, text: str, schema: Schema, more: Sequence[str] = ()) -> None:
@@ -93,7 +93,7 @@ class Filter:
         return bool(self._expression(m=self._shown(message, Field("m", self._schema.root)), **more))
 
     def _field_of(self, node: ast.AST) -> Field | None:
-        """What `m.a.b[0]` leads to; None when it is no field. Raises UsageError for one that there is not."""
+        """The field that `m.a.b[0]` refers to; None when it is no field. Raises UsageError: no such field."""
         if isinstance(node, ast.Name) and node.id == "m":
             return Field("m", self._schema.root)
         if not isinstance(node, ast.Attribute | ast.Subscript):
@@ -113,7 +113,7 @@ class Filter:
         raise UsageError(f"{self._expression.text!r}: {missing}")
 
     def _shown(self, value: Any, field: Field | None) -> Any:
-        """Null is not a number, base64 is numbers, a time has rospy's `to_sec()` and `to_nsec()`."""
+        """The value for the expression: null is nan, base64 is numbers, times have rospy's `to_sec()`, `to_nsec()`."""
         if field is None or (field.array >= 0 and field.type in BYTES):
             return value if field is None else byte_values(value)
         if field.array >= 0:
@@ -130,9 +130,9 @@ class Filter:
 
 
 class Numbers:
-    """What texts mean where numbers are due, for `fill`: `nan` and `inf`, and with `expressions` any in i and t.
+    """Converts texts to numbers for `fill`: `nan` and `inf`, and with `expressions` any expression in i and t.
 
-    No expression may take more than `most_steps`.
+    `most_steps` limits each evaluation.
     """
 
     def __init__(self, expressions: bool, most_steps: int = _MOST_STEPS) -> None:
@@ -140,9 +140,10 @@ class Numbers:
         self._most_steps = most_steps
 
     def at(self, index: int, seconds: float) -> Callable[[str, str], Any]:
-        """Takes a text and the type that is due, for i = index and t = seconds. Other texts stay as they are.
+        """A converter for i = index and t = seconds. It takes a text and the expected type, and returns other texts
+        unchanged.
 
-        Raises UsageError: a text is no expression. Refused: it cannot be computed.
+        It raises UsageError: a text is no expression. Refused: it cannot be computed.
         """
 
         def number(text: str, type_name: str) -> Any:

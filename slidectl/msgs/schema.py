@@ -29,7 +29,7 @@ CODES = {
     "bool": "?", "int8": "b", "byte": "b", "uint8": "B", "char": "B", "int16": "h", "uint16": "H", "int32": "i",
     "uint32": "I", "int64": "q", "uint64": "Q", "float32": "f", "float64": "d",
 }  # fmt: skip
-"""ROS 1's numbers with their codes of `struct`, little-endian. `byte` is an int8 and `char` an uint8 there."""
+"""ROS 1's number types -> their codes in `struct`. In ROS 1 `byte` is an int8 and `char` an uint8."""
 TIMES = {
     "time": (Field("secs", "uint32"), Field("nsecs", "uint32")),
     "duration": (Field("secs", "int32"), Field("nsecs", "int32")),
@@ -38,7 +38,7 @@ TIMES = {
 
 
 def nanoseconds(time: Mapping[str, int]) -> int:
-    """A time or a duration, as messages have it, in nanoseconds."""
+    """A time or duration of a message in nanoseconds."""
     return time["secs"] * 10**9 + time["nsecs"]
 
 
@@ -49,20 +49,20 @@ def _range(code: str) -> tuple[int, int]:
 
 FLOATS = frozenset(kind for kind, code in CODES.items() if code in "fd")
 INTEGER_RANGES = {kind: _range(code) for kind, code in CODES.items() if code not in "fd?"}
-"""The lowest and the highest value."""
+"""ROS 1's integer types -> lowest and highest value."""
 BYTES = frozenset(kind for kind, code in CODES.items() if code == "B")
-"""Arrays of these are base64 text in a message, as on the wire."""
+"""Arrays of these types are base64 text in a message, as in the protocol."""
 PRIMITIVES = frozenset({*CODES, *TIMES, "string"})
 
 
 FieldsOf = Callable[[str], Sequence[Field]]
-"""Gives the fields of a type that is not a primitive one."""
+"""Returns the fields of a non-primitive type."""
 Typedefs = list[dict[str, Any]]
-"""rosapi/TypeDef of a type and of all that it is made of."""
+"""A rosapi/TypeDef of a type and of every type used in it."""
 
 
 class Schema:
-    """The message type `root` and every type that it is made of."""
+    """The message type `root` and every type used in it."""
 
     def __init__(self, root: str, types: Mapping[str, tuple[Field, ...]]) -> None:
         self.root = root
@@ -73,17 +73,17 @@ class Schema:
         return self.types.get(type_name, ())
 
     def field(self, type_name: str, name: str) -> Field | None:
-        """The field of that name, if there is one."""
+        """The field of that name, or None."""
         return next((field for field in self.fields(type_name) if field.name == name), None)
 
     @property
     def has_header(self) -> bool:
-        """True when the type has a std_msgs/Header called `header`: the message has a stamp."""
+        """True when the type has a std_msgs/Header named `header`: the message has a stamp."""
         return self.field(self.root, "header") == Field("header", "std_msgs/Header")
 
 
 def from_typedefs(typedefs: Iterable[Mapping[str, Any]]) -> Schema:
-    """The schema of a `typedefs` list (rosapi/TypeDef); the first one is the root."""
+    """The schema of a `typedefs` list (rosapi/TypeDef); the first entry is the root."""
     types = {
         str(entry["type"]): tuple(map(Field, entry["fieldnames"], entry["fieldtypes"], entry["fieldarraylen"]))
         for entry in typedefs

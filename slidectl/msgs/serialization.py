@@ -1,6 +1,6 @@
-"""Messages as ROS 1 bytes and back, fast: for each type one Python function each way, made of its fields.
+"""Fast conversion of messages to ROS 1 bytes and back: two generated Python functions per type.
 
-Numbers that follow one another are packed by one Struct, also across nested messages.
+Consecutive numbers are packed by one Struct, also across nested messages.
 """
 
 from __future__ import annotations
@@ -16,30 +16,30 @@ from slidectl.msgs.schema import BYTES, CODES, FLOATS, SCALAR, TIMES, Field, Fie
 Message = dict[str, Any]
 
 _MOST_LINES = 20_000
-"""Of one function: types that nest others many times over could make it grow without end."""
+"""Limit of a generated function: types that nest others many times could make it grow without bound."""
 
 
 def packer(name: str, fields_of: FieldsOf) -> Callable[[Message], bytes]:
-    """What makes the bytes of a complete message of that type. Raises ValueError: the type is too large."""
+    """A function that serializes complete messages of the type. Raises ValueError: the type is too large."""
     return _Packer(name, fields_of).function()
 
 
 def unpacker(name: str, fields_of: FieldsOf, most_elements: int | None = None) -> Callable[[bytes], Message]:
-    """What makes a message of bytes; of those that are none it raises struct.error and ValueError.
+    """A function that deserializes messages; for invalid bytes it raises struct.error or ValueError.
 
-    `most_elements` are those of all lists of a message; None is as many as it has bytes. Bytes do not count. Text that
-    is no UTF-8 is read with replacement characters. Raises ValueError: the type is too large.
+    `most_elements` limits the elements of all lists of a message, byte arrays excluded; None for the number of bytes.
+    Text that is not UTF-8 is decoded with replacement characters. Raises ValueError: the type is too large.
     """
     return _Unpacker(name, fields_of, most_elements).function()
 
 
 def _numbers(values: list[Any]) -> list[Any]:
-    """Floats as `pack` takes them: null is not a number."""
+    """Floats for `pack`: null becomes nan."""
     return [math.nan if value is None else value for value in values] if None in values else values
 
 
 class _Source:
-    """The text of a function, and the Structs that it uses. Numbers gather in `_codes` until a Struct takes them."""
+    """The source text of a function, and its Structs. Format codes collect in `_codes` until a Struct is made."""
 
     def __init__(self, name: str, fields_of: FieldsOf) -> None:
         self._type = name
@@ -63,7 +63,7 @@ class _Source:
         return f"v{self._count}"
 
     def _struct(self) -> str:
-        """The name of a Struct for the numbers that have gathered."""
+        """Make a Struct of the collected codes and return its name."""
         name = f"s{self._codes.replace('?', 'x')}"
         self._names[name] = Struct("<" + self._codes)
         self._codes = ""
@@ -78,7 +78,7 @@ class _Source:
 
 
 class _Packer(_Source):
-    """Writes `function(m)`, the bytes of a message."""
+    """Generates `function(m)`, which returns the bytes of a message."""
 
     def __init__(self, name: str, fields_of: FieldsOf) -> None:
         super().__init__(name, fields_of)
@@ -150,7 +150,7 @@ class _Packer(_Source):
 
 
 class _Unpacker(_Source):
-    """Writes `function(data)`, the message in the bytes. It raises struct.error and ValueError."""
+    """Generates `function(data)`, which returns the message. It raises struct.error and ValueError."""
 
     def __init__(self, name: str, fields_of: FieldsOf, most_elements: int | None) -> None:
         super().__init__(name, fields_of)
@@ -178,7 +178,7 @@ class _Unpacker(_Source):
         return self._targets[-1]
 
     def _fields(self, type_name: str) -> str:
-        """An expression for the message; what it needs is read by the lines before."""
+        """An expression for the message; the lines before it read its parts."""
         parts = []
         for field in TIMES.get(type_name) or self._fields_of(type_name):
             value = self._one(field.type) if field.array == SCALAR else self._list(field)
@@ -194,7 +194,7 @@ class _Unpacker(_Source):
         return self._fields(kind)
 
     def _piece(self, length: str) -> str:
-        """The next bytes, so many."""
+        """Generate code that reads `length` bytes; returns the variable's name."""
         self._flush()
         end, piece = self._name(), self._name()
         self._line(f"{end} = p + {length}")

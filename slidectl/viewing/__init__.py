@@ -1,5 +1,4 @@
-"""What people look at: plots, pictures, the graph, and the page in `page/`.
+"""Visualization: plots, pictures, the graph, and the web page in `page/`.
 
-They are clients of the daemon, in processes of their own.
-Libraries that draw are extras and imported late.
+Each tool is a client of the daemon in a process of its own. Drawing libraries are extras and imported on use.
 """

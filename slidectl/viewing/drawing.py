@@ -1,4 +1,4 @@
-"""What the world looks like now, asked of a daemon and drawn: one picture a call."""
+"""Pictures of the present world of a daemon."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ if TYPE_CHECKING:
 
 
 class WorldView:
-    """The world of a daemon from one camera, by OpenGL or, where that cannot be used, by software."""
+    """Draws the world of a daemon from one camera, by OpenGL or, if that is not usable, by software."""
 
     def __init__(
         self, client: Client, camera: str, size: tuple[int, int], software: bool, tell: Callable[[str], None]
     ) -> None:
-        """`tell` takes what is drawn otherwise than it was meant. Raises UnknownName, AmbiguousName."""
+        """`tell` takes warnings about what is drawn differently than intended. Raises UnknownName, AmbiguousName."""
         self._client = client
         self._size = size
         self._tell = tell
@@ -38,7 +38,7 @@ class WorldView:
                 self._tell_of_software(error)
 
     def draw(self) -> Pixels:
-        """A picture of now. Raises NoDaemon. UnknownName: the camera, or the link that it follows, has gone."""
+        """Draw the present world. Raises NoDaemon. UnknownName: the camera or its link no longer exists."""
         if not self.scene.place(self._client.call("/slidectl/scene")):
             self.scene = self._new_scene()
         view = self._choice.of(self.scene)

@@ -1,7 +1,7 @@
-"""The world as it is drawn: the triangles of all links with their colours, where the links are, and the eye.
+"""The scene to draw: the triangles and colours of all links, the poses of the links, and the viewpoint.
 
-Made of what /slidectl/scene answers. It knows no pictures, and reads the files of meshes. Arrays are in m, in world
-axes unless they say otherwise.
+It is made from the answer of /slidectl/scene, and reads mesh files. It knows no picture formats. Arrays are in m, in
+world axes unless stated otherwise.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ SKY = (0.62, 0.75, 0.90)
 TILES = ((0.80, 0.80, 0.80), (0.86, 0.86, 0.86))
 """Colours of the ground's tiles, which are 1 m wide."""
 SUN = (-0.37, 0.46, -0.81)
-"""Direction in which its light goes."""
+"""The direction of sunlight."""
 AMBIENT, FROM_EYE, FROM_SUN = 0.4, 0.2, 0.4
-"""Of the light that a surface gives back; 1 together."""
+"""Parts of the reflected light; their sum is 1."""
 _SIDES = 24
-"""Of what is drawn for a circle."""
+"""Sides of the polygon that approximates a circle."""
 _MISSING_M = 0.1
-"""Edge of the box that is drawn for a mesh that cannot be read."""
+"""Edge length of the box drawn for an unreadable mesh."""
 _FOLLOW = "follow:"
 VIEWS: dict[str, Vector] = {
     "iso": (0.62, -0.66, 0.42),
@@ -40,13 +40,13 @@ VIEWS: dict[str, Vector] = {
     "top": (0.0, 0.0, 1.0),
     "side": (0.0, -1.0, 0.0),
 }
-"""From the middle of the world to the eye. In `side` x goes to the right, in `top` y goes up."""
+"""Direction from the centre of the world to the viewpoint. In `side` x points right, in `top` y points up."""
 _FIELD_OF_VIEW = math.radians(40.0)
 _MARGIN = 1.05
 
 
 class ColouredSurface(NamedTuple):
-    """What has one colour on one link."""
+    """The triangles of one colour on one link."""
 
     link: str
     """ROBOT::LINK."""
@@ -58,16 +58,16 @@ class ColouredSurface(NamedTuple):
 
 
 class DrawnScene:
-    """Robots and ground; `place` puts them where they are now."""
+    """Robots and ground; `place` sets the present poses."""
 
     def __init__(self, answer: dict[str, Any], collisions: bool = False) -> None:
-        """`answer` is that of /slidectl/scene, with descriptions. `collisions`: draw what collides instead."""
+        """`answer` is that of /slidectl/scene, with descriptions. `collisions`: draw collision shapes, not visuals."""
         self.ground = bool(answer["ground"])
         self.robots: dict[str, Robot] = {
             name: description.parse(xml) for name, xml in zip(answer["robots"], answer["descriptions"], strict=True)
         }
         self.notices: list[str] = []
-        """What is drawn otherwise than it was meant."""
+        """Warnings about what is drawn differently than intended."""
         self.surfaces = [
             surface
             for name, robot in self.robots.items()
@@ -78,32 +78,32 @@ class DrawnScene:
 
     @property
     def cameras(self) -> dict[str, Camera]:
-        """Those of the robots, as ROBOT::CAMERA."""
+        """The cameras of the robots, by ROBOT::CAMERA."""
         sensors = [(name, sensor) for name, robot in self.robots.items() for sensor in robot.sensors]
         return {f"{name}::{sensor.name}": sensor for name, sensor in sensors if isinstance(sensor, Camera)}
 
     def place(self, answer: dict[str, Any]) -> bool:
-        """Put the links where they are now; False: there are other robots, which makes this another scene."""
+        """Set the present poses of the links. Returns False when the robots have changed: make a new scene."""
         if "poses" in vars(self) and answer["serials"] != self._serials:
             return False
         self._serials: list[int] = answer["serials"]
         self.time = float(answer["time"])
-        """Simulated, s."""
+        """Simulated time, s."""
         self.poses: dict[str, rotations.Pose] = {f"{name}::world": rotations.ORIGIN for name in self.robots}
-        """Of all links, by ROBOT::LINK."""
+        """ROBOT::LINK -> pose, for all links."""
         for link, pose in zip(answer["links"], answer["poses"], strict=True):
             place, turn = pose["position"], pose["orientation"]
             self.poses[link] = ((place["x"], place["y"], place["z"]), (turn["x"], turn["y"], turn["z"], turn["w"]))
         return True
 
     def vertices(self, surface: ColouredSurface) -> Array:
-        """Where those of a surface are now."""
+        """The vertices of a surface in world axes, n x 3."""
         place, turn = self.poses[surface.link]
         vertices: Array = surface.vertices @ np.array(rotations.matrix(turn)).T + place
         return vertices
 
     def bounds(self, robot: str = "") -> tuple[Array, float]:
-        """Centre and radius of a ball around all that is drawn of a robot, or of all."""
+        """Centre and radius of a sphere around all surfaces of a robot, or of all robots."""
         seen = [
             self.vertices(surface) for surface in self.surfaces if surface.link.startswith(f"{robot}::" * bool(robot))
         ]
@@ -113,7 +113,7 @@ class DrawnScene:
         return (low + high) / 2, max(_MISSING_M, float(np.linalg.norm(high - low)) / 2)
 
     def _surfaces(self, name: str, robot: Robot, link: Link, collisions: bool) -> Iterator[ColouredSurface]:
-        """The visuals of a link; of a robot that has none at all, and where that is wanted, what collides."""
+        """The visuals of a link; the collision shapes if the robot has no visuals, or with `collisions`."""
         has_visuals = not collisions and any(one.visuals for one in robot.links.values())
         parts: dict[Colour, list[Triangles]] = {}
         for shape in link.visuals if has_visuals else link.collisions:
@@ -131,7 +131,7 @@ class DrawnScene:
             )
 
     def _triangles(self, link: str, shape: Shape) -> Triangles:
-        """A shape in the frame of its link."""
+        """The triangles of a shape in the frame of its link."""
         try:
             vertices, faces = _triangles_of(shape.geometry)
         except BadMesh as error:
@@ -142,7 +142,7 @@ class DrawnScene:
 
 
 def _triangles_of(geometry: Geometry) -> Triangles:
-    """Raises BadMesh."""
+    """The triangles of a geometry. Raises BadMesh."""
     if isinstance(geometry, Box):
         return _box(geometry.size)
     if isinstance(geometry, Cylinder):
@@ -163,7 +163,7 @@ def _box(size: tuple[float, ...]) -> Triangles:
 
 
 def _turned(outline: list[tuple[float, float]]) -> Triangles:
-    """The body that an outline (radius, height), from its lowest point up, makes when it turns about the z axis."""
+    """The solid of revolution of an outline (radius, height), listed from its lowest point, about the z axis."""
     angles = np.arange(_SIDES) * (2 * math.pi / _SIDES)
     rings = [np.column_stack((r * np.cos(angles), r * np.sin(angles), np.full(_SIDES, z))) for r, z in outline]
     now, after = np.arange(_SIDES), np.roll(np.arange(_SIDES), -1)
@@ -179,21 +179,21 @@ def _turned(outline: list[tuple[float, float]]) -> Triangles:
 
 
 class Viewpoint(NamedTuple):
-    """An eye; the axes are unit vectors."""
+    """A viewpoint; the axes are unit vectors."""
 
     eye: Array
     right: Array
     up: Array
     ahead: Array
     field_of_view: float
-    """From the bottom of the picture to its top, rad."""
+    """Vertical angle, rad."""
     near: float
     """m."""
     far: float
 
 
 class ViewpointChoice:
-    """What `--camera` names, for pictures of one size. A fixed view stays as it was for the first picture."""
+    """The viewpoint named by `--camera`, for pictures of one size. A fixed view is computed once."""
 
     def __init__(self, scene: DrawnScene, camera: str, size: tuple[int, int]) -> None:
         """Raises UnknownName, AmbiguousName."""
@@ -209,7 +209,7 @@ class ViewpointChoice:
         self._distance = _MARGIN * radius / math.sin(narrowest)
 
     def of(self, scene: DrawnScene) -> Viewpoint:
-        """The eye now."""
+        """The present viewpoint. Raises UnknownName."""
         if self._camera:
             if self._camera not in scene.cameras:
                 raise UnknownName("camera", self._camera, list(scene.cameras))
@@ -225,7 +225,7 @@ class ViewpointChoice:
         return Viewpoint(eye, right, np.cross(right, ahead), ahead, _FIELD_OF_VIEW, 0.01 * distance, 100.0 * distance)
 
     def _of_model(self, scene: DrawnScene, camera: Camera) -> Viewpoint:
-        """It looks along its x axis; its field of view is from side to side."""
+        """The viewpoint of a robot's camera. It looks along its x axis; its own field of view is horizontal."""
         link = scene.poses[f"{self._camera.partition('::')[0]}::{camera.link}"]
         place, turn = rotations.compose(link, (camera.origin.xyz, rotations.from_rpy(camera.origin.rpy)))
         ahead, left, up = np.array(rotations.matrix(turn)).T
@@ -234,7 +234,7 @@ class ViewpointChoice:
 
 
 def _one(kind: str, name: str, names: list[str], known: list[str]) -> str:
-    """The one that a full name, or the part behind the robot's, means."""
+    """Find a full name, or the part behind the robot's name. Raises UnknownName, AmbiguousName."""
     found = [full for full in names if name in (full, full.partition("::")[2])]
     if not found:
         raise UnknownName(kind, name, known)

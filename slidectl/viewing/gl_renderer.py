@@ -1,4 +1,4 @@
-"""Pictures by OpenGL without a display: MuJoCo draws the triangles of a scene, each link a body that is put there."""
+"""Pictures by OpenGL without a display: MuJoCo draws the triangles of a scene, each link as a mocap body."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ _MOST_SHAPES = 10_000
 
 
 class GlRenderer:
-    """Draws one scene after the other at one size."""
+    """Draws scenes at one picture size."""
 
     name = "OpenGL"
 
     def __init__(self, size: tuple[int, int]) -> None:
-        """Raises Refused: there is no OpenGL that can be used."""
+        """Raises Refused: OpenGL is not usable."""
         backend = rendering.gl_backend()
         if not backend:
             raise Refused("there is no OpenGL", rendering.INSTALL)
@@ -31,12 +31,12 @@ class GlRenderer:
         try:
             self._context = importlib.import_module(f"mujoco.{backend}").GLContext(*size)
             self._context.make_current()
-        except Exception as error:  # of the library, of the driver, of PyOpenGL
+        except Exception as error:  # from the library, the driver or PyOpenGL
             raise Refused(f"OpenGL ({backend}) cannot be used: {error}", rendering.INSTALL) from None
         self._scene: DrawnScene | None = None
 
     def draw(self, scene: DrawnScene, view: Viewpoint) -> Pixels:
-        """Red, green and blue of each pixel, shape (height, width, 3). Raises Refused."""
+        """Draw a picture: RGB, shape (height, width, 3). Raises Refused."""
         if self._scene is not scene:
             self._take(scene, view)
         model, data = self._model, self._data
@@ -69,7 +69,7 @@ class GlRenderer:
         self._eye = int(model.body("eye").mocapid[0])
         self._option, self._drawn = mujoco.MjvOption(), mujoco.MjvScene(model, _MOST_SHAPES)
         self._drawn.flags[mujoco.mjtRndFlag.mjRND_HAZE] = False
-        self._drawn.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False  # it takes as long as all else without a card
+        self._drawn.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False  # without a GPU, shadows take as long as all else
         self._camera = mujoco.MjvCamera()
         self._camera.type, self._camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, 0
         self._drawer = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
@@ -103,7 +103,7 @@ def _spec(scene: DrawnScene) -> Any:
     for number, one in enumerate(scene.surfaces):
         if one.link not in bodies:
             bodies[one.link] = spec.worldbody.add_body(name=one.link, mocap=True)
-        # Of the shell: a mesh that is flat, or open, has no volume.
+        # The inertia is that of the shell, because a flat or open mesh has no volume.
         spec.add_mesh(
             name=f"mesh{number}", uservert=one.vertices.ravel(), userface=one.faces.ravel(),
             inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,

@@ -1,4 +1,4 @@
-"""Nodes, topics and services, and who uses what: read from a daemon, as data, text, DOT, Mermaid and SVG (rqt_graph).
+"""The graph of nodes, topics and services of a daemon, as data, text, DOT, Mermaid and SVG (rqt_graph).
 
 Nodes are ellipses, topics are boxes, services are boxes with round corners. The same graph gives the same bytes.
 """
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 
 _SWEEPS = 8
 _CHARACTER, _ROW, _GAP, _MARGIN = 7.3, 36.0, 70.0, 16.0
-"""Of the SVG: the width of a character, from row to row, between columns, and around all."""
+"""SVG sizes in pixels: character width, row height, gap between columns, outer margin."""
 
 
 class TopicUse(NamedTuple):
-    """The type of a topic, and the nodes that use it."""
+    """The type of a topic, with its publishers and subscribers."""
 
     type: str
     publishers: list[str]
@@ -32,14 +32,14 @@ class TopicUse(NamedTuple):
 
 
 class NodeGraph(NamedTuple):
-    """Nodes by name; topics by name, with their users; services, each with its node."""
+    """Node names; topic -> its use; service -> its node."""
 
     nodes: list[str]
     topics: dict[str, TopicUse]
     services: dict[str, str]
 
     def about(self, words: Iterable[str], namespace: str = "/") -> NodeGraph:
-        """What these are, or stand below, and what is joined to them.
+        """The part of the graph with these names, everything below them, and their direct neighbours.
 
         Each word is the name of a node, a topic, a service, or a namespace such as a robot's, or its unique end.
 
@@ -62,7 +62,7 @@ class NodeGraph(NamedTuple):
         return _of_users(topics, services)
 
     def without_services(self) -> NodeGraph:
-        """The topics, and the nodes that use them."""
+        """The graph with topics and their nodes only."""
         return _of_users(self.topics, {})
 
     def as_data(self) -> dict[str, Any]:
@@ -72,13 +72,13 @@ class NodeGraph(NamedTuple):
         return {"nodes": self.nodes, "topics": topics, "services": services}
 
     def vertices(self) -> dict[str, _Vertex]:
-        """By keys that tell a node from a topic of the same name."""
+        """Key -> vertex. The keys distinguish a node from a topic of the same name."""
         found = {f"n{name}": _Vertex(name, "node", "") for name in self.nodes}
         found |= {f"t{name}": _Vertex(name, "topic", use.type) for name, use in self.topics.items()}
         return found | {f"s{name}": _Vertex(name, "service", "") for name in self.services}
 
     def edges(self) -> Iterator[tuple[str, str]]:
-        """From a publisher to the topic to a subscriber, and from a node to its service, by keys of the vertices."""
+        """Edges from publisher to topic, topic to subscriber, and node to service, as keys of the vertices."""
         for name, use in self.topics.items():
             yield from ((f"n{node}", f"t{name}") for node in use.publishers)
             yield from ((f"t{name}", f"n{node}") for node in use.subscribers)
@@ -92,7 +92,7 @@ class _Vertex(NamedTuple):
 
 
 def read_graph(client: Client, *, timeout: float | None = None) -> NodeGraph:
-    """The graph as the daemon has it now; each answer may take so many wall seconds. Raises NoDaemon, TimedOut."""
+    """Read the daemon's present graph; `timeout` limits each answer, in wall seconds. Raises NoDaemon, TimedOut."""
     listed = client.call("/rosapi/nodes", timeout=timeout)["nodes"]
     calls = {node: client.call_async("/rosapi/node_details", {"node": node}) for node in listed}
     details = {node: client.answer(call, timeout=timeout) for node, call in calls.items()}
@@ -118,7 +118,7 @@ def _of_users(topics: dict[str, TopicUse], services: dict[str, str]) -> NodeGrap
 
 
 def as_tree(graph: NodeGraph) -> str:
-    """Each node with its topics, their types and who is at their other end, and its services."""
+    """Each node with its topics, their types and the nodes at the other end, and its services."""
     lines = []
     for node in graph.nodes:
         lines.append(node)
@@ -137,7 +137,7 @@ def as_tree(graph: NodeGraph) -> str:
 
 
 def as_dot(graph: NodeGraph) -> str:
-    """For Graphviz."""
+    """The graph in Graphviz's DOT language."""
     shapes = {"node": "ellipse", "topic": "box", "service": 'box, style="rounded"'}
     return "\n".join(
         [
@@ -151,7 +151,7 @@ def as_dot(graph: NodeGraph) -> str:
 
 
 def as_mermaid(graph: NodeGraph) -> str:
-    """A flow chart of Mermaid."""
+    """The graph as a Mermaid flow chart."""
     shapes = {"node": '(["{}"])', "topic": '["{}"]', "service": '("{}")'}
     ids = {key: f"{key[0]}{number}" for number, key in enumerate(graph.vertices())}
     return "\n".join(
@@ -165,18 +165,18 @@ def as_mermaid(graph: NodeGraph) -> str:
 
 
 def as_markdown(graph: NodeGraph) -> str:
-    """The flow chart in a block, as GitHub and GitLab draw it."""
+    """The Mermaid flow chart in a code block, as GitHub and GitLab render it."""
     return f"```mermaid\n{as_mermaid(graph)}```\n"
 
 
 # --- SVG --------------------------------------------------------------------------------------------------------------
 
 _Slot = str | tuple[str, str, int]
-"""A vertex, or the place in a column where the edge between two vertices passes."""
+"""A vertex, or the position in a column that an edge between two vertices passes through."""
 
 
 def as_svg(graph: NodeGraph) -> str:
-    """A picture in columns, from publishers on the left to subscribers on the right."""
+    """An SVG with columns, publishers on the left and subscribers on the right."""
     vertices, edges = graph.vertices(), list(graph.edges())
     ranks = _ranks(list(vertices), edges)
     columns, ways = _columns(ranks, edges)
@@ -211,7 +211,7 @@ def as_svg(graph: NodeGraph) -> str:
 
 
 def _ranks(vertices: Sequence[str], edges: Iterable[tuple[str, str]]) -> dict[str, int]:
-    """The column of each vertex, so that edges go to the right. Of each circle, one edge at least goes to the left."""
+    """The column of each vertex, so that edges point right. In each cycle at least one edge points left."""
     joined: defaultdict[str, list[str]] = defaultdict(list)
     for source, target in edges:
         joined[source].append(target)
@@ -230,7 +230,7 @@ def _ranks(vertices: Sequence[str], edges: Iterable[tuple[str, str]]) -> dict[st
 
 
 def _columns(ranks: dict[str, int], edges: Iterable[tuple[str, str]]) -> tuple[list[list[_Slot]], list[list[_Slot]]]:
-    """The slots of each column, and the way of each edge from left to right."""
+    """The slots of each column, and the slots of each edge from left to right."""
     columns: list[list[_Slot]] = [[] for _ in range(max(ranks.values(), default=-1) + 1)]
     for vertex, rank in ranks.items():
         columns[rank].append(vertex)
@@ -245,7 +245,7 @@ def _columns(ranks: dict[str, int], edges: Iterable[tuple[str, str]]) -> tuple[l
 
 
 def _sort_columns(columns: list[list[_Slot]], ways: Iterable[Sequence[_Slot]]) -> None:
-    """Each slot near the middle of those that it is joined to, forth and back (the barycentres of Sugiyama et al.)."""
+    """Move each slot near the mean row of its neighbours, in both directions (barycentres, Sugiyama et al.)."""
     before: defaultdict[_Slot, list[_Slot]] = defaultdict(list)
     after: defaultdict[_Slot, list[_Slot]] = defaultdict(list)
     for way in ways:
@@ -269,7 +269,7 @@ def _rows(column: Sequence[_Slot]) -> dict[_Slot, float]:
 
 
 def _curve(points: Sequence[tuple[float, float]]) -> str:
-    """A path through the points that is level at each of them."""
+    """A path through the points, horizontal at each of them."""
     parts = [f"M{points[0][0]:.1f} {points[0][1]:.1f}"]
     for (x0, y0), (x1, y1) in pairwise(points):
         middle = (x0 + x1) / 2
@@ -278,7 +278,7 @@ def _curve(points: Sequence[tuple[float, float]]) -> str:
 
 
 def _drawn(vertex: _Vertex, left: float, right: float, y: float) -> str:
-    """The shape with its label, in its whole column."""
+    """The shape with its label, as wide as its column."""
     width, height = right - left, _ROW * 0.7
     if vertex.kind == "node":
         radii = f'rx="{width / 2:.1f}" ry="{height / 2:.1f}"'
@@ -295,7 +295,7 @@ _WRITERS = {".svg": as_svg, ".dot": as_dot, ".md": as_markdown}
 
 
 def writer_of(file: str) -> Callable[[NodeGraph], str]:
-    """What makes the content of a file of that name. Raises UsageError: no kind of file that is written here."""
+    """The function that makes the content of a file of that kind. Raises UsageError: unknown kind."""
     writer = _WRITERS.get(file_kind(file))
     if writer is None:
         raise UsageError(f"{file} is no kind of file that a graph is written to", f"kinds: {', '.join(_WRITERS)}")

@@ -1,4 +1,4 @@
-"""Files of pictures (.png, by the standard library) and of videos (.mp4 and .gif, by PyAV)."""
+"""Picture files (.png, by the standard library) and video files (.mp4 and .gif, by PyAV)."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from slidectl.errors import Refused, UsageError
 
 INSTALL = "pip install 'slidectl[video]'"
 FASTEST = {".mp4": 240, ".gif": 50}
-"""Pictures a second; the times of .gif are in hundredths of a second, and what shows them waits for two at least."""
+"""Maximum pictures per second. GIF times are in hundredths of a second, and viewers show a picture for at least two."""
 
 Pixels = NDArray[np.uint8]
-"""Red, green and blue, shape (height, width, 3)."""
+"""RGB, shape (height, width, 3)."""
 
 
 def write_png(path: Path, pixels: Pixels) -> None:
-    """Raises Refused: it cannot be written."""
+    """Write a PNG file. Raises Refused: it cannot be written."""
     height, width, _ = pixels.shape
-    rows = np.concatenate((np.zeros((height, 1), np.uint8), pixels.reshape(height, -1)), axis=1)  # 0: as they are
-    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)  # 8 bits a channel, colours
+    rows = np.concatenate((np.zeros((height, 1), np.uint8), pixels.reshape(height, -1)), axis=1)  # 0: no filter
+    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)  # 8 bits per channel, RGB
     parts = ((b"IHDR", header), (b"IDAT", zlib.compress(rows.tobytes(), 6)), (b"IEND", b""))
     chunks = (struct.pack(">I", len(d)) + name + d + struct.pack(">I", zlib.crc32(name + d)) for name, d in parts)
     try:
@@ -36,7 +36,7 @@ def write_png(path: Path, pixels: Pixels) -> None:
 
 
 def check_video(path: Path, size: tuple[int, int], rate: Fraction) -> None:
-    """Raises UsageError: a kind, size or rate that cannot be. Refused: no library."""
+    """Check the arguments of a VideoFile. Raises UsageError: invalid kind, size or rate. Refused: PyAV is missing."""
     kind = path.suffix.lower()
     if kind not in FASTEST:
         raise UsageError(f"{path} is no video that can be written", f"kinds: {', '.join(FASTEST)}")
@@ -51,16 +51,16 @@ def check_video(path: Path, size: tuple[int, int], rate: Fraction) -> None:
 
 
 class VideoFile:
-    """A video at an exact rate. What `add` took until `close` can be played."""
+    """A video file with an exact rate. After `close` it can be played."""
 
     def __init__(self, path: Path, size: tuple[int, int], rate: Fraction) -> None:
-        """What `check_video` lets pass. Raises Refused: no file."""
+        """Takes arguments that `check_video` accepts. Raises Refused: the file cannot be written."""
         import av
 
         kind = path.suffix.lower()
         self.path = path
         self.count = 0
-        """Pictures so far."""
+        """The number of pictures so far."""
         self._av: Any = av
         self._failure: Refused | None = None
         self.rate = rate
@@ -77,7 +77,7 @@ class VideoFile:
         self._graph = None if kind == ".mp4" else self._palettes(size)
 
     def _palettes(self, size: tuple[int, int]) -> Any:
-        """What gives each picture of a .gif its own 256 colours."""
+        """A filter graph that gives each picture of a GIF its own 256 colours."""
         graph = self._av.filter.Graph()
         source = graph.add_buffer(width=size[0], height=size[1], format="rgb24", time_base=1 / self.rate)
         split, palette = graph.add("split"), graph.add("palettegen", "stats_mode=single")
@@ -91,7 +91,7 @@ class VideoFile:
         return graph
 
     def add(self, pixels: Pixels) -> None:
-        """The next picture. Raises Refused: it cannot be written."""
+        """Add a picture. Raises Refused: it cannot be written."""
         frame = self._av.VideoFrame.from_ndarray(pixels, "rgb24")
         frame.pts, frame.time_base = self.count, 1 / self.rate
         try:
@@ -104,9 +104,9 @@ class VideoFile:
         self.count += 1
 
     def close(self) -> None:
-        """Complete the file. Raises Refused: it cannot be written, or a picture before could not."""
+        """Complete the file. Raises Refused: it cannot be written, or an earlier picture could not."""
         try:
-            if self._failure is None:  # a file that has failed takes no picture more: it would end the process
+            if self._failure is None:  # encoding into a file that has failed would crash the process
                 self._file.mux(self._stream.encode())
             self._file.close()
         except OSError as error:

@@ -1,6 +1,6 @@
-"""The curves of a plot: fields of topics as they come, of recordings, and columns of the CSV files of `echo -p`.
+"""Curves from fields of live topics, of recordings, and from columns of the CSV files of `echo -p`.
 
-A field that holds several numbers (an array, a message) is a curve each. It draws nothing.
+A field with several numbers (an array, a message) gives one curve per number. Nothing is drawn here.
 """
 
 from __future__ import annotations
@@ -44,9 +44,9 @@ _UNITS = {
     "std_msgs/Header": {"stamp": "s"},
     "control_msgs/JointControllerState": {"time_step": "s"},
 }
-"""Type -> field -> unit of it and of what is inside, where the definition of the message says so."""
+"""Type -> field -> unit of the field and its parts, where the message definition states it."""
 _UNITS_OF_ANY_JOINT = {"position": "rad or m", "velocity": "rad/s or m/s", "effort": "N·m or N"}
-"""Where its type is not known."""
+"""Units for joints of unknown type."""
 _RATES = {"position": "velocity", "velocity": "acceleration"}
 
 
@@ -54,7 +54,7 @@ _RATES = {"position": "velocity", "velocity": "acceleration"}
 
 
 def braces_expanded(text: str) -> list[str]:
-    """`state/{a,b}` as a shell expands it: `state/a`, `state/b`."""
+    """Expand `state/{a,b}` as a shell does: `state/a`, `state/b`."""
     found = re.search(r"\{([^{}]*,[^{}]*)\}", text)
     if found is None:
         return [text]
@@ -66,10 +66,10 @@ def braces_expanded(text: str) -> list[str]:
 
 
 def _numbers_in(schema: Schema, path: str) -> list[str]:
-    """The paths of the numbers that a path leads to: itself, or those inside of the message that is there.
+    """The paths of the numbers at a path: itself, or those inside a message.
 
     Raises:
-        UnknownName, UsageError: there is no such field, or none that is a number.
+        UnknownName, UsageError: no such field, or no number in it.
     """
     root = schema.root
     selection = select(schema.fields, root, path)
@@ -90,7 +90,7 @@ def _numbers_in(schema: Schema, path: str) -> list[str]:
 
 
 class Units:
-    """The units of fields, from the message types and, with a daemon, from its joints and its controllers."""
+    """The units of fields, from the message types and, with a daemon, from its joints and controllers."""
 
     def __init__(self, client: Client | None = None) -> None:
         robots = client.robots() if client else []
@@ -103,18 +103,18 @@ class Units:
         self._controllers: dict[str, tuple[str, str]] = {}
 
     def of_joint(self, joint: str, quantity: str) -> str:
-        """`joint` in full."""
+        """The unit of a joint's quantity; `joint` is the full name."""
         return JOINT_UNITS.get(self._joints.get(joint, ""), _UNITS_OF_ANY_JOINT).get(quantity, "")
 
     def of(self, topic: str, root: str, path: str, selection: Selection) -> str:
-        """Of what the path selects in messages of the type `root`; empty where it is not known."""
+        """The unit of a field in messages of type `root`; empty when unknown."""
         unit = ""
         for step in selection.steps:
             unit = _UNITS.get(step.owner, {}).get(step.name, unit)
         return unit or ("s" if selection.type in TIMES else "") or self._of_controller(topic, root, path)
 
     def _of_controller(self, topic: str, root: str, path: str) -> str:
-        """Of the set point and the state of a controller of one joint, whose type says what it takes and gives."""
+        """The unit of a field of a single-joint controller's command or state, from the controller's type."""
         if root not in ("control_msgs/JointControllerState", "std_msgs/Float64") or self._client is None:
             return ""
         space = names.parent(topic)
@@ -136,7 +136,7 @@ class Units:
 
 
 class TopicCurves:
-    """Messages of one topic as curves, which are there from the first message on: it may say how many there are."""
+    """Messages of one topic as curves. The curves exist from the first message on, which gives the array lengths."""
 
     def __init__(self, topic: str, schema: Schema, units: Units) -> None:
         self.topic = topic
@@ -144,12 +144,12 @@ class TopicCurves:
         self._schema = schema
         self._units = units
         self._fields: dict[str, tuple[Selection, Selection | str, dict[int, Curve]]] = {}
-        """Path -> what it selects; the names of the joints of these numbers, or else their unit; curve a number."""
+        """Path -> selection; selection of joint names, or the unit; index -> curve."""
         self.last = -math.inf
-        """Time of the last message."""
+        """Simulated time of the last message, s."""
 
     def add(self, field: str) -> None:
-        """Draw a field too; the whole message when it is empty. Raises UnknownName, UsageError."""
+        """Add the curves of a field; the whole message when it is empty. Raises UnknownName, UsageError."""
         fields_of, root = self._schema.fields, self._schema.root
         for path in _numbers_in(self._schema, field):
             selection = select(fields_of, root, path)
@@ -161,7 +161,7 @@ class TopicCurves:
             self._fields.setdefault(path, (selection, about, {}))
 
     def take(self, time: float, message: Any) -> None:
-        """One message. Raises as the function `take`."""
+        """Add the samples of a message at `time` s. Raises as the function `take`."""
         self.last = time
         for path, (selection, about, curves) in self._fields.items():
             try:
@@ -195,12 +195,12 @@ class TopicCurves:
         return curve
 
     def forget(self) -> None:
-        """What has come counts no more."""
+        """Discard all samples so far."""
         self.keep_since(math.inf)
         self.last = -math.inf
 
     def keep_since(self, time: float) -> None:
-        """Forget what was before."""
+        """Discard samples before `time`."""
         for curve in self.curves:
             assert isinstance(curve.times, array)
             assert isinstance(curve.values, array)
@@ -211,7 +211,7 @@ class TopicCurves:
 def _by_topic(
     fields: Sequence[str], look_up: Callable[[str], tuple[str, Schema, str]], units: Units
 ) -> dict[str, TopicCurves]:
-    """Topic -> its curves. `look_up` gives the topic, its schema and the field of a text."""
+    """Topic -> its curves. `look_up` returns the topic, its schema and the field of a text."""
     found: dict[str, TopicCurves] = {}
     for text in (whole for field in fields for whole in braces_expanded(field)):
         topic, schema, field = look_up(text)
@@ -223,7 +223,7 @@ def _by_topic(
 
 
 def of_live(client: Client, fields: Sequence[str], namespace: str = "/") -> dict[str, TopicCurves]:
-    """Topic -> its curves, for messages to come. Raises UnknownName, AmbiguousName, Unused, UsageError."""
+    """Topic -> its curves, for live messages. Raises UnknownName, AmbiguousName, Unused, UsageError."""
 
     def look_up(text: str) -> tuple[str, Schema, str]:
         found = client.resolve("topic", text, namespace=namespace, role="publishers", with_field=True)
@@ -246,7 +246,7 @@ def of_recording(recording: Recording, fields: Sequence[str], namespace: str = "
 
 
 def take(found: Mapping[str, TopicCurves], topic: str, time_ns: int, message: Any) -> None:
-    """One message of a topic. When the time goes back the world was reset: all that went before is forgotten.
+    """Add a message. When simulated time goes back (a reset), all earlier samples are discarded.
 
     Raises:
         NoElement: the first message has no such element. UsageError: too many elements.
@@ -259,7 +259,7 @@ def take(found: Mapping[str, TopicCurves], topic: str, time_ns: int, message: An
 
 
 def curves_of(found: Mapping[str, TopicCurves], all_or_none: bool = False) -> list[Curve]:
-    """All curves that there are; with `all_or_none` none until all topics have samples."""
+    """All curves; with `all_or_none` none until all topics have samples."""
     every = [messages.curves for messages in found.values()]
     if all_or_none and not all(curves and all(len(curve.times) for curve in curves) for curves in every):
         return []
@@ -267,7 +267,8 @@ def curves_of(found: Mapping[str, TopicCurves], all_or_none: bool = False) -> li
 
 
 def of_csv(path: Path, fields: Sequence[str]) -> tuple[float, list[Curve]]:
-    """When a file begins that `echo -p` or `plot --save` wrote, and its columns; without fields all that are numbers.
+    """The start time (s) and the columns of a CSV file of `echo -p` or `plot --save`; without fields all numeric
+    columns.
 
     Raises:
         BadFile, UnknownName, AmbiguousName. Refused: there are no values.
@@ -279,7 +280,7 @@ def of_csv(path: Path, fields: Sequence[str]) -> tuple[float, list[Curve]]:
     try:
         with path.open(newline="", encoding="utf-8") as file:
             for row in (reader := csv.reader(file)):
-                if row and row[0] == "%time":  # again where an array has changed its length
+                if row and row[0] == "%time":  # repeated where the length of an array changes
                     header = row
                     found = {text: _columns(header[1:], text) for text in texts}
                     unknown -= {text for text, columns in found.items() if columns}
@@ -328,7 +329,7 @@ def _is_number(text: str) -> bool:
 
 
 def _columns(columns: Sequence[str], text: str) -> list[str]:
-    """Those that `position[0]`, `joint_states/position[0]`, `field.position0` or the array `position` means, if any.
+    """The columns that a text (`position[0]`, `joint_states/position[0]`, `field.position0`, array `position`) selects.
 
     Raises:
         AmbiguousName.

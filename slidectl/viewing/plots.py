@@ -22,22 +22,22 @@ from slidectl.writing import file_kind
 
 FORMATS = (".svg", ".png", ".pdf", ".html", ".csv")
 PANELS = ("unit", "each", "one")
-"""What shares a panel: the curves of one unit, none, or all."""
+"""Which curves share a panel: those of one unit, none, or all."""
 _BUCKETS = 2000
-"""Of a curve in a file at most so many pairs of lowest and highest value are drawn: more than there are pixels."""
+"""The maximum number of minimum-maximum pairs drawn per curve in a file: more than there are pixels."""
 _LARGEST = 1e300
-"""Beyond it the length of an axis may be no number."""
+"""Larger values are not drawn: the length of an axis could overflow."""
 _TIME = "time (s)"
 _DPI = 100
 _LEAST_ROWS = 6
 _PENS = (("blue+", 94), ("red+", 91), ("green+", 92), ("orange+", 93), ("magenta+", 95), ("cyan+", 96))
-"""Colours of curves in a terminal: plotext's names, and the codes of escape sequences."""
+"""Colours of curves in a terminal: plotext's names, and escape codes."""
 _LETTERS = "abcdefghijklmnopqrstuvwxyz"
 _NANOSECONDS = 1e9
 
 
 class MissingPlotLibrary(Refused):
-    """A library that draws is not installed."""
+    """A plotting library is not installed."""
 
     def __init__(self, library: str, what: str) -> None:
         super().__init__(f"{what} needs the library {library}", "install it: pip install 'slidectl[plot]'")
@@ -50,14 +50,14 @@ class Curve:
     name: str
     """In full: `/slider/joint_states/position[0]`."""
     about: str = ""
-    """What a legend says too: the joint."""
+    """Additional text for the legend: the joint."""
     unit: str = ""
-    """Empty where it is not known."""
+    """Empty if unknown."""
     times: array[float] | Array = field(default_factory=lambda: array("d"))
     values: array[float] | Array = field(default_factory=lambda: array("d"))
 
     def points(self, begin: float = -math.inf) -> tuple[Array, Array]:
-        """Times and values (n,) from a time on."""
+        """Times and values (n,) from `begin` on."""
         times, values = np.array(self.times), np.array(self.values)
         here = times >= begin
         return times[here], values[here]
@@ -65,15 +65,15 @@ class Curve:
 
 @dataclass
 class Plot:
-    """What is to be drawn. `notes` are lines below the title; `x_label` is of all panels."""
+    """A plot. `notes` are lines below the title; `x_label` applies to all panels."""
 
     title: str
-    """Without one it is what the names of all curves begin with."""
+    """By default the common beginning of all curve names."""
     curves: Sequence[Curve]
     panels: str = "unit"
     notes: Sequence[str] = ()
     x_label: str = _TIME
-    """Another one is of a phase plot, whose x is any number."""
+    """Another label marks a phase plot, whose x is not time."""
     y_label: str = ""
     window: float | None = None
 
@@ -84,18 +84,18 @@ class Plot:
 
     @property
     def begin(self) -> float:
-        """Where the last `window` seconds begin, which end with the last sample of all curves."""
+        """The start of the last `window` seconds, which end with the last sample of all curves."""
         if self.window is None:
             return -math.inf
         return max((curve.times[-1] for curve in self.curves if len(curve.times)), default=0.0) - self.window
 
     def labelled(self) -> list[tuple[str, Curve]]:
-        """The curves with what legends call them: their names without what all have in common."""
+        """The curves with their legend labels: their names without the common beginning."""
         cut = len(self._shared) + bool(self._shared)
         return [(curve.name[cut:] + (f" ({curve.about})" if curve.about else ""), curve) for curve in self.curves]
 
     def rows(self) -> list[tuple[str, list[tuple[str, Curve]]]]:
-        """The panels from top to bottom: the label of the y axis, and the curves with their labels."""
+        """The panels from top to bottom: the label of the y axis, and the labelled curves."""
         found: dict[Any, list[tuple[str, Curve]]] = {}
         for number, (label, curve) in enumerate(self.labelled()):
             key = {"unit": curve.unit, "each": number, "one": ""}[self.panels]
@@ -104,7 +104,7 @@ class Plot:
         return [(self.y_label or " / ".join(unit), row) for unit, row in zip(units, found.values(), strict=True)]
 
     def points(self, curve: Curve, buckets: int) -> tuple[Array, Array]:
-        """Those of a curve that are drawn, thinned, with nan for what no axis can show."""
+        """The points of a curve to draw: thinned, with nan for values that no axis can show."""
         times, values = curve.points(self.begin)
         here = thinned(buckets, values) if self.x_label == _TIME else thinned(buckets, times, values)
         times, values = times[here], values[here]
@@ -112,7 +112,7 @@ class Plot:
 
 
 def thinned(buckets: int, *columns: Array) -> Any:
-    """Indices of the samples to draw: of each bucket the lowest and the highest of each column, and its gaps."""
+    """Indices of the samples to draw: the minimum and maximum of each column in each bucket, and its gaps."""
     count = len(columns[0])
     if count <= 4 * buckets:
         return np.arange(count)
@@ -132,7 +132,7 @@ def thinned(buckets: int, *columns: Array) -> Any:
 
 
 def check_terminal() -> None:
-    """Raises MissingPlotLibrary."""
+    """Check that plotext is installed. Raises MissingPlotLibrary."""
     try:
         import plotext  # noqa: F401
     except ImportError:
@@ -140,7 +140,7 @@ def check_terminal() -> None:
 
 
 def as_text(plot: Plot, width: int, height: int, colour: bool) -> str:
-    """The plot in a terminal of so many characters: panels for which there is no room are left out, and it says so."""
+    """The plot as text of this size in characters. Panels that do not fit are omitted, with a note."""
     lines = [plot.title, *plot.notes]
     rows = plot.rows()
     room = height - len(lines) - 1
@@ -157,7 +157,7 @@ def as_text(plot: Plot, width: int, height: int, colour: bool) -> str:
 
 
 def _key(unit: str, labels: Sequence[str], width: int, colour: bool) -> str:
-    """The line above a panel: its curves in their colours, or with their letters, as far as there is room."""
+    """The line above a panel: its curves in their colours, or with their letters, as far as they fit."""
     parts, left = [], width
     for number, label in enumerate(labels):
         part = label if colour or len(labels) == 1 else f"{_LETTERS[number % len(_LETTERS)]}: {label}"
@@ -170,7 +170,7 @@ def _key(unit: str, labels: Sequence[str], width: int, colour: bool) -> str:
 def _panel(
     points: Sequence[tuple[Array, Array]], xs: Array, x_label: str, width: int, height: int, colour: bool
 ) -> list[str]:
-    """`xs` are of all panels, which share the axis; its label is below one of them."""
+    """The lines of a panel. `xs` are the x values of all panels, which share the axis; one panel has its label."""
     import plotext
 
     plotext.clear_figure()
@@ -198,10 +198,10 @@ def _panel(
 
 
 def _ticks(values: Array, count: int) -> tuple[list[float], list[str]]:
-    """Places on an axis from the lowest to the highest value, and their texts, as long as it takes to differ."""
+    """Tick positions from the minimum to the maximum, and their texts, with enough digits to differ."""
     low, high = float(values.min()), float(values.max())
     size = max(abs(low), abs(high))
-    if high - low <= 1e-9 * size:  # the last digits of one value
+    if high - low <= 1e-9 * size:  # differences are only rounding errors
         low, high = low - (0.1 * size or 1.0), high + (0.1 * size or 1.0)
     digits = 2 + math.ceil(math.log10(max(abs(low), abs(high)) / (high - low) * count))
     places = [float(place) for place in np.linspace(low, high, count)]
@@ -212,7 +212,7 @@ def _ticks(values: Array, count: int) -> tuple[list[float], list[str]]:
 
 
 def check_file(path: str) -> None:
-    """Raises UsageError: no format of a plot. MissingPlotLibrary."""
+    """Check that a plot can be written to the file. Raises UsageError: unknown format. MissingPlotLibrary."""
     suffix = file_kind(path)
     if suffix not in FORMATS:
         raise UsageError(f"{path} is no file of a plot", f"its name ends in one of: {', '.join(FORMATS)}")
@@ -224,7 +224,7 @@ def check_file(path: str) -> None:
 
 
 def as_file(plot: Plot, suffix: str, size: tuple[int, int] | None = None) -> bytes:
-    """The contents of a file of one of FORMATS. `size` is in pixels, of 1/100 inch."""
+    """The content of a file of one of FORMATS. `size` is in pixels of 1/100 inch."""
     if suffix == ".csv":
         return _csv(plot).encode()
     if suffix == ".html":
@@ -243,7 +243,7 @@ def _drawn(plot: Plot, form: str, size: tuple[int, int] | None) -> bytes:
 
     rows = plot.rows()
     width, height = size or (960, 200 + 240 * len(rows))
-    # Text stays text in SVG. Ids, which are drawn at random, are of the contents, and there is no date: the same bytes.
+    # SVG text stays text. For reproducible bytes, ids are derived from the content, and there is no date.
     settings = {"svg.fonttype": "none", "svg.hashsalt": "slidectl", "axes.grid": True, "grid.alpha": 0.3}
     dates = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {}}
     with style.context(["default", settings]):
@@ -267,7 +267,7 @@ def _drawn(plot: Plot, form: str, size: tuple[int, int] | None) -> bytes:
 
 
 def _csv(plot: Plot) -> str:
-    """As `echo -p` has it: `%time` in ns, then a column a curve; empty where a curve has no sample at that time."""
+    """CSV as of `echo -p`: `%time` in ns, then one column per curve; empty without a sample at that time."""
     import csv
 
     points = [curve.points(plot.begin) for curve in plot.curves]

@@ -1,8 +1,8 @@
 """Pictures without OpenGL: shaded triangles with a depth buffer, by numpy.
 
 Triangles are filled by their edge functions in homogeneous coordinates (M. Olano, T. Greer: Triangle Scan Conversion
-using 2D Homogeneous Coordinates, 1997), so that those behind the eye need no clipping. Each has one shade; what is
-transparent is drawn as if it were not.
+using 2D Homogeneous Coordinates, 1997), so that those behind the viewpoint need no clipping. Each triangle has one
+shade; transparent ones are drawn opaque.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from slidectl.viewing.drawn_scene import DrawnScene, Viewpoint
 from slidectl.viewing.picture_files import Pixels
 
 _MOST_AT_ONCE = 1_000_000
-"""Pixels of triangles that are looked at together, some 100 bytes each."""
+"""Pixels of triangles processed together, some 100 bytes each."""
 _FLAT = 1e-12
 
 
 class Rasteriser:
-    """Draws one scene after the other at one size."""
+    """Draws scenes at one picture size."""
 
     name = "software"
 
@@ -31,9 +31,9 @@ class Rasteriser:
         self._seen_from: tuple[bytes, bool] | None = None
 
     def draw(self, scene: DrawnScene, view: Viewpoint) -> Pixels:
-        """Red, green and blue of each pixel, shape (height, width, 3)."""
+        """Draw a picture: RGB, shape (height, width, 3)."""
         seen_from = (np.hstack(view).tobytes(), scene.ground)
-        if self._seen_from != seen_from:  # in most videos the eye stays where it is
+        if self._seen_from != seen_from:  # in most videos the viewpoint does not move
             self._seen_from, self._behind = seen_from, self._background(scene, view)
         colours, nearness = self._behind[0].copy(), self._behind[1].copy()
         if scene.surfaces:
@@ -41,7 +41,7 @@ class Rasteriser:
             bare = np.repeat([one.colour[:3] for one in scene.surfaces], [len(one.faces) for one in scene.surfaces], 0)
             normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
             normals /= np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None]
-            # What is seen from behind is not drawn, as in OpenGL: a camera may be inside of its housing.
+            # Back faces are not drawn, as in OpenGL: a camera may be inside its housing.
             front = np.einsum("ij,ij->i", normals, corners[:, 0] - view.eye) < 0
             shades = bare[front] * _light(normals[front], view)[:, None]
             self._fill(corners[front], shades, view, colours, nearness)
@@ -68,17 +68,17 @@ class Rasteriser:
         return colours, nearness
 
     def _fill(self, corners: Array, shades: Array, view: Viewpoint, colours: Array, nearness: Array) -> None:
-        """Draw triangles, corners (n, 3, 3) of colours (n, 3), over what is there."""
+        """Draw triangles with corners (n, 3, 3) and colours (n, 3) over the picture."""
         width, height = self._size
         length = _length(height, view)
         x, y, depth = np.moveaxis((corners - view.eye) @ np.column_stack((view.right, -view.up, view.ahead)), 2, 0)
-        # One row a corner: its place in the picture in pixels times its depth, and its depth.
+        # One row per corner: its pixel coordinates times its depth, and its depth.
         places = np.stack((length * x + width / 2 * depth, length * y + height / 2 * depth, depth), axis=2)
         sizes = np.abs(places).max(axis=(1, 2)) ** 3
         drawn = (depth.max(axis=1) > view.near) & (np.abs(np.linalg.det(places)) > _FLAT * sizes)
         places, shades, depth = places[drawn], shades[drawn], depth[drawn]
         edges = np.linalg.inv(places)
-        # The box of pixels that each may cover: all of the picture for those that reach behind the eye.
+        # The pixel box of each triangle: the whole picture for those that reach behind the viewpoint.
         is_ahead = depth.min(axis=1) > view.near
         limits = np.array((width, height))
         spots = places[is_ahead, :, :2] / depth[is_ahead, :, None]
@@ -93,12 +93,12 @@ class Rasteriser:
             inside = np.arange(len(owner)) - np.repeat(np.cumsum(counts[chosen]) - counts[chosen], counts[chosen])
             row, column = np.divmod(inside, (high - low)[owner, 0])
             column, row = column + low[owner, 0], row + low[owner, 1]
-            # Barycentric coordinates over depth, which add up to 1 / depth.
+            # Barycentric coordinates divided by depth; their sum is 1 / depth.
             parts = (column + 0.5)[:, None] * edges[owner, 0] + (row + 0.5)[:, None] * edges[owner, 1] + edges[owner, 2]
             near, pixels = parts.sum(axis=1), row * width + column
             seen = (parts >= 0).all(axis=1) & (near < 1.0 / view.near) & (near > nearness[pixels])
             seen = np.flatnonzero(seen)
-            seen = seen[np.argsort(near[seen], kind="stable")]  # of several in one pixel the last one stays
+            seen = seen[np.argsort(near[seen], kind="stable")]  # ascending: the nearest one is written last
             nearness[pixels[seen]], colours[pixels[seen]] = near[seen], shades[owner[seen]]
 
 
@@ -108,7 +108,7 @@ def _length(height: int, view: Viewpoint) -> float:
 
 
 def _light(normals: Array, view: Viewpoint) -> Array:
-    """What falls on surfaces with these normals: from everywhere, from where the eye is, and from the sun."""
+    """The light on surfaces with these normals: ambient, from the viewpoint, and from the sun."""
     from_eye, from_sun = (-normals @ np.array(way) for way in (view.ahead, drawn_scene.SUN))
     light: Array = (
         drawn_scene.AMBIENT + drawn_scene.FROM_EYE * from_eye.clip(0) + drawn_scene.FROM_SUN * from_sun.clip(0)

@@ -1,4 +1,4 @@
-"""The response of a controller of one joint to a new set point: its curves and its measures."""
+"""The step response of a single-joint controller: its curves and its measures."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ MEASURES = ("rise", "overshoot", "settling", "error", "effort-peak")
 
 
 class StepResponse(NamedTuple):
-    """The plot; when the set point came (s); measure -> its value, None where it cannot be measured; and units."""
+    """The plot; the time of the step (s); measure -> its value, None if it cannot be measured; the unit."""
 
     plot: Plot
     start: float
@@ -29,10 +29,10 @@ class StepResponse(NamedTuple):
 def step_response(
     client: Client, namespace: str, controller: str, set_point: float, duration: float, timeout: float
 ) -> StepResponse:
-    """Give a controller a set point and follow its joint for the simulated seconds to come.
+    """Give a controller a set point and record its joint for `duration` simulated seconds.
 
     Raises:
-        UsageError: the controller is not of a position or a velocity of one joint. TimedOut, NoDaemon.
+        UsageError: not a position or velocity controller of one joint. TimedOut, NoDaemon.
         Refused: it takes no command: it does not run, or publishes none of its joint.
     """
     space = names.join(namespace, controller)

@@ -1,6 +1,6 @@
-"""What keys mean for a base (after teleop_twist_keyboard) and for a joint, as messages of their topics.
+"""Keyboard control of a base (after teleop_twist_keyboard) and of a joint, as messages for their command topics.
 
-A driver takes keys and gives messages. It knows no terminal and no wall time.
+A driver takes keys and makes messages. It knows no terminal and no wall time.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ _DIRECTIONS = {
 """Key -> x, y, z and turn."""
 _STILL = (0, 0, 0, 0)
 _FACTORS = {"q": (1.1, 1.1), "z": (0.9, 0.9), "w": (1.1, 1.0), "x": (0.9, 1.0), "e": (1.0, 1.1), "c": (1.0, 0.9)}
-"""Key -> what the speed and the turning speed are multiplied by."""
+"""Key -> factors of the speed and the turning speed."""
 _POSITION, _VELOCITY, _EFFORT = "JointPositionController", "JointVelocityController", "JointEffortController"
 _ARROWS = {"up": 1, "right": 1, "down": -1, "left": -1}
 
 
 class BaseDriver:
-    """Twists for a base. Speeds in m/s and rad/s. `topic` takes the messages, and `help` says what the keys are."""
+    """Makes twists for a base, in m/s and rad/s. `topic` is the command topic, `help` describes the keys."""
 
     help = """\
    u    i    o        i and , drive, j and l turn, the others do both; arrow keys, too
@@ -49,7 +49,7 @@ q/z both speeds   w/x speed   e/c turning speed: by 10 %   Ctrl-C ends it"""
         self._direction = _STILL
 
     def press(self, key: str) -> bool:
-        """A key is pressed. True: it moves something, as long as it is held; a key without a meaning stops."""
+        """Process a key press. Returns True while it moves something; a key without a function stops."""
         if key in _FACTORS:
             self._speed, self._turn = self._speed * _FACTORS[key][0], self._turn * _FACTORS[key][1]
             return any(self._direction)
@@ -57,23 +57,23 @@ q/z both speeds   w/x speed   e/c turning speed: by 10 %   Ctrl-C ends it"""
         return any(self._direction)
 
     def stop(self) -> None:
-        """The key was let go."""
+        """Stop: the key was released."""
         self._direction = _STILL
 
     def message(self) -> Message | None:
-        """What is to be published; None as long as it cannot be told."""
+        """The message to publish; None while it is unknown."""
         x, y, z, turn = self._direction
         linear = {"x": x * self._speed, "y": y * self._speed, "z": z * self._speed}
         return {"linear": linear, "angular": {"x": 0.0, "y": 0.0, "z": turn * self._turn}}
 
     def text(self) -> str:
-        """The speeds, and what it does, in one line."""
+        """The speeds and the motion in one line."""
         x, y, z, turn = self._direction
         return f"speed {self._speed:.3g} m/s, turn {self._turn:.3g} rad/s: x {x} y {y} z {z} turn {turn}"
 
 
 class JointDriver:
-    """Commands for the controller that moves one joint alone: a set point that moves, a velocity, or an effort.
+    """Makes commands for the controller that moves one joint alone: a moving set point, a velocity, or an effort.
 
     Raises:
         UnknownName, AmbiguousName: no such joint. Refused: no running controller takes commands for it alone.
@@ -85,7 +85,7 @@ q/z         speed by 10 %      Ctrl-C ends it
 It stops when the key is let go; any other key stops it at once."""
 
     def __init__(self, client: Client, joint: str, speed: float | None, namespace: str = "/") -> None:
-        """`speed` is in m/s or rad/s, of an effort controller in N or N m; None for one that suits most joints."""
+        """`speed` is in m/s or rad/s, for an effort controller in N or N m; None for a default."""
         joints = _joints(client)
         full = names.resolve(joint, joints, kind="joint", namespace=namespace)
         robot, self._joint = joints[full]
@@ -99,12 +99,12 @@ It stops when the key is let go; any other key stops it at once."""
         self._direction = 0
         self._client, self._full = client, full
         self._set_point: float | None = None
-        """None before the first motion, and until the first state that is published after a motion began."""
+        """None before the first motion, and after the start of a motion until the next state message."""
         self._time_ns = 0
         """The simulated time of the set point."""
         self._has_state = False
         if self._kind == _POSITION:
-            with suppress(Refused):  # not all have one
+            with suppress(Refused):  # not all controllers publish a state
                 client.subscribe(f"{controller}/state", throttle_rate=_STATE_EVERY_MS, take=self._take)
                 self._has_state = True
 
@@ -118,7 +118,7 @@ It stops when the key is let go; any other key stops it at once."""
         return bool(self._direction)
 
     def _begin(self) -> None:
-        """Others may have moved the set point since the last motion. A controller without a state holds the joint."""
+        """Read the set point, which others may have moved. Without a state topic, use the joint position."""
         self._time_ns, self._set_point = self._now_ns(), None
         if not self._has_state:
             _, joint = _joints(self._client).get(self._full, ({}, {}))
@@ -141,7 +141,7 @@ It stops when the key is let go; any other key stops it at once."""
                 return None
             if self._direction:
                 now_ns = self._now_ns()
-                if now_ns == self._time_ns:  # a paused world
+                if now_ns == self._time_ns:  # the world is paused
                     return None
                 value = self._set_point + value * max(0, now_ns - self._time_ns) * 1e-9
                 if self._joint["lower"] is not None:
@@ -164,7 +164,7 @@ Driver = BaseDriver | JointDriver
 
 
 def _joints(client: Client) -> dict[str, tuple[Message, Message]]:
-    """By the full names of all joints that move: the robot, and the joint (slidectl/RobotInfo, slidectl/JointInfo)."""
+    """Full name of each moving joint -> robot and joint (slidectl/RobotInfo, slidectl/JointInfo)."""
     return {
         names.join(robot["namespace"], joint["name"]): (robot, joint)
         for robot in client.robots()
@@ -174,7 +174,7 @@ def _joints(client: Client) -> dict[str, tuple[Message, Message]]:
 
 
 def _controller_of(client: Client, robot: Message, joint: str) -> tuple[str, str]:
-    """The name of the running controller that moves this joint alone, and its kind. Raises Refused."""
+    """Name and kind of the running controller that moves this joint alone. Raises Refused."""
     listed = client.controllers(robot["namespace"]).controllers() if robot["kind"] == "robot" else []
     users = []
     for controller in listed:

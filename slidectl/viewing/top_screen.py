@@ -1,4 +1,4 @@
-"""The screen of `slidectl top`: sections of rows that fit a terminal, and what the keys do."""
+"""The screen of `slidectl top`: sections of rows that fit a terminal, and its keys."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ _COLUMNS = {
     "topics": ("topic", "rate", "type"),
     "log": ("line",),
 }
-"""Section -> keys of its records. In a narrow terminal the last ones are left out."""
+"""Section -> keys of its records. A narrow terminal omits the last ones."""
 _NUMBERS = {"position", "velocity", "effort", "set_point", "rate"}
 _CUT = {"type", "claims"}
 _LEAST_WIDTH = 14
-"""Characters that are left of a text in the last column before that is left out."""
+"""Minimum width of the last column; below it the column is omitted."""
 _ACTION_LIMIT_S = 3.0
 _HINTS = "? help  q quit  space pause  . step  tab section  enter start/stop  / filter  s sort"
 _HELP = """\
@@ -39,10 +39,10 @@ r           sort the other way round
 
 
 class TopScreen:
-    """What is shown of a monitor: the section that the keys are for, its chosen row, the order of rows, the filter."""
+    """The state of the screen: active section, chosen row, order of rows, filter."""
 
     def __init__(self, text: str = "") -> None:
-        """Only rows with the text are shown."""
+        """`text` is the initial filter: only rows that contain it are shown."""
         self.monitor: WorldMonitor | None = None
         self.gone = ""
         """Why there is no daemon; empty while there is one."""
@@ -52,12 +52,12 @@ class TopScreen:
         self._section = "controllers"
         self._chosen = dict.fromkeys(_COLUMNS, 0)
         self._order: dict[str, tuple[str, bool]] = {"topics": ("rate", True)}
-        """Section -> the key that its rows are sorted by, and whether the largest is first."""
+        """Section -> sort key of its rows, and whether the order is descending."""
 
     # --- keys ---------------------------------------------------------------------------------------------------
 
     def press(self, key: str) -> bool:
-        """Do what a key is for. False: it asks for the end."""
+        """Carry out a key's action. Returns False to quit."""
         self._note = ""
         if self._types:
             self._type(key)
@@ -68,7 +68,7 @@ class TopScreen:
         elif key in (actions := self._actions()):
             try:
                 actions[key]()
-            except SlidectlError as error:  # NoDaemon too: the next refresh tells it
+            except SlidectlError as error:  # also NoDaemon, which the next refresh reports
                 self._note = f"error: {error.message}"
         return True
 
@@ -100,7 +100,7 @@ class TopScreen:
         self._chosen[self._section] = max(0, min(self._chosen[self._section] + rows, last))
 
     def _sort(self) -> None:
-        """By the next column; after the last one as the daemon has them."""
+        """Sort by the next column; after the last one, use the daemon's order."""
         columns = _COLUMNS[self._section]
         by = self._order.pop(self._section, ("", False))[0]
         if by != columns[-1]:
@@ -126,7 +126,7 @@ class TopScreen:
             self.monitor.refresh()
 
     def _switch(self) -> None:
-        """Start or stop the controller that is chosen."""
+        """Start or stop the chosen controller."""
         rows = self._rows("controllers")
         if self._section != "controllers" or not rows or self.monitor is None:
             return
@@ -143,7 +143,7 @@ class TopScreen:
     # --- lines --------------------------------------------------------------------------------------------------
 
     def lines(self, width: int, height: int) -> list[Text]:
-        """What fits so many characters and lines."""
+        """The lines of the screen, at most `height` of `width` characters."""
         if self._types:
             end = f"filter: {self._filter}_"
         else:
@@ -168,7 +168,7 @@ class TopScreen:
         return "\n".join(lines)
 
     def as_data(self) -> Record:
-        """The status, and the rows of each section; lines of the log as text."""
+        """The status, and the rows of each section; log lines as text."""
         sections = {section: self._rows(section) for section in _COLUMNS}
         status = self.monitor.status if self.monitor else {}
         return {"status": status, **sections, "log": [row["line"] for row in sections["log"]]}
@@ -196,7 +196,7 @@ class TopScreen:
         return [first, Text(f"{counts} running; cycle {mean} mean, {p99} p99, {worst} worst")]
 
     def _body(self, width: int, room: int) -> list[Text]:
-        """The sections, each with a line of titles. Where not all fit, that of the keys comes first."""
+        """The sections, each with a title line. If not all fit, the active section comes first."""
         sections = sorted(_COLUMNS, key=lambda section: section != self._section)[: max(1, room // 2)]
         rows = {section: self._rows(section) for section in _COLUMNS if section in sections}
         shares = dict.fromkeys(rows, 2)
@@ -218,7 +218,7 @@ class TopScreen:
         return lines
 
     def _rows(self, section: str) -> list[Record]:
-        """Those that the filter leaves, in order."""
+        """The filtered rows, in order."""
         if self.monitor is None:
             return []
         rows: list[Record] = getattr(self.monitor, section)
@@ -231,7 +231,7 @@ class TopScreen:
         return rows
 
     def _table(self, section: str, width: int, rows: list[Record]) -> list[Text]:
-        """The titles, then a line a row; a column that is sorted by is underlined."""
+        """The title line, then one line per row; the title of the sort column is underlined."""
         keys = _COLUMNS[section]
         by = self._order.get(section, ("", False))[0]
         if not rows:

@@ -1,6 +1,6 @@
-"""The frames of /tf and /tf_static, and the transforms between them. It only takes in messages.
+"""The frames of /tf and /tf_static, and the transforms between them, from received messages.
 
-Plain arithmetic on tuples: translations x y z in m, quaternions x y z w.
+Tuples only: translations x y z in m, quaternions x y z w.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ MOVING, STATIC = "/tf", "/tf_static"
 
 
 class FramePose(NamedTuple):
-    """Where a frame is in another one."""
+    """The pose of a frame in another one."""
 
     translation: Vector
     rotation: Quaternion
 
 
 class Edge(NamedTuple):
-    """A frame's place in its parent. `time_ns` is its stamp; a static one holds for all times."""
+    """The pose of a frame in its parent. `time_ns` is its stamp; a static pose holds for all times."""
 
     parent: str
     pose: FramePose
@@ -35,7 +35,7 @@ class Edge(NamedTuple):
 
 
 class View(NamedTuple):
-    """A pose between two frames, and the time up to which it is known (None when nothing on the way moves)."""
+    """A pose between two frames, and the time up to which it is known (None if all transforms are static)."""
 
     pose: FramePose
     time_ns: int | None
@@ -51,7 +51,7 @@ class Frames:
         self.edges: dict[str, Edge] = {}
 
     def add(self, message: Mapping[str, Any], is_static: bool) -> None:
-        """Take in a tf2_msgs/TFMessage; newer transforms replace older ones."""
+        """Add a tf2_msgs/TFMessage; newer transforms replace older ones."""
         for stamped in message["transforms"]:
             header = stamped["header"]
             child = _plain(stamped["child_frame_id"])
@@ -69,7 +69,7 @@ class Frames:
         return [name for name in self.names if name not in self.edges]
 
     def tree(self) -> Iterator[tuple[int, str, Edge | None]]:
-        """Each frame below its parent, with its depth and its place there; a root has none."""
+        """Each frame, parents first, with its depth and its pose in the parent; None for a root."""
         children: defaultdict[str, list[str]] = defaultdict(list)
         for name in sorted(self.edges):
             children[self.edges[name].parent].append(name)
@@ -82,17 +82,17 @@ class Frames:
         return below(self.roots, 0)
 
     def way_up(self, name: str) -> list[str]:
-        """The frame, its parent and so on to the root."""
+        """The frame, its parent and so on up to the root."""
         way = [name]
         while way[-1] in self.edges and self.edges[way[-1]].parent not in way:
             way.append(self.edges[way[-1]].parent)
         return way
 
     def find(self, name: str, namespace: str = "/") -> str:
-        """The frame that `name` means: one below the namespace, else the unique end of a frame's name.
+        """The full name of a frame: one below the namespace, else the unique end of a frame's name.
 
         Raises:
-            UnknownName: it lists the frames there are. AmbiguousName: several end so.
+            UnknownName: lists the known frames. AmbiguousName: several match.
         """
         known = self.names
         try:
@@ -104,7 +104,7 @@ class Frames:
         return full[1:]
 
     def are_connected(self, one: str, other: str) -> bool:
-        """True when both are known, by their full names, and have the same root."""
+        """True when both frames are known, by full name, and have the same root."""
         known = self.names
         one, other = one.removeprefix("/"), other.removeprefix("/")
         return one in known and other in known and self.way_up(one)[-1] == self.way_up(other)[-1]
@@ -128,7 +128,7 @@ class Frames:
         return View(pose, min(times) if times else None)
 
     def _along(self, way: Iterable[str]) -> FramePose:
-        """The pose of the first frame of the way in the parent of the last one."""
+        """The pose of the first frame of the path in the parent of the last one."""
         pose = ORIGIN
         for name in way:
             pose = compose(self.edges[name].pose, pose)
@@ -152,7 +152,7 @@ def rotate(q: Quaternion, v: Vector) -> Vector:
 
 
 def compose(outer: FramePose, inner: FramePose) -> FramePose:
-    """The pose of `inner`'s frame where `outer` says how its parent stands."""
+    """The pose of `inner`'s frame, given the pose `outer` of its parent."""
     ox, oy, oz = outer.translation
     x, y, z = rotate(outer.rotation, inner.translation)
     return FramePose((ox + x, oy + y, oz + z), multiply(outer.rotation, inner.rotation))

@@ -1,6 +1,6 @@
-"""What `slidectl top` shows of a world: its state, controllers, joints, topics with their rates, and the log's end.
+"""The data of `slidectl top`: state, controllers, joints, topics with rates, and the last log lines.
 
-It asks a daemon again and again, and keeps what came last. Rates are in simulated time.
+It polls a daemon and stores the newest answers. Rates are in simulated time.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ Record = dict[str, Any]
 
 _PATIENCE_S = 2.0
 _GRAPH_EVERY = 4
-"""Refreshes between two looks at the graph: it takes a question for each node."""
+"""Refreshes between two reads of the graph, which take one call per node."""
 _RATE_WINDOW_NS = 5 * 10**9
 _LOG_BYTES = 8192
 _UNMEASURED = {
     "rosgraph_msgs/Clock", "gazebo_msgs/LinkStates", "gazebo_msgs/ModelStates",
     "sensor_msgs/CameraInfo", "sensor_msgs/Image", "sensor_msgs/LaserScan", "tf2_msgs/TFMessage",
 }  # fmt: skip
-"""What comes often without a count in it, and what is made only for those who subscribe, at a cost."""
+"""Types whose rate is not measured: frequent without a count, or produced at a cost only for subscribers."""
 
 
 class WorldMonitor:
@@ -39,8 +39,8 @@ class WorldMonitor:
     Attributes:
         status: the answer of /slidectl/status; times in s.
         controllers: manager, name (in full), state, type, claims (joints).
-        joints: name (in full), position, velocity, effort (SI units), set_point (None where no controller tells it).
-        topics: topic, type, rate (Hz; None where it is not measured, or less than two messages came).
+        joints: name (in full), position, velocity, effort (SI units), set_point (None if no controller publishes it).
+        topics: topic, type, rate (Hz; None if it is not measured, or fewer than two messages came).
         log: line; the last ones of the daemon's log.
     """
 
@@ -56,7 +56,7 @@ class WorldMonitor:
         self._followed: dict[str, FollowedTopic] = {}
 
     def refresh(self) -> None:
-        """Ask again. Raises NoDaemon, and TimedOut where the daemon does not answer soon."""
+        """Read the state again. Raises NoDaemon, and TimedOut if the daemon does not answer within 2 s."""
         client = self.client
         calls = [client.call_async(f"/slidectl/{service}") for service in ("status", "list_robots")]
         self.status, answer = (client.answer(call, timeout=_PATIENCE_S) for call in calls)
@@ -66,7 +66,7 @@ class WorldMonitor:
         asked = {manager: manager.ask_for_controllers() for manager in managers}
         self.controllers = []
         for manager, call in asked.items():
-            with suppress(Refused):  # the robot was deleted meanwhile
+            with suppress(Refused):  # the robot has just been deleted
                 self.controllers += (_controller(manager.namespace, one) for one in manager.controllers(call))
         if self._refreshes % _GRAPH_EVERY == 0:
             self._follow_topics()
@@ -89,7 +89,7 @@ class WorldMonitor:
         self.log = _last_lines(self.status["log"], f" answers on {client.paths.socket_text}")
 
     def _follow_topics(self) -> None:
-        """Subscribe what somebody publishes, and nothing else: our own subscription would keep a topic in being."""
+        """Subscribe only topics with a publisher: the own subscription would keep other topics in existence."""
         found = read_graph(self.client, timeout=_PATIENCE_S).topics
         for gone in self._followed.keys() - {name for name, use in found.items() if use.publishers}:
             self._followed.pop(gone).subscription.close()
@@ -100,7 +100,7 @@ class WorldMonitor:
         self.topics = [{"topic": name, "type": use.type} for name, use in found.items()]
 
     def _set_points(self) -> dict[str, float]:
-        """Those that the running controllers tell on their topics `state`, by the full names of joints."""
+        """Joint's full name -> set point, from the `state` topics of the running controllers."""
         found: dict[str, float] = {}
         for controller in self.controllers:
             followed = self._followed.get(f"{controller['name']}/state")
@@ -118,19 +118,19 @@ class WorldMonitor:
 
 
 class FollowedTopic:
-    """The last message of a topic, and how often they come.
+    """The last message of a topic, and the rate.
 
-    One with a header has the daemon's count in it, so that few messages are enough; of others each is counted.
+    A header holds the daemon's count of messages, so few messages are enough; other messages are counted one by one.
     """
 
     def __init__(self, client: Client, topic: str, throttle_ms: int, is_counted: bool) -> None:
-        """`is_counted`: it has a header."""
+        """`is_counted`: the messages have a header."""
         self.message: Record = {}
-        """Empty before the first."""
+        """Empty before the first message."""
         self._meter = RateMeter(span_ns=_RATE_WINDOW_NS)
         self._is_counted = is_counted
         self._looks = 0
-        """How often the rate was asked for since the last message."""
+        """Calls of `rate` since the last message."""
         self.subscription = client.subscribe(topic, throttle_rate=throttle_ms, take=self._take, wait=False)
 
     def _take(self, published: Record) -> None:
@@ -140,10 +140,10 @@ class FollowedTopic:
         self._looks = 0
 
     def rate(self, now_ns: int) -> float | None:
-        """In Hz, of the last seconds, or of the last two messages; None before it can be told.
+        """The rate in Hz over the last seconds, or the last two messages; None while unknown.
 
-        0 when none came for longer than both, and between the last two looks: wall time passes between those, and in
-        fast worlds much simulated time.
+        0 when no message came for longer than both, and since the call before the last one: wall time passes between
+        calls, and in fast worlds much simulated time.
         """
         self._looks += 1
         return 0.0 if self._looks > 2 and self._meter.is_silent(now_ns) else self._meter.rate
@@ -156,7 +156,7 @@ def _controller(space: str, listed: Record) -> Record:
 
 
 def _last_lines(log: str, begin: str) -> list[Record]:
-    """Of a file that may be anywhere else, or gone; `begin` ends the first line of a daemon, after earlier ones."""
+    """The last lines of a log file, which may not exist. `begin` is the end of a daemon's first line in it."""
     with suppress(OSError), open(log, "rb") as file:
         size = file.seek(0, os.SEEK_END)
         file.seek(max(0, size - _LOG_BYTES))

@@ -1,1 +1,1 @@
-"""For Foxglove: its WebSocket protocol, spoken to any number of apps."""
+"""The Foxglove gateway: its WebSocket protocol, for any number of apps."""

@@ -1,6 +1,6 @@
-"""What apps are told of the daemon's graph: channels, services, and who is connected with whom.
+"""The daemon's graph as advertised to apps: channels, services, and which nodes use them.
 
-Made of the answers of /slidectl/graph. A topic or service that goes and comes back has another id.
+It is made from the answers of /slidectl/graph. A topic or service that is removed and returns gets another id.
 """
 
 from __future__ import annotations
@@ -18,36 +18,36 @@ if TYPE_CHECKING:
 
 Message = dict[str, Any]
 Users = dict[str, list[str]]
-"""Topic or service -> its nodes."""
+"""Topic or service -> names of its nodes."""
 
 
 class AppChannel:
-    """A topic as apps see it."""
+    """A topic as advertised to apps."""
 
     def __init__(self, channel_id: int, topic: str, kind: str) -> None:
         self.id = channel_id
         self.topic = topic
         self.kind = kind
-        """The name of its type."""
+        """The name of the topic's type."""
         self.apps: dict[AppConnection, int] = {}
-        """Who subscribes it, with the app's id of the subscription."""
+        """App -> the id that the app gave to its subscription of this channel."""
         self.new: set[AppConnection] = set()
-        """Those of them that had no message yet."""
+        """The apps that have received no message yet."""
         self.has_failed = False
-        """There was a message that ROS 1 cannot hold."""
+        """True after a message that ROS 1 cannot hold."""
 
     @property
     def type(self) -> Ros1Type:
-        """Made when the first message comes: most topics are never subscribed."""
+        """The message type. Built on use: most topics are never subscribed."""
         return ros1_type(self.kind)
 
     def advertisement(self) -> Message:
-        """As the protocol has it."""
+        """The channel as the protocol describes it."""
         return {"id": self.id, "topic": self.topic, "encoding": "ros1", **_schema(self.kind)}
 
 
 class AdvertisedService(NamedTuple):
-    """A service as apps see it."""
+    """A service as advertised to apps."""
 
     id: int
     name: str
@@ -55,16 +55,16 @@ class AdvertisedService(NamedTuple):
 
     @property
     def request(self) -> str:
-        """The type of its request."""
+        """The type name of the request."""
         return msgs.request_type(self.type)
 
     @property
     def response(self) -> str:
-        """The type of its response."""
+        """The type name of the response."""
         return msgs.response_type(self.type)
 
     def advertisement(self) -> Message:
-        """As the protocol has it."""
+        """The service as the protocol describes it."""
         sides = {"request": self.request, "response": self.response}
         schemas = {side: {"encoding": "ros1", **_schema(kind)} for side, kind in sides.items()}
         return {"id": self.id, "name": self.name, "type": self.type, **schemas}
@@ -75,10 +75,10 @@ def _schema(kind: str) -> Message:
 
 
 class AdvertisedGraph:
-    """Empty until the first `update`, and again after one with `{}`: the daemon has gone."""
+    """The channels and services that apps know. Empty until the first `update`, and after `update({})`."""
 
     def __init__(self, own_node: str, is_offered: Callable[[str], bool]) -> None:
-        """`is_offered` says of a service by its name whether apps may call it."""
+        """`is_offered` takes the name of a service and returns whether apps may call it."""
         self._own_node = own_node
         self._is_offered = is_offered
         self.channels: dict[int, AppChannel] = {}
@@ -89,18 +89,18 @@ class AdvertisedGraph:
         self._channel_ids, self._service_ids = count(1), count(1)
 
     def types(self) -> dict[str, str]:
-        """Topic -> type."""
+        """Topic -> type name."""
         return {channel.topic: channel.kind for channel in self.channels.values()}
 
     def frames(self) -> list[str]:
-        """What a new app is told."""
+        """The frames for a new app."""
         return _advertised(list(self.channels.values()), list(self.services.values()))
 
     def update(self, state: Message) -> tuple[list[str], list[AppChannel], str]:
-        """Take in the present state. Returns frames for all apps, the channels that are gone, and the change of who is
-        connected with whom, empty when there is none, for those that asked for it.
+        """Replace the graph by `state`. Returns frames for all apps, the removed channels, and a frame with the changed
+        connections for the apps that subscribe to the graph, empty without a change.
 
-        A topic that nobody but the gateway itself subscribes, and nobody publishes, is only there for apps; it is gone.
+        A topic without publishers whose only subscriber is the gateway exists only for apps: it counts as removed.
         """
         topics = [
             each for each in state.get("topics", ()) if each["publishers"] or each["subscribers"] != [self._own_node]
@@ -125,7 +125,7 @@ class AdvertisedGraph:
         return [*frames, *_advertised(new, more)], gone, self._connect(state, topics)
 
     def connections(self) -> str:
-        """The frame of who is connected with whom, as a whole."""
+        """The frame with all publishers, subscribers and providers."""
         return _connections(self._published, self._subscribed, self._provided, [], [])
 
     def _connect(self, state: Message, topics: list[Message]) -> str:

@@ -1,7 +1,7 @@
-"""One app that is connected: what waits to be sent to it, and what it has subscribed and advertised.
+"""A connected app: its unsent frames, its subscriptions and its advertised channels.
 
-An app that does not read costs nobody anything: of its messages the oldest go, and are counted; when it leaves answers
-unread too, the connection ends.
+An app that does not read does not delay others: its oldest messages are dropped and counted. When too many answers are
+unread too, its connection is closed.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from slidectl.gateways.tasks import Tasks
 from slidectl.gateways.websocket_listener import ListenerConnection
 
 _MOST_MESSAGES, _MOST_MESSAGE_BYTES = 10_000, 16 * 1024 * 1024
-"""Messages that wait for one app."""
+"""Limits of the messages that wait for one app."""
 _MOST_ANSWER_BYTES = 32 * 1024 * 1024
-"""Answers that wait for one app. The one that comes last may be larger: a file."""
+"""Limit of the answers that wait for one app. The last one may exceed it: a file."""
 _MUCH_UNSENT = 4 * 1024 * 1024
 _MOST_TASKS = 32
-"""Calls and files of one app that are under way."""
+"""Limit of the calls and file requests of one app in progress."""
 
 
 class AppTopic(NamedTuple):
@@ -36,13 +36,13 @@ class AppTopic(NamedTuple):
 
 
 class AppSocket(ListenerConnection):
-    """Knows whether it takes more."""
+    """A WebSocket that knows whether its write buffer is full."""
 
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
         self.is_full = False
         self.on_room: Callable[[], None] = lambda: None
-        """Called when it takes more again."""
+        """Called when the write buffer has room again."""
 
     def pause_writing(self) -> None:
         super().pause_writing()
@@ -55,15 +55,15 @@ class AppSocket(ListenerConnection):
 
 
 class AppConnection:
-    """The app at the other end of a WebSocket."""
+    """An app: queues of its frames, its subscriptions and its channels."""
 
     def __init__(self, socket: AppSocket) -> None:
         self.subscriptions: dict[int, int] = {}
         """Id of a channel -> the id that the app gave to its subscription."""
         self.topics: dict[int, AppTopic] = {}
-        """What it publishes, by the app's ids."""
+        """The app's id of a channel -> the topic that it publishes."""
         self.parameters: set[str] = set()
-        """Names of which it wants to hear."""
+        """Names of the parameters that it subscribes."""
         self.wants_graph = False
         self.dropped = 0
         self._socket = socket
@@ -78,7 +78,7 @@ class AppConnection:
         self._tasks = Tasks()
 
     def send(self, frame: bytes | str) -> None:
-        """Have a frame sent that must not be lost. An app that leaves too many unread loses its connection."""
+        """Send a frame that must not be lost. An app with too many unread frames loses its connection."""
         if self._answer_bytes > _MOST_ANSWER_BYTES:
             self._socket.transport.abort()
             return
@@ -89,11 +89,11 @@ class AppConnection:
         self._flush()
 
     async def room(self) -> None:
-        """Wait while much that was asked for is not sent yet."""
+        """Wait while many answers are unsent."""
         await self._has_room.wait()
 
     def send_message(self, frame: bytes) -> None:
-        """Have a message sent; the oldest go where it does not keep up."""
+        """Send a message; the oldest messages are dropped for a slow app."""
         messages = self._messages
         messages.append(frame)
         self._message_bytes += len(frame)
@@ -103,23 +103,23 @@ class AppConnection:
         self._flush()
 
     def send_time(self, frame: bytes) -> None:
-        """Have the time sent, in place of one that is not sent yet."""
+        """Send the time; it replaces an unsent one."""
         self._time = frame
         self._flush()
 
     def fail(self, text: str) -> None:
-        """Tell the app of an error."""
+        """Send an error text to the app."""
         self.send(status_frame(ERROR, text))
 
     def begin(self, work: Coroutine[Any, Any, None]) -> None:
-        """Carry it out beside what else goes on, until the app goes. Raises BadFrame: too much goes on already."""
+        """Run a task until the app disconnects. Raises BadFrame: too many tasks run already."""
         if len(self._tasks) >= _MOST_TASKS:
             work.close()
             raise BadFrame(f"{_MOST_TASKS} calls and files of this app are under way already")
         self._tasks.begin(work)
 
     def _flush(self) -> None:
-        """Write what the socket takes; the rest follows when it takes more."""
+        """Write until the socket's buffer is full; `on_room` calls this again."""
         while not self._socket.is_full and (frame := self._next()) is not None:
             broadcast((self._socket,), frame)  # the library's way to send without waiting
 
@@ -140,5 +140,5 @@ class AppConnection:
         return None
 
     def end(self) -> None:
-        """It has gone: nobody waits for what is under way."""
+        """Cancel the tasks of an app that has disconnected."""
         self._tasks.cancel()

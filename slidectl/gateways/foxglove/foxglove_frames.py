@@ -1,7 +1,7 @@
-"""Frames of Foxglove's WebSocket protocol: JSON objects as text, and binary ones that begin with an operation.
+"""Frames of Foxglove's WebSocket protocol: JSON objects as text, and binary frames that begin with an operation code.
 
-Reads what an app sends, and writes what it gets. It knows no connection. Numbers are little-endian. JavaScript knows
-one kind of number, so 1.0 comes back as 1: a parameter has a type that tells a float from an integer.
+It decodes frames of apps and encodes frames for them. It knows no connection. Integers are little-endian. JavaScript
+has one number type, so 1.0 comes back as 1: the type of a parameter distinguishes float from integer.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from slidectl.client.lines import encode
 from slidectl.errors import UsageError, cut, quoted
 
 SUBPROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")
-"""Of Foxglove's SDK and app, and of the clients before it. The frames are the same."""
+"""The names used by Foxglove's SDK and app, and by older clients. The frames are the same."""
 LONGEST_FRAME = 16 * 1024 * 1024
-"""Bytes of a frame of an app."""
+"""The maximum length of a received frame in bytes."""
 MOST_ID = 2**32 - 1
 WARNING, ERROR = 1, 2
-"""Levels of a status."""
+"""Status levels of the protocol."""
 
 _MOST_VALUES = 100_000
 _FLOAT, _FLOATS, _BYTES = "float64", "float64_array", "byte_array"
@@ -34,7 +34,7 @@ Parameter = dict[str, Any]
 
 
 class BadFrame(UsageError):
-    """What an app sent is no frame of the protocol."""
+    """A frame of an app violates the protocol."""
 
 
 class AppMessage(NamedTuple):
@@ -54,7 +54,7 @@ class AppRequest(NamedTuple):
 
 
 def read_text(text: str) -> dict[str, Any]:
-    """The object of a text frame; its `op` is text. Raises BadFrame."""
+    """Decode a text frame: a JSON object whose `op` is text. Raises BadFrame."""
     message = read_json(text)
     if not isinstance(message.get("op"), str):
         raise BadFrame("a frame without an op")
@@ -62,7 +62,7 @@ def read_text(text: str) -> dict[str, Any]:
 
 
 def read_json(text: str) -> dict[str, Any]:
-    """A JSON object of an app. Raises BadFrame."""
+    """Decode a JSON object. Raises BadFrame."""
     if len(text) > _MOST_VALUES and sum(map(text.count, ",[{")) > _MOST_VALUES:
         raise BadFrame(f"JSON of more than {_MOST_VALUES} values")
     try:
@@ -75,7 +75,7 @@ def read_json(text: str) -> dict[str, Any]:
 
 
 def read_binary(data: bytes) -> AppMessage | AppRequest:
-    """What a binary frame holds. Raises BadFrame."""
+    """Decode a binary frame. Raises BadFrame."""
     operation = data[0] if data else 0
     if operation == _MESSAGE and len(data) >= 5:
         return AppMessage(int.from_bytes(data[1:5], "little"), data[5:])
@@ -88,7 +88,7 @@ def read_binary(data: bytes) -> AppMessage | AppRequest:
 
 
 def field(message: dict[str, Any], key: str, kind: type) -> Any:
-    """A field of an object. Raises BadFrame: it is missing, or of another kind."""
+    """A field of an object. Raises BadFrame: it is missing or has another type."""
     value = message.get(key)
     if not isinstance(value, kind) or isinstance(value, bool):
         raise BadFrame(f"{quoted(str(message.get('op', 'an object')))}: {key} must be a {_KINDS[kind]}")
@@ -96,7 +96,7 @@ def field(message: dict[str, Any], key: str, kind: type) -> Any:
 
 
 def fields(message: dict[str, Any], key: str, kind: type, most: int) -> list[Any]:
-    """A list of at most so many values of that kind. Raises BadFrame."""
+    """A field that is a list of at most `most` values of type `kind`. Raises BadFrame."""
     values = field(message, key, list)
     if len(values) > most:
         raise BadFrame(f"{key}: {len(values)} values, and {most} is the most")
@@ -106,7 +106,7 @@ def fields(message: dict[str, Any], key: str, kind: type, most: int) -> list[Any
 
 
 def number(message: dict[str, Any], key: str) -> int:
-    """An id: a number of 32 bits. Raises BadFrame."""
+    """A field that is an id: an unsigned 32-bit integer. Raises BadFrame."""
     value = field(message, key, int)
     if not 0 <= value <= MOST_ID:
         raise BadFrame(f"{key} must be a number of 32 bits")
@@ -117,46 +117,46 @@ _KINDS: dict[type, str] = {int: "whole number", str: "text", list: "list", dict:
 
 
 def text_frame(op: str, **values: Any) -> str:
-    """A JSON object. NaN becomes null, and infinity a number that is read as one."""
+    """Encode a JSON object. NaN becomes null, and infinity a number that parses as infinity."""
     return encode({"op": op, **values}).decode("ascii").rstrip("\n")
 
 
 def status_frame(level: int, message: str, status_id: str = "") -> str:
-    """A line for the app's list of problems; one with an id replaces the last one with it."""
+    """A status for the app's list of problems; it replaces an earlier one with the same id."""
     return text_frame(
         "status", level=level, message=cut(message, _LONGEST_STATUS), **({"id": status_id} if status_id else {})
     )
 
 
 def message_frame(subscription: int, time_ns: int, payload: bytes) -> bytes:
-    """A message of a channel. `time_ns` is its time of publication, simulated."""
+    """A message of a channel. `time_ns` is its publication time, simulated, in ns."""
     return _MESSAGE_HEAD.pack(_MESSAGE, subscription, time_ns) + payload
 
 
 def time_frame(time_ns: int) -> bytes:
-    """The simulated time."""
+    """The simulated time, in ns."""
     return struct.pack("<BQ", _TIME, time_ns)
 
 
 def response_frame(request: AppRequest, payload: bytes) -> bytes:
-    """The answer of a call, in the encoding of its request."""
+    """The response to a call, in the encoding of its request."""
     encoding = request.encoding.encode()
     return _CALL_HEAD.pack(_SERVICE_RESPONSE, request.service, request.call, len(encoding)) + encoding + payload
 
 
 def asset_frame(request: int, data: bytes) -> bytes:
-    """A file that the app asked for."""
+    """The content of a requested file."""
     return struct.pack("<BIBI", _ASSET, request, 0, 0) + data
 
 
 def no_asset_frame(request: int, why: str) -> bytes:
-    """Why it does not get it."""
+    """The refusal of a requested file, with the reason."""
     text = why.encode("utf-8", "replace")
     return struct.pack("<BIBI", _ASSET, request, 1, len(text)) + text
 
 
 def parameter(name: str, value: Any) -> Parameter:
-    """A parameter with its value."""
+    """A parameter with its value and, for floats, its type."""
     found: Parameter = {"name": name, "value": value}
     if isinstance(value, float):
         found["type"] = _FLOAT
@@ -166,7 +166,7 @@ def parameter(name: str, value: Any) -> Parameter:
 
 
 def wanted_parameter(given: Parameter) -> tuple[str, Any]:
-    """Name and value of a parameter that an app sets; the value is None when it is to be deleted. Raises BadFrame."""
+    """Name and value of a parameter that an app sets; None deletes it. Raises BadFrame."""
     name, value, kind = field(given, "name", str), given.get("value"), given.get("type")
     if kind == _BYTES:
         raise BadFrame(f"{name}: a parameter of slidectl holds no bytes; give text or a list")

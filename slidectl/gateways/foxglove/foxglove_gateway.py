@@ -1,8 +1,8 @@
-"""The gateway for Foxglove: topics, services, parameters, time, graph and files of robots, for any number of apps.
+"""The gateway for Foxglove: topics, services, parameters, time, graph and robot files, for any number of apps.
 
-It speaks Foxglove's protocol itself, on one event loop. Foxglove's SDK for Python calls back while it holds a lock, and
-waits for that lock while it holds Python's: an app that subscribes parameters or the graph in the moment in which these
-change stops the whole process.
+It implements Foxglove's protocol itself, on one event loop. Foxglove's Python SDK holds a lock during its callbacks and
+waits for that lock while it holds the interpreter lock. So an app that subscribes parameters or the graph just when
+they change would deadlock the whole process.
 """
 
 from __future__ import annotations
@@ -60,35 +60,35 @@ Message = dict[str, Any]
 
 NODE = "/foxglove_gateway"
 CALL_LIMIT_S = 60.0
-"""How long a call of an app may take."""
+"""The limit of an app's service call, in s."""
 _ENCODINGS = ("ros1", "json")
-"""Of what apps send; the app takes the first that it knows."""
+"""Accepted encodings from apps; the app uses the first that it supports."""
 _GATHER_S = 0.05
-"""Changes that come within this time are told at once."""
+"""Changes within this time, in s, are sent together."""
 _CLOCK_EVERY_MS = 20
 _QUEUE = 10_000
-"""Messages of a topic that the daemon keeps while the gateway is busy."""
+"""Messages per topic that the daemon queues while the gateway is busy."""
 _MOST_TOPICS, _MOST_NAMES = 1000, 10_000
-"""Of one app: topics that it publishes, and names in one of its frames."""
+"""Limits per app: published topics, and names in one frame."""
 _NO_DAEMON = "no-daemon"
-"""The id of the status that says so."""
+"""The id of the status that reports a missing daemon."""
 
 
 _APP_ORIGINS = ("https://app.foxglove.dev", "https://studio.foxglove.dev", "file://")
-"""Foxglove's own pages, and its desktop app. No web page has the last one: browsers say null for a file."""
+"""Foxglove's web pages, and its desktop app (file://). Web pages never send file://: browsers send null for a file."""
 
 
 @dataclass(frozen=True)
 class FoxgloveOptions(ListenerOptions):
-    """Options of the gateway. Pages of Foxglove's own are let in too."""
+    """Options of the gateway. Foxglove's own pages are allowed too."""
 
     port: int = 8765
     read_only: bool = False
-    """Let apps look: they publish nothing, call no service and set no parameter."""
+    """Refuse publishing, setting parameters, and services that change something."""
 
 
 class FoxgloveGateway(Gateway):
-    """Serves apps with what the daemon has."""
+    """Makes the daemon's graph available to Foxglove apps."""
 
     kind = "foxglove"
     Options: ClassVar = FoxgloveOptions
@@ -98,9 +98,9 @@ class FoxgloveGateway(Gateway):
         self._options = options
         self._listener = WebSocketListener(options, _APP_ORIGINS)
         self._daemon: DaemonConnection | None = None
-        """For what apps do."""
+        """The connection for requests of apps."""
         self._watch: DaemonConnection | None = None
-        """For changes and the time."""
+        """The connection for graph changes, parameter changes and the time."""
         self._paths: InstancePaths | None = None
         self._session = secrets.token_hex(8)
         self._graph = AdvertisedGraph(NODE, self._is_offered)
@@ -108,9 +108,9 @@ class FoxgloveGateway(Gateway):
         self._assets_lock = asyncio.Lock()
         self._apps: set[AppConnection] = set()
         self._dropped = 0
-        """Messages that apps which have gone did not get."""
+        """Messages that disconnected apps did not receive."""
         self._publishers: dict[tuple[str, str], int] = {}
-        """Topic and type -> how many channels of apps publish it."""
+        """Topic and type -> number of app channels that publish it."""
         self._graph_changed = asyncio.Event()
         self._parameters_changed: set[str] = set()
         self._changes: asyncio.Task[None] | None = None
@@ -192,7 +192,7 @@ class FoxgloveGateway(Gateway):
         }
 
     def _there(self) -> DaemonConnection:
-        """The daemon. Raises NoDaemon."""
+        """The connection to the daemon. Raises NoDaemon."""
         if self._daemon is None:
             raise NoDaemon("there is no daemon; the gateway waits for it")
         return self._daemon
@@ -200,7 +200,7 @@ class FoxgloveGateway(Gateway):
     # --- what all apps are told ---------------------------------------------------------------------------------
 
     async def _tell_changes(self, daemon: DaemonConnection) -> None:
-        """Pass on changes of the graph and of parameters, as long as the daemon is there."""
+        """Send changes of the graph and of parameters to apps until the daemon ends."""
         with suppress(NoDaemon):
             while True:
                 await self._graph_changed.wait()
@@ -213,7 +213,7 @@ class FoxgloveGateway(Gateway):
                 except TimedOut:
                     self._parameters_changed |= changed
                     self._graph_changed.set()
-                except Refused as error:  # the values are too large for a line
+                except Refused as error:  # the values do not fit into a line
                     for app in self._apps:
                         app.fail(str(error))
 
@@ -249,7 +249,7 @@ class FoxgloveGateway(Gateway):
             app.send_time(frame)
 
     def _tell_publishers(self, text: str) -> None:
-        """The daemon has refused a message; it does not say whose."""
+        """Send a refusal to all apps that publish: the daemon does not say whose message it refused."""
         for app in self._apps:
             if app.topics:
                 app.fail(text)
@@ -297,7 +297,7 @@ class FoxgloveGateway(Gateway):
             self._forget(app)
 
     async def _greet(self, app: AppConnection) -> None:
-        """Tell it the time, which stands in a paused world."""
+        """Send the present time, which does not advance in a paused world."""
         with suppress(SlidectlError):
             now = await self._there().call("/rosapi/get_time")
             app.send_time(time_frame(nanoseconds(now["time"])))
@@ -316,7 +316,7 @@ class FoxgloveGateway(Gateway):
             self._has_clock = False
 
     async def _take_frame(self, app: AppConnection, frame: str | bytes) -> None:
-        """Carry out what an app sent. Raises SlidectlError: it is told of that."""
+        """Process a frame of an app. Raises SlidectlError, which is sent to the app."""
         if isinstance(frame, str):
             message = read_text(frame)
             operation = self._operations.get(message["op"])
@@ -341,7 +341,7 @@ class FoxgloveGateway(Gateway):
                 await self._join(app, subscription, channel)
 
     async def _join(self, app: AppConnection, subscription: int, channel: AppChannel) -> None:
-        """The first app subscribes at the daemon; to a later one what was latched is brought by itself."""
+        """Subscribe an app. The first app subscribes at the daemon; for later ones the latched message is read."""
         app.subscriptions[subscription] = channel.id
         is_first = not channel.apps
         channel.apps[app] = subscription
@@ -493,9 +493,9 @@ class FoxgloveGateway(Gateway):
             app.fail(str(error))
 
     async def _parameters(self, wanted: list[str]) -> list[Parameter]:
-        """Those of these names that are set; all for no names. Raises as `call`."""
+        """Those of the wanted parameters that are set; all without names. Raises as `call`."""
         if not wanted:
-            from slidectl.description.parameter_trees import leaves  # its package takes long to import
+            from slidectl.description.parameter_trees import leaves  # the package is slow to import
 
             tree = json.loads((await self._there().call("/rosapi/get_param", {"name": "/"}))["value"])
             return [parameter(name, value) for name, value in leaves(tree, "/")]
@@ -511,7 +511,7 @@ class FoxgloveGateway(Gateway):
         app.begin(self._set(app, fields(message, "parameters", dict, _MOST_NAMES), message))
 
     async def _set(self, app: AppConnection, given: list[Message], message: Message) -> None:
-        """Each for itself: one that is refused does not keep the others from being set."""
+        """Set parameters one by one: a refused one does not prevent the others."""
         wanted = []
         for each in given:
             try:
@@ -537,7 +537,7 @@ class FoxgloveGateway(Gateway):
         app.parameters.difference_update(fields(message, "parameterNames", str, _MOST_NAMES))
 
     async def _send_parameters(self, changed: set[str]) -> None:
-        """Tell the apps that subscribe them. One that is deleted has no value."""
+        """Send changed parameters to their subscribers. A deleted one has no value."""
         wanted = {
             app: {name for name in app.parameters if any(_concerns(each, name) for each in changed)}
             for app in self._apps
@@ -565,7 +565,7 @@ class FoxgloveGateway(Gateway):
         app.begin(self._send_asset(app, field(message, "uri", str), number(message, "requestId")))
 
     async def _send_asset(self, app: AppConnection, uri: str, request: int) -> None:
-        """One file at a time, for all apps."""
+        """Send a file. Only one is read at a time, for all apps together."""
         await app.room()
         async with self._assets_lock:
             try:
@@ -576,7 +576,7 @@ class FoxgloveGateway(Gateway):
 
 
 def _pack(kind: Ros1Type, message: Message) -> bytes:
-    """Raises BadMessage: text that is no UTF-8, say."""
+    """Pack a message. Raises BadMessage: ROS 1 cannot hold it, for example text that is not UTF-8."""
     try:
         return kind.pack(message)
     except (struct.error, ValueError, OverflowError) as error:
@@ -584,12 +584,12 @@ def _pack(kind: Ros1Type, message: Message) -> bytes:
 
 
 def _same_id(message: Message) -> Message:
-    """The id of a request, for its answer."""
+    """The id of a request, to be repeated in its answer; empty without one."""
     return {"id": field(message, "id", str)} if "id" in message else {}
 
 
 def _decoded(payload: bytes, encoding: str, kind: Ros1Type) -> Message:
-    """The message that an app sent. Raises BadMessage, BadFrame."""
+    """Decode an app's message. Raises BadMessage, BadFrame."""
     if encoding == "ros1":
         return kind.unpack(payload)
     if encoding != "json":
@@ -599,7 +599,7 @@ def _decoded(payload: bytes, encoding: str, kind: Ros1Type) -> Message:
 
 
 def _with_ros1_times(type_name: str, value: Any) -> Any:
-    """Foxglove calls the parts of times sec and nsec; the rest stays as it is, right or wrong."""
+    """Rename the fields sec and nsec, Foxglove's names in times, to secs and nsecs. The rest stays unchecked."""
     if not isinstance(value, dict):
         return value
     if type_name in TIMES:
@@ -618,5 +618,5 @@ def _with_ros1_times(type_name: str, value: Any) -> Any:
 
 
 def _concerns(changed: str, subscribed: str) -> bool:
-    """Whether a change of the one is a change of the other: one is in the other."""
+    """True when a change of one parameter changes the other: one contains the other."""
     return names.is_under(subscribed, changed) or names.is_under(changed, subscribed)

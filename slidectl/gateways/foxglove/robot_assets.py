@@ -1,7 +1,6 @@
-"""The files that an app may fetch: meshes that the descriptions of the robots in the world name, and their pictures.
+"""The files that an app may fetch: meshes named in the descriptions of the robots in the world, and their textures.
 
-A URI is looked up among those that stand in a description; it is never made into a path. So nothing else of the disk
-can be had, whatever a URI says.
+A URI is only looked up in a table of the named files, never converted to a path. So no URI gives access to other files.
 """
 
 from __future__ import annotations
@@ -16,26 +15,26 @@ from slidectl.errors import Refused, UnknownName
 from slidectl.gateways.daemon_connection import DaemonConnection
 
 LARGEST = 64 * 1024 * 1024
-"""Bytes of a file."""
+"""The maximum size of a file in bytes."""
 _PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".gif", ".tga", ".tif", ".tiff")
 _NAMED = re.compile(
     rb"<init_from>\s*(?:<ref>)?\s*([^<>]{1,500}?)\s*<|^\s*(?:mtllib|map_K[das])\s+(\S{1,500})", re.MULTILINE
 )
-"""Files that a DAE file, an OBJ file or an MTL file names."""
+"""Matches file names inside a DAE, OBJ or MTL file."""
 _MOST_NAMED = 100
 
 
 class RobotAssets:
-    """The files of the robots of one daemon."""
+    """The fetchable files of the robots of one daemon."""
 
     def __init__(self) -> None:
         self._robots: object = None
-        """Names and serial numbers of the robots of which `_files` are."""
+        """Names and serial numbers of the robots that `_files` was made from."""
         self._files: dict[str, str] = {}
-        """URI, as an app asks for it -> the file."""
+        """URI -> path of the file."""
 
     async def update(self, daemon: DaemonConnection) -> None:
-        """Ask which robots there are, and read their descriptions unless that is done. Raises as `call`."""
+        """Read the descriptions again when the robots have changed. Raises as `call`."""
         scene = await daemon.call("/slidectl/scene")
         if self._robots != (robots := (scene["robots"], scene["serials"])):
             scene = await daemon.call("/slidectl/scene", {"descriptions": True})
@@ -43,7 +42,7 @@ class RobotAssets:
             self._robots = robots
 
     def read(self, uri: str) -> bytes:
-        """The bytes of the file. Raises UnknownName: no robot names it. Refused: it cannot be read, or is too large."""
+        """The content of a file. Raises UnknownName: no robot names it. Refused: it is unreadable or too large."""
         path = self._files.get(uri)
         if path is None:
             raise UnknownName("asset", uri, list(self._files), "of a robot in the world")
@@ -58,8 +57,8 @@ def _meshes_of_all(descriptions: list[str]) -> dict[str, str]:
 
 
 def _meshes(xml: str) -> dict[str, str]:
-    """URI, as the description has it, -> file, of its meshes."""
-    from slidectl.description import xml_tree  # the package takes long to import, and most robots have no mesh
+    """URI in the description -> path, of its meshes."""
+    from slidectl.description import xml_tree  # the package is slow to import, and most robots have no mesh
     from slidectl.description.mesh_files import SUFFIXES, MeshFiles
     from slidectl.description.packages import Packages
 
@@ -87,7 +86,7 @@ def _read(path: str) -> bytes:
 
 
 def _named_in(path: str, data: bytes) -> list[str]:
-    """Relative names of pictures and materials in a mesh."""
+    """Relative names of textures and material files in a mesh file."""
     if not path.lower().endswith((".dae", ".obj", ".mtl")):
         return []
     found = [(match[1] or match[2]).decode("utf-8", "replace") for match in _NAMED.finditer(data)][:_MOST_NAMED]
@@ -96,6 +95,6 @@ def _named_in(path: str, data: bytes) -> list[str]:
 
 
 def _beside(uri: str, name: str) -> str:
-    """The URI of a file that the file of `uri` names."""
+    """The URI of a file that the file at `uri` names relative to itself."""
     scheme, separator, path = uri.partition("://")
     return scheme + separator + normpath(join(dirname(path), name))

@@ -1,1 +1,1 @@
-"""ROS 1: a master (or a place at one that is there), the slave API of slidectl's nodes, and TCPROS."""
+"""The ROS 1 gateway: a master (or registration at an existing one), the slave API of slidectl's nodes, and TCPROS."""

@@ -1,6 +1,6 @@
-"""Calls of ROS's XML-RPC APIs: which arguments a method takes, how they are checked, and ROS's words for what is wrong.
+"""Methods of ROS's XML-RPC APIs: their arguments, the checks of these, and ROS's error texts.
 
-An answer is [code, message, value]: code 1 when it was done, 0 when it failed, -1 when the caller is wrong.
+An answer is [code, message, value]: code 1 for success, 0 for failure, -1 for a caller's error.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from slidectl.gateways.ros1.xmlrpc import XmlRpcFault
 
 Answered = tuple[int, str, Any]
 Check = Callable[[Any, str], Any]
-"""Takes an argument and the caller; gives the argument as the method takes it. Raises Invalid."""
+"""Takes an argument and the caller's name; returns the converted argument. Raises Invalid."""
 Method = Callable[..., Answered | Awaitable[Answered]]
 
 ANY_TYPE = "*"
@@ -23,12 +23,12 @@ _LONGEST_URI = 2000
 
 
 class Invalid(Exception):
-    """An argument that cannot be."""
+    """An argument that is not allowed."""
 
 
 class Api:
-    """Methods by name. `methods` gives for each what it answers as value when it fails, and the checks of its
-    arguments but the first, which is the caller's name.
+    """A table of methods by name. `add` takes a method, the value of its answer on failure, and the checks of its
+    arguments except the first, the caller's name.
     """
 
     def __init__(self) -> None:
@@ -38,7 +38,7 @@ class Api:
         self._methods[method.__name__] = (method, on_failure, checks)
 
     async def answer(self, name: str, arguments: list[Any], *context: Any) -> Answered:
-        """The answer to a call; `context` stands before the caller in what the method gets. Raises XmlRpcFault."""
+        """Call a method. It gets `context`, then the caller and the arguments. Raises XmlRpcFault: no such method."""
         if name not in self._methods:
             raise XmlRpcFault(1, f"<class 'Exception'>:method \"{cut(name, 200)}\" is not supported")
         method, on_failure, checks = self._methods[name]
@@ -77,7 +77,7 @@ def not_none(parameter: str) -> Check:
 
 
 def key(value: Any, caller: str) -> str:
-    """The name of a parameter, resolved."""
+    """Check the name of a parameter and resolve it."""
     if not value:
         raise Invalid("ERROR: parameter [key] must be specified and non-empty")
     if not isinstance(value, str):
@@ -86,7 +86,7 @@ def key(value: Any, caller: str) -> str:
 
 
 def search_key(value: Any, caller: str) -> str:
-    """The name of a parameter, as it is."""
+    """Check the name of a parameter; keep it relative."""
     key(value, caller)
     return str(value)
 
@@ -105,7 +105,7 @@ def uri(parameter: str) -> Check:
 
 
 def name(parameter: str, may_be_root: bool = False) -> Check:
-    """A name of the graph, resolved."""
+    """Check a graph name and resolve it."""
 
     def check(value: Any, caller: str) -> str:
         if not value or not isinstance(value, str):
@@ -120,7 +120,7 @@ def name(parameter: str, may_be_root: bool = False) -> Check:
 
 
 def subgraph(value: Any, caller: str) -> str:
-    """A namespace, resolved, or nothing."""
+    """Check a namespace and resolve it; empty stays empty."""
     if not isinstance(value, str):
         raise Invalid("ERROR: parameter [subgraph] must be a string")
     return resolve(_bounded("subgraph", value), caller) if value else ""
@@ -160,7 +160,7 @@ def protocols(value: Any, _: str) -> list[Any]:
 
 
 def resolve(text: str, caller: str) -> str:
-    """The global name that a node means by this one: `~x` is its own, `x` that of its namespace."""
+    """The global name of `text` in the node `caller`: `~x` is private to the node, `x` is in the node's namespace."""
     if text.startswith("/"):
         full = text
     elif text.startswith("~"):

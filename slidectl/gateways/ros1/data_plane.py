@@ -1,6 +1,6 @@
-"""The messages of the gateway to ROS 1: who of ROS's side has what in the daemon, and TCPROS for both sides.
+"""The data connections of the ROS 1 gateway: the foreign nodes' part of the daemon's graph, and TCPROS both ways.
 
-It is told the graph of the daemon and the registrations of foreign nodes.
+Other modules pass it the daemon's graph and the registrations of foreign nodes.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ OpenConnection = Callable[[str], Awaitable[DaemonConnection]]
 
 MOST_CONNECTIONS = 1000
 _LISTED_ONLY_MS = 10**9
-"""Between two messages of a subscription that is there to be listed: the first one is all that comes."""
+"""Throttle of a subscription that only makes a node appear in the graph: after the first message nothing arrives."""
 _OF_ACTIONS = ("ActionFeedback", "ActionResult", "actionlib_msgs/GoalStatusArray")
-"""Ends of types. A client of slidectl sends its goal as soon as it subscribes: a quick result would be lost."""
+"""Type name endings of action topics, subscribed early: slidectl's client could miss a quick result otherwise."""
 _PROBES = 4
 _FIRST_PROBE_PAUSE_S = 0.5
 _ASK_AGAIN_S = 1.0
 
 
 class ForeignTopic(NamedTuple):
-    """A topic of nodes of ROS: its type, which may be `*`, publishers with the addresses of their slave APIs."""
+    """A topic of ROS nodes: its type, which may be `*`, its subscribers, and publisher -> address of the slave API."""
 
     type: str
     publishers: dict[str, str]
@@ -48,12 +48,12 @@ _UNUSED = ForeignTopic(ANY_TYPE, {}, set())
 
 
 class ForeignNode:
-    """What a node of ROS has in the daemon's graph, under its own name: `wanted`, and what is there of it."""
+    """A ROS node's part of the daemon's graph, under its own name: what has been advertised and subscribed so far."""
 
     def __init__(self, name: str) -> None:
         self.name = name
         self.published: dict[str, str] = {}
-        """Topic -> type, as the three below."""
+        """Topic -> type, as `subscribed`. `services` is service -> type."""
         self.subscribed: dict[str, str] = {}
         self.services: dict[str, str] = {}
         self.latched: dict[str, int] = {}
@@ -64,12 +64,12 @@ class ForeignNode:
 class DataPlane:
     """TCPROS for all native nodes, and the foreign nodes' part of the daemon's graph.
 
-    A foreign subscriber may ask at any native node for any topic that `serves` says: there is one stream of each topic,
-    whoever publishes it. It stays connected while native publishers come and go.
+    A foreign subscriber may ask any native node for any topic of `serves`: all native publishers of a topic share one
+    stream. It stays connected while native publishers start and end.
     """
 
     def __init__(self, node: str, host: str, bind: str) -> None:
-        """`node` is the gateway's own node; `host` is what others connect to, `bind` the address to listen on."""
+        """`node` is the gateway's own node; other hosts connect to `host`; `bind` is the address to listen on."""
         self._node = node
         self._host = host
         self._bind = bind
@@ -87,12 +87,12 @@ class DataPlane:
         self._foreign_topics: dict[str, ForeignTopic] = {}
         self._offers: dict[str, tuple[str, str]] = {}
         self._service_types: dict[tuple[str, str], str] = {}
-        """(service, URI) -> type; empty while that is not known, or slidectl does not know it."""
+        """(service, URI) -> type; empty while the type is unknown, or if slidectl does not have it."""
         self._foreign: dict[str, ForeignNode] = {}
         self._followers: dict[tuple[str, str], Follower] = {}
         self._changed = asyncio.Event()
         self._unsettled: set[str] = set()
-        """Foreign nodes whose part of the graph may have to change."""
+        """Foreign nodes whose part of the daemon's graph is out of date."""
         self._tasks = Tasks()
 
     # --- life ---------------------------------------------------------------------------------------------------
@@ -110,7 +110,7 @@ class DataPlane:
         return self._port
 
     async def attach(self, open_connection: OpenConnection, main: DaemonConnection) -> None:
-        """The daemon is there. Raises NoDaemon."""
+        """Connect to the daemon. Raises NoDaemon."""
         self._own = [await open_connection(f"{self._node}_{end}") for end in ("topics", "latched")]
         self._open_connection = open_connection
         await self._topics.attach(*self._own)
@@ -120,7 +120,7 @@ class DataPlane:
         self._touch({node for node, _ in self._offers.values()})
 
     async def detach(self) -> None:
-        """The daemon has gone, and with it what native nodes had. Foreign subscribers stay connected."""
+        """Discard the graph of a daemon that has ended. Foreign subscribers stay connected."""
         self._open_connection = None
         self._natives = {}
         self._update_served()
@@ -135,7 +135,7 @@ class DataPlane:
         self._foreign.clear()
 
     async def close(self) -> None:
-        """Stop listening, and end all connections."""
+        """Stop listening and end all connections."""
         if self._server is not None:
             self._server.close()
         await self.detach()
@@ -146,7 +146,7 @@ class DataPlane:
     # --- what is told -------------------------------------------------------------------------------------------
 
     def set_graph(self, state: Message) -> None:
-        """The newest answer of /slidectl/graph, without this process and foreign nodes."""
+        """Set the newest answer of /slidectl/graph, without this process and foreign nodes."""
         before, self._natives = self._natives, {topic["name"]: topic for topic in state["topics"]}
         self._services.services = {one["name"]: (one["type"], one["node"]) for one in state["services"]}
         self._update_served()
@@ -156,7 +156,7 @@ class DataPlane:
                 self._touch(self._users(topic))
 
     def set_foreign_topic(self, topic: str, type: str, publishers: dict[str, str], subscribers: set[str]) -> None:
-        """All foreign publishers of a topic, node -> address of its slave API, and subscribers. The type may be `*`."""
+        """Set a topic's foreign publishers, node -> address of its slave API, and subscribers. The type may be `*`."""
         self._touch(self._users(topic))
         self._foreign_topics[topic] = ForeignTopic(type, publishers, subscribers)
         if not publishers and not subscribers:
@@ -166,7 +166,7 @@ class DataPlane:
         self._update_served()
 
     def set_foreign_services(self, services: dict[str, tuple[str, str]]) -> None:
-        """All foreign services: node and rosrpc address of each."""
+        """Set all foreign services: service -> node and rosrpc address."""
         self._touch({node for node, _ in self._offers.values()})
         self._offers = dict(services)
         self._touch({node for node, _ in services.values()})
@@ -177,7 +177,7 @@ class DataPlane:
             self._tasks.begin(self._find_type(service, uri))
 
     def node_gone(self, node: str) -> None:
-        """A foreign node has unregistered, or died."""
+        """Remove a foreign node that has unregistered or ended."""
         for topic, (kind, publishers, subscribers) in list(self._foreign_topics.items()):
             if node in publishers or node in subscribers:
                 others = {other: uri for other, uri in publishers.items() if other != node}
@@ -187,14 +187,11 @@ class DataPlane:
     # --- what is asked ------------------------------------------------------------------------------------------
 
     def serves(self, topic: str) -> bool:
-        """True for topics that foreign nodes may subscribe from here.
-
-        They have native publishers, or subscribers that wait for one.
-        """
+        """True for topics that foreign nodes may subscribe here: they have native publishers or foreign subscribers."""
         return topic in self._topics.topics
 
     def request_topic(self, topic: str, protocols: Any) -> tuple[int, str, Any]:
-        """The answer of the slave API of a native node."""
+        """Answer requestTopic of the slave API of a native node."""
         if not self.serves(topic):
             return -1, f"Not a publisher of [{topic}]", []
         if not any(isinstance(one, list) and one[:1] == ["TCPROS"] for one in protocols):
@@ -202,7 +199,7 @@ class DataPlane:
         return 1, f"ready on {self._host}:{self._port}", ["TCPROS", self._host, self._port]
 
     def service_uri(self) -> str:
-        """Where all native services are."""
+        """The rosrpc address of all native services."""
         return f"rosrpc://{in_uri(self._host)}:{self._port}"
 
     def bus_info(self, node: str) -> list[Any]:
@@ -219,12 +216,12 @@ class DataPlane:
 
     @property
     def connections(self) -> int:
-        """TCPROS connections, in both directions."""
+        """The number of TCPROS connections, in both directions."""
         return len(self._connections) + sum(one.connection is not None for one in self._followers.values())
 
     @property
     def dropped(self) -> int:
-        """Messages that subscribers did not read in time."""
+        """The number of messages dropped because subscribers read too slowly."""
         return self._topics.dropped
 
     # --- TCPROS -------------------------------------------------------------------------------------------------
@@ -253,14 +250,14 @@ class DataPlane:
     # --- foreign nodes in the daemon's graph --------------------------------------------------------------------
 
     def _type_of(self, topic: str) -> str:
-        """The type that slidectl gives a topic, empty when it knows none."""
+        """The type of a topic; empty when slidectl does not know it."""
         if topic in self._natives:
             return str(self._natives[topic]["type"])
         kind = self._foreign_topics.get(topic, _UNUSED).type
         return kind if kind != ANY_TYPE and msgs.exists(kind) else ""
 
     def _users(self, topic: str) -> set[str]:
-        """Foreign nodes that use it."""
+        """The foreign nodes that publish or subscribe the topic."""
         _, publishers, subscribers = self._foreign_topics.get(topic, _UNUSED)
         return {*publishers, *subscribers}
 
@@ -268,7 +265,7 @@ class DataPlane:
         return node in self._natives.get(topic, {}).get("subscribers", ())
 
     def _publishes(self, node: str, topic: str) -> bool:
-        """True when the daemon knows the node as a publisher: before, its first message would find no taker."""
+        """True when the daemon knows the node as a publisher. Earlier, its first message would be lost."""
         return node in self._foreign and topic in self._foreign[node].published
 
     def _latched_keys(self, topic: str) -> set[int]:
@@ -285,7 +282,7 @@ class DataPlane:
         self._changed.set()
 
     async def _settle_changes(self) -> None:
-        """Give the daemon's graph what foreign nodes have, one node after the other."""
+        """Update the daemon's graph with the foreign nodes' parts, one node after the other."""
         while True:
             await self._changed.wait()
             self._changed.clear()
@@ -293,13 +290,13 @@ class DataPlane:
                 name = self._unsettled.pop()
                 try:
                     await self._settle(name, self._open_connection)
-                except (NoDaemon, TimedOut) as error:  # it has gone, or stood still, or there were no descriptors
+                except (NoDaemon, TimedOut) as error:  # daemon ended or silent, or no descriptors left
                     _log.warning("%s: %s; it is tried again", name, error)
                     await asyncio.sleep(_ASK_AGAIN_S)
                     self._touch({name})
                 except SlidectlError as error:
                     _log.warning("%s: %s", name, error)
-                except Exception:  # a fault of ours with one node is not one of all others
+                except Exception:  # an internal error with one node must not stop the others
                     _log.exception("%s cannot be shown in the daemon's graph", name)
 
     async def _settle(self, name: str, open_connection: OpenConnection) -> None:
@@ -350,7 +347,7 @@ class DataPlane:
 
     @contextmanager
     def _told(self, name: str) -> Iterator[None]:
-        """Warn of what the daemon refuses, and go on."""
+        """Log a refusal of the daemon as a warning and continue."""
         try:
             yield
         except Refused as error:
@@ -359,7 +356,7 @@ class DataPlane:
     # --- messages of foreign publishers -------------------------------------------------------------------------
 
     def _update_followers(self, topic: str) -> None:
-        """Subscribe foreign publishers of a topic that has a native subscriber, and those of actions."""
+        """Update the followers of a topic: it needs them with native subscribers, or as an action topic."""
         subscribers = self._natives.get(topic, {}).get("subscribers", ())
         kind = self._type_of(topic)
         is_wanted = bool(subscribers) or kind.endswith(_OF_ACTIONS)
@@ -395,7 +392,7 @@ class DataPlane:
     # --- foreign services ---------------------------------------------------------------------------------------
 
     async def _find_type(self, service: str, uri: str) -> None:
-        """Ask a service for its type; it may have no time yet."""
+        """Ask a service for its type; repeat when it does not answer yet."""
         problem = ""
         for attempt in range(_PROBES):
             try:
@@ -405,7 +402,7 @@ class DataPlane:
                 await asyncio.sleep(_FIRST_PROBE_PAUSE_S * 2**attempt)
                 continue
             if not msgs.service_exists(kind):
-                return  # a type of the user's: it is for foreign clients
+                return  # a user-defined type: only foreign clients can call it
             if md5 != msgs.service_md5(kind):
                 problem = f"its {kind} has the md5sum {md5}, and slidectl's has {msgs.service_md5(kind)}"
                 break

@@ -1,8 +1,8 @@
-"""A master that is another program, and slidectl as one node of it.
+"""Registration of slidectl as one node at a ROS master that is another program.
 
-All that the daemon has is registered under one name. The master is asked once a second what it knows, so that one
-that was restarted gets everything again. The daemon's parameters are set there, and what others set below them comes
-back to the daemon; the master's other parameters stay there.
+Everything in the daemon is registered under one node name. The master's state is read once a second, so that a
+restarted master gets all registrations again. The daemon's parameters are set at the master, and changes of them there
+are set in the daemon; the master's other parameters are not copied.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ _log = logging.getLogger(__name__)
 
 _ASK_EVERY_S = 1.0
 _LOOK_UP_EVERY = 10
-"""Of so many rounds one looks all addresses up again: a node may have come back at another one."""
+"""In one of this many rounds all addresses are looked up again: a restarted node may have another address."""
 _LEAVE_LIMIT_S = 5.0
 _CALLS_AT_ONCE = 16
-"""Of one master: what a world has are more than a hundred registrations."""
+"""Simultaneous calls to the master: a world has more than a hundred registrations."""
 _NOT_MIRRORED = ("run_id", "rosversion", "rosdistro", "roslaunch", "use_sim_time")
-"""Parameters of the master's own."""
+"""Parameters that belong to the master itself."""
 
 
 class _Denied(Refused):
-    """The master has understood, and says no."""
+    """The master has answered with a refusal."""
 
 
 class JoinedMaster:
@@ -57,19 +57,19 @@ class JoinedMaster:
         self._addresses: dict[str, str] = {}
         self._providers: dict[str, tuple[str, str]] = {}
         self._told: dict[str, tuple[str, dict[str, str], set[str]]] = {}
-        """What was told last of topics: type, publishers with their addresses, subscribers."""
+        """Topic -> what was passed to the data plane last: type, publishers with their addresses, subscribers."""
         self._mirrored: set[str] = set()
-        """Top-level names of parameters that we have subscribed there."""
+        """Top-level parameter names that are subscribed at the master."""
         self._changed: dict[str, None] = {}
-        """Parameters that the master has not been told yet."""
+        """Parameters whose change has not been sent to the master."""
         self._taken: set[str] = set()
-        """Parameters that are being set here because they were set there."""
+        """Parameters being set in the daemon because of a change at the master; they are not sent back."""
         self._tasks = Tasks()
 
     # --- for the gateway ----------------------------------------------------------------------------------------
 
     async def check(self) -> None:
-        """Raises Refused: no ROS master answers there."""
+        """Check that a ROS master answers at the URI. Raises Refused."""
         try:
             await self._call("getPid")
         except SlidectlError as error:
@@ -77,10 +77,10 @@ class JoinedMaster:
             raise Refused(f"no ROS master answers at {self.uri}: {error.message}", hint) from None
 
     def start(self, node: str, address: str, service_uri: str) -> None:
-        """There is a daemon (again). Its node has this name, its slave API and its services these addresses."""
+        """Begin or continue synchronizing, with this node name and the addresses of its slave API and its services."""
         self._node, self._address, self._service_uri = node, address, service_uri
         self._told.clear()
-        self._pid = None  # its parameters may be others
+        self._pid = None  # a restarted daemon may have other parameters
         self._wake.set()
         if not self._is_synchronizing:
             self._is_synchronizing = True
@@ -90,12 +90,12 @@ class JoinedMaster:
         self._wake.set()
 
     def parameters_changed(self, changed: list[str]) -> None:
-        """The daemon's parameters, or namespaces, of these names were set or deleted."""
+        """Queue parameters or namespaces of the daemon that were set or deleted, to be sent to the master."""
         self._changed.update(dict.fromkeys(name for name in changed if name not in self._taken))
         self._wake.set()
 
     async def leave(self) -> None:
-        """Take back all that was registered."""
+        """Unregister everything."""
         self._tasks.cancel()
         self._natives.take({"topics": [], "services": []}, lambda _: True)
         try:
@@ -115,7 +115,7 @@ class JoinedMaster:
         self._tasks.begin(self._take_parameter(key, value))
 
     def shut_down(self, reason: str) -> None:
-        """Another node has our name now: we end, as all nodes do."""
+        """End the gateway: another node has taken its name, and ROS nodes end in that case."""
         _log.warning("the master at %s shuts us down: %s", self.uri, reason)
         os.kill(os.getpid(), signal.SIGTERM)
 
@@ -133,7 +133,7 @@ class JoinedMaster:
                     _log.warning("%s; trying again", error)
                 self._failure = str(error)
                 self._pid = None
-            except Exception:  # a fault of ours in one round is none of the next
+            except Exception:  # an internal error in one round must not stop the next
                 _log.exception("a round with the master at %s", self.uri)
             try:
                 async with asyncio.timeout(_ASK_EVERY_S):
@@ -150,7 +150,7 @@ class JoinedMaster:
         pid = await self._call("getPid")
         if pid != self._pid:
             self._mirrored.clear()
-            for name in await self._parameters.names():  # one by one: others may have some in the same namespaces
+            for name in await self._parameters.names():  # one by one: other nodes may use the same namespaces
                 await self._set_there(name)
             if not await self._call("hasParam", "/use_sim_time"):
                 await self._call("setParam", "/use_sim_time", True)  # as Gazebo does
@@ -159,7 +159,7 @@ class JoinedMaster:
             await self._set_there(next(iter(self._changed)))
 
     async def _register(self, state: list[dict[str, list[str]]]) -> None:
-        """Register what the master does not know of us, and take back what is not so any more."""
+        """Register what the master lacks, and unregister what no longer exists."""
         natives, address, service_uri = self._natives, self._address, self._service_uri
         there = [{key for key, nodes in kind.items() if self._node in nodes} for kind in state]
         calls: list[tuple[str, ...]] = []
@@ -177,7 +177,7 @@ class JoinedMaster:
             await asyncio.gather(*(self._call(*call) for call in calls[begin : begin + _CALLS_AT_ONCE]))
 
     async def _tell(self, state: list[dict[str, list[str]]], types: dict[str, str]) -> None:
-        """Tell what carries the data who the foreign nodes are."""
+        """Pass the foreign nodes' topics and services to the data plane."""
         present = {node for kind in state for nodes in kind.values() for node in nodes} - {self._node}
         if len(present) > MOST_NODES:
             if not self._is_crowded:
@@ -214,7 +214,7 @@ class JoinedMaster:
     # --- parameters ---------------------------------------------------------------------------------------------
 
     async def _set_there(self, name: str) -> None:
-        """Set the parameter, or delete it where the daemon has none, and hear of what others make of it."""
+        """Set the parameter at the master, or delete it if the daemon has none, and subscribe changes of it."""
         self._changed.pop(name, None)
         top = name.split("/")[1]
         if top in _NOT_MIRRORED or not top:
@@ -229,7 +229,7 @@ class JoinedMaster:
             await self._call("subscribeParam", self._address, f"/{top}")
 
     async def _take_parameter(self, key: str, value: Any) -> None:
-        """It was set, or deleted (then its value is empty), there: let the daemon have it, or refuse."""
+        """Set a parameter of the master in the daemon; an empty value deletes it. A refusal is undone at the master."""
         key = "/" + key.strip("/")
         if names.is_under("/use_sim_time", key):
             return
@@ -253,7 +253,7 @@ class JoinedMaster:
     # --- inside -------------------------------------------------------------------------------------------------
 
     async def _call(self, method: str, *arguments: Any) -> Any:
-        """The value that the master answers. Raises _Denied: it says no; Refused: nothing, or nonsense; TimedOut."""
+        """Call the master and return its value. Raises _Denied: it refuses; Refused: no or invalid answer; TimedOut."""
         answer = await xmlrpc.call(self.uri, method, self._node, *arguments)
         if not isinstance(answer, list) or len(answer) != 3 or not isinstance(answer[0], int):
             raise Refused(f"{self.uri} answers {method} with nonsense: {cut(repr(answer), 120)}")
@@ -262,7 +262,7 @@ class JoinedMaster:
         return answer[2]
 
     async def _lookup(self, method: str, name: str) -> str:
-        """Of a node or a service; empty when it has gone meanwhile."""
+        """The address of a node or a service; empty when it no longer exists."""
         try:
             address = await self._call(method, name)
         except _Denied:
@@ -273,7 +273,7 @@ class JoinedMaster:
 
 
 def _state(answer: Any) -> list[dict[str, list[str]]]:
-    """Publishers, subscribers and providers by name, of what getSystemState answers. Raises Refused."""
+    """Parse getSystemState: publishers, subscribers and providers by name. Raises Refused."""
     if not isinstance(answer, list) or len(answer) != 3:
         raise Refused("the master answers getSystemState with nonsense")
     return [
@@ -282,7 +282,7 @@ def _state(answer: Any) -> list[dict[str, list[str]]]:
 
 
 def _pairs(answer: Any, kind: type) -> list[tuple[str, Any]]:
-    """Raises Refused unless these are names with a value of that kind each."""
+    """Check that the answer is a list of names, each with a value of type `kind`. Raises Refused."""
     if not isinstance(answer, list) or not all(
         isinstance(each, list) and len(each) == 2 and isinstance(each[0], str) and isinstance(each[1], kind)
         for each in answer

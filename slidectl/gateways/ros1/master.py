@@ -1,7 +1,7 @@
-"""The master: what foreign nodes have registered beside the daemon's graph, under the calls of ROS's Master API.
+"""The ROS master: registrations of foreign nodes together with the daemon's graph, under ROS's Master API.
 
-The words of the answers are rosmaster's. A registration ends when its node says so: as with rosmaster, a node that was
-killed stays until `rosnode cleanup`, or until one of the same name comes.
+The answer texts are rosmaster's. A registration ends when its node unregisters. As with rosmaster, a killed node stays
+registered until `rosnode cleanup`, or until a node with the same name registers.
 """
 
 from __future__ import annotations
@@ -22,20 +22,23 @@ from slidectl.gateways.tasks import Tasks
 _log = logging.getLogger(__name__)
 
 MOST_NODES = 300
-"""Foreign nodes: each may be a connection to the daemon, and that has 512."""
+"""Limit of foreign nodes: each may need a connection to the daemon, which accepts 512."""
 MOST_REGISTRATIONS = 20_000
 _MOST_TYPES = 20_000
 PARAMETERS = "parameters"
 _COMMANDS = "/slidectl_"
-"""How the nodes of connections are called that have no name of their own."""
+"""Name prefix of connections without a node name of their own."""
 _PUBLISHERS, _SUBSCRIBERS, _SERVICES = "publishers", "subscribers", "services"
 _MOST_AT_ONCE = 50
-"""Nodes that are being called at the same time: each call is a descriptor."""
+"""Nodes called at the same time: each call needs a file descriptor."""
 
 
 class Registrations:
-    """Foreign nodes with their addresses, and what they have registered: by kind, by key (a topic, a service, a
-    parameter), the nodes with an address each (of a service: that of the service)."""
+    """The registrations of foreign nodes.
+
+    `addresses` is node -> address of its slave API. `kinds` is kind -> key (a topic, service or parameter) -> node ->
+    address (for a service, the service's address).
+    """
 
     def __init__(self) -> None:
         self.addresses: dict[str, str] = {}
@@ -46,7 +49,7 @@ class Registrations:
         self._count = 0
 
     def add(self, kind: str, key: str, node: str, address: str, uri: str = "") -> None:
-        """Register. Raises Refused: there are too many."""
+        """Register a key for a node. Raises Refused: too many registrations."""
         is_too_many = len(self.addresses) >= MOST_NODES and node not in self.addresses
         if is_too_many or self._count >= MOST_REGISTRATIONS:
             what = f"{MOST_NODES} nodes are" if is_too_many else f"{MOST_REGISTRATIONS} registrations are"
@@ -69,7 +72,7 @@ class Registrations:
                 del self._held[node], self.addresses[node]
 
     def remove_node(self, node: str) -> list[tuple[str, str]]:
-        """Take back all that it has. Returns kinds and keys."""
+        """Remove all registrations of a node. Returns their kinds and keys."""
         held = list(self._held.get(node, ()))
         for kind, key in held:
             self.remove(kind, key, node)
@@ -77,9 +80,9 @@ class Registrations:
 
 
 class NodeCalls:
-    """What foreign nodes have to be told: one call of a node at a time, the newest of each kind.
+    """Calls to foreign nodes: one at a time per node, the newest per method and first argument.
 
-    A call that fails is not made again, as with rosmaster.
+    A failed call is not repeated, as with rosmaster.
     """
 
     def __init__(self) -> None:
@@ -88,9 +91,9 @@ class NodeCalls:
         self._limit = asyncio.Semaphore(_MOST_AT_ONCE)
 
     def send(self, uri: str, method: str, *arguments: Any, take: Callable[[Any], None] | None = None) -> None:
-        """Call `method` of the node at this address, with the master as caller; `take` gets what it answers.
+        """Call `method` of the node at this address, with the master as caller; `take` gets the answer.
 
-        Of what waits with the same method and first argument (a topic, a parameter) only the newest is sent.
+        Of waiting calls with the same method and first argument (a topic, a parameter) only the newest is sent.
         """
         key = (method, str(arguments[0]))
         waiting = self._waiting.get(uri)
@@ -102,7 +105,7 @@ class NodeCalls:
         self._tasks.begin(self._send_all(uri))
 
     def close(self) -> None:
-        """Tell nobody any more."""
+        """Cancel all calls."""
         self._tasks.cancel()
 
     async def _send_all(self, uri: str) -> None:
@@ -124,7 +127,7 @@ class NodeCalls:
 
 
 class Master:
-    """The master of foreign nodes. `uri` is its own address."""
+    """The master for foreign nodes. `uri` is its own address."""
 
     def __init__(self, natives: NativeGraph, calls: NodeCalls, data: DataPlane) -> None:
         self.uri = ""
@@ -134,13 +137,13 @@ class Master:
         self._data = data
         self._types: dict[str, str] = {}
         self._shown: dict[str, str] = {}
-        """Topics that foreign subscribers get from us, and the native node from which they have them."""
+        """Topic -> the native node that its foreign subscribers were given as publisher."""
         kinds = self.registrations.kinds
         self._publishers, self._subscribers = kinds[_PUBLISHERS], kinds[_SUBSCRIBERS]
         self._services = kinds[_SERVICES]
 
     def add_methods(self, api: Api) -> None:
-        """The calls of the Master API, and those that every node has."""
+        """Add the methods of the Master API and those common to all nodes."""
         topic, topic_type, address = api_calls.name("topic"), api_calls.type_name, api_calls.uri("caller_api")
         service, service_address = api_calls.name("service"), api_calls.uri("service_api")
         api.add(self.registerService, 0, service, service_address, address)
@@ -220,8 +223,11 @@ class Master:
         return 1, f"Unregistered [{caller}] as provider of [{topic}]", 1
 
     def admit(self, node: str, address: str) -> None:
-        """A node registers something. One of the same name at another address is shut down, as ROS does it; one of
-        slidectl's is not, so the newcomer is. Raises Refused."""
+        """Accept a node that registers something. Raises Refused: slidectl has a node of this name; the new one is shut
+        down.
+
+        A foreign node with the same name at another address is shut down, as in ROS.
+        """
         if node in self._natives.nodes:
             self._calls.send(address, "shutdown", f"[{node}] Reason: slidectl has a node of this name")
             raise Refused(f"slidectl has a node [{node}]; give yours another name")
@@ -252,34 +258,34 @@ class Master:
     # --- telling ------------------------------------------------------------------------------------------------
 
     def tell_topic(self, topic: str) -> None:
-        """Tell what carries the data who publishes and subscribes a topic."""
+        """Pass the foreign publishers and subscribers of a topic to the data plane."""
         kind = self._types.get(topic, ANY_TYPE)
         publishers, subscribers = dict(self._publishers.get(topic, {})), set(self._subscribers.get(topic, {}))
         self._data.set_foreign_topic(topic, kind, publishers, subscribers)
 
     def tell_services(self) -> None:
-        """Tell it who provides services."""
+        """Pass the foreign services to the data plane."""
         provided = {service: next(iter(nodes.items())) for service, nodes in self._services.items()}
         self._data.set_foreign_services(provided)
 
     def notify_subscribers(self, topic: str) -> None:
-        """Tell the foreign subscribers of a topic who publishes it."""
+        """Send the list of publishers to the foreign subscribers of a topic."""
         uris = self._publisher_uris(topic)
         for address in set(self._subscribers.get(topic, {}).values()):
             self._calls.send(address, "publisherUpdate", topic, uris)
 
     def natives_changed(self) -> None:
-        """The daemon's graph is another: tell the foreign subscribers of topics that others publish now."""
+        """Notify the foreign subscribers of topics whose native publisher has changed."""
         for topic in self._subscribers:
             before = self._shown.get(topic, "")
             if self._native_publisher(topic) != before:
                 self.notify_subscribers(topic)
 
     def _native_publisher(self, topic: str) -> str:
-        """The node that stands for all of slidectl's publishers of a topic, empty when it is not to be had here.
+        """The node that represents all native publishers of a topic; empty when the topic is not served.
 
-        It is us while there is none: what a command publishes that comes for a moment is heard then. Whoever has a
-        connection keeps it as long as he can: no message is lost because one more publishes.
+        Without a publisher it is the gateway's own node, so that messages of a short-lived command are received. The
+        node is kept as long as possible: foreign subscribers keep their connection, and no message is lost.
         """
         if not self._data.serves(topic):
             self._shown.pop(topic, None)
@@ -339,7 +345,7 @@ class Master:
         return 1, "", os.getpid()
 
     def shutdown(self, caller: str, _: Any) -> Answered:
-        """A master ends with its process. Anybody could ask for it, and the simulation would lose its nodes."""
+        """Refuse: the master ends with its process. Any node could call this and cut the simulation off."""
         _log.info("%s asks the master to shut down: it goes on", cut(caller, 120))
         return -1, "the gateway ends with: slidectl gateway ros1 stop", 0
 
@@ -350,7 +356,7 @@ class Master:
 def _joined(
     natives: dict[str, list[str]], foreign: dict[str, dict[str, str]], is_single: bool = False
 ) -> list[list[Any]]:
-    """Keys with their nodes. With `is_single` a foreign one stands for the native one."""
+    """Key -> nodes, native and foreign. With `is_single` a foreign node replaces the native one."""
     keys: Iterable[str] = dict.fromkeys((*natives, *foreign))
     return [
         [key, [*(() if is_single and key in foreign else natives.get(key, ())), *foreign.get(key, ())]] for key in keys

@@ -1,4 +1,4 @@
-"""What ROS sees of the daemon's graph: its nodes, without those that stand there for foreign ones, and without us."""
+"""The part of the daemon's graph that ROS sees: all nodes except the gateway and those that represent foreign nodes."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 OWN_NODE = "/ros1_gateway"
-"""The node of the gateway's own connections."""
+"""The node name of the gateway's own connections."""
 
 
 class NativeGraph:
@@ -18,13 +18,13 @@ class NativeGraph:
         self.publishers: dict[str, list[str]] = {}
         self.subscribers: dict[str, list[str]] = {}
         self.services: dict[str, str] = {}
-        """The node of each."""
+        """Service -> its node."""
         self.nodes: set[str] = set()
         self.service_uri = ""
         """The rosrpc address of all services."""
 
     def take(self, state: dict[str, Any], is_hidden: Callable[[str], bool]) -> dict[str, Any]:
-        """Have this state without the nodes that are hidden. Returns what is left of it."""
+        """Store this state without the hidden nodes. Returns the remaining state."""
         topics = []
         for topic in state["topics"]:
             publishers = [node for node in topic["publishers"] if not is_hidden(node)]
@@ -41,9 +41,9 @@ class NativeGraph:
         return {"topics": topics, "services": services}
 
     def published_by(self, node: str) -> list[list[str]]:
-        """Topics and their types."""
+        """Topics that a node publishes, with their types."""
         return [[topic, self.types[topic]] for topic, nodes in self.publishers.items() if node in nodes]
 
     def subscribed_by(self, node: str) -> list[list[str]]:
-        """Topics and their types."""
+        """Topics that a node subscribes, with their types."""
         return [[topic, self.types[topic]] for topic, nodes in self.subscribers.items() if node in nodes]

@@ -1,6 +1,6 @@
-"""ROS's Parameter Server API on the daemon's parameters. Nothing is kept here but who wants to hear of changes.
+"""ROS's Parameter Server API on the daemon's parameters. It stores no values, only the subscribers of changes.
 
-A refusal of the daemon is the answer -1 with its reason. While no daemon is there calls wait for one, for a while.
+A refusal of the daemon becomes the answer -1 with its reason. Without a daemon, calls wait for one for a limited time.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from slidectl.gateways.ros1.master import PARAMETERS, Master, NodeCalls
 _log = logging.getLogger(__name__)
 
 _DAEMON_LIMIT_S = 10.0
-"""How long calls wait for a daemon that has gone, counted from then: a node makes several as it starts."""
+"""Seconds for which calls wait for a daemon, counted from its end: a starting node makes several calls."""
 _UNSET = "\0 no such parameter"
-"""The default that we ask with: a text that nobody sets."""
+"""The default sent with a query; it marks a parameter that is not set."""
 
 
 class DaemonParameters:
@@ -44,17 +44,17 @@ class DaemonParameters:
             self._wait_for_daemon()
 
     async def get(self, key: str) -> Any:
-        """The value. Raises KeyError: it is not set; Refused, NoDaemon."""
+        """The value. Raises KeyError: not set; Refused, NoDaemon."""
         text = (await self._call("get_param", {"name": key, "default": json.dumps(_UNSET)}))["value"]
         if (value := json.loads(text)) == _UNSET:
             raise KeyError(key)
         return value
 
     async def set(self, key: str, value: Any) -> None:
-        """Raises Refused, with the reason; NoDaemon."""
+        """Set a parameter. Raises Refused, with the reason; NoDaemon."""
         try:
             text = json.dumps(value)
-        except TypeError:  # bytes; a dateTime is its text
+        except TypeError:  # bytes; a dateTime is a str
             raise Refused(f"parameter {key}: binary data is no value", "slidectl's parameters hold no bytes") from None
         await self._call("set_param", {"name": key, "value": text})
 
@@ -62,7 +62,7 @@ class DaemonParameters:
         return bool((await self._call("has_param", {"name": key}))["exists"])
 
     async def delete(self, key: str) -> None:
-        """Raises Refused: it is not set, or is in use; NoDaemon."""
+        """Delete a parameter. Raises Refused: it is not set, or is in use; NoDaemon."""
         await self._call("delete_param", {"name": key})
 
     async def names(self) -> list[str]:
@@ -79,7 +79,7 @@ class DaemonParameters:
 
 
 class ParameterServer:
-    """The calls. Who subscribes a parameter is a node of the master's too."""
+    """The methods of the API. Subscribers of parameters are registered at the master."""
 
     def __init__(self, parameters: DaemonParameters, master: Master, calls: NodeCalls) -> None:
         self._parameters = parameters
@@ -88,9 +88,9 @@ class ParameterServer:
         self._subscribers = master.registrations.kinds[PARAMETERS]
         self._calls = calls
         self._being_set: dict[str, str] = {}
-        """Names with who sets them: a node is not told of what it did itself."""
+        """Parameter -> node that sets it right now: a node is not notified of its own change."""
         self._changed: dict[str, str | None] = {}
-        """Names of which nobody was told yet, with who set them."""
+        """Changed parameters whose subscribers are not notified yet -> node that set them."""
         self._telling: asyncio.Task[None] | None = None
 
     def add_methods(self, api: Api) -> None:
@@ -129,7 +129,7 @@ class ParameterServer:
             return -1, f"Parameter [{key}] is not set", 0
 
     async def searchParam(self, caller: str, key: str) -> Answered:  # noqa: N802
-        """In the caller's own namespace, then in those above: the first where the first part of the name is."""
+        """Search the caller's namespace, then those above, for the first part of the name."""
         if key.startswith("~"):
             return 0, "Internal failure: invalid key", 0
         if not caller.startswith("/"):
@@ -165,7 +165,7 @@ class ParameterServer:
         return 1, "Parameter names", await self._parameters.names()
 
     def changed(self, changed: list[str]) -> None:
-        """These were set or deleted in the daemon: tell who has subscribed them, what is above or what is below."""
+        """Notify the subscribers of changed parameters, of namespaces above them and of names below them."""
         self._changed.update({name: self._being_set.get(name) for name in changed})
         if self._telling is None or self._telling.done():
             self._telling = asyncio.get_running_loop().create_task(self._tell())
@@ -193,7 +193,7 @@ class ParameterServer:
                 continue
 
             def take(answer: Any, node: str = node) -> None:
-                if isinstance(answer, list) and answer[:1] == [-1]:  # it is not subscribed any more
+                if isinstance(answer, list) and answer[:1] == [-1]:  # the node no longer subscribes it
                     self._registrations.remove(PARAMETERS, key, node)
 
             self._calls.send(address, "paramUpdate", told if told == "/" else f"{told}/", value, take=take)

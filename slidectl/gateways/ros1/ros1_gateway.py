@@ -1,4 +1,4 @@
-"""The ROS 1 gateway: a master for this machine (or a place at one that is there), and the daemon's nodes in it."""
+"""The ROS 1 gateway: a master for this machine (or registration at an existing one), and the daemon's nodes in it."""
 
 from __future__ import annotations
 
@@ -30,26 +30,26 @@ _log = logging.getLogger(__name__)
 _LOOPBACK = "127.0.0.1"
 _ASK_AGAIN_S = 1.0
 _GATHER_S = 0.01
-"""Changes of the graph that come within it are one: a spawn makes many."""
+"""Seconds; graph changes within this time are handled together: a spawn makes many."""
 _ROSDISTRO, _ROSVERSION = "noetic\n", "1.16.0\n"
-"""What roscore of the last ROS 1 sets."""
+"""The values that roscore of the last ROS 1 release sets."""
 _ROSOUT = "/rosout"
-"""The node of roscore that says on /rosout_agg what anybody says on /rosout."""
+"""roscore's node, which republishes /rosout on /rosout_agg."""
 
 
 @dataclass
 class Ros1Options:
-    """Where it listens, and whose master it is."""
+    """The address to listen on, and the master to join."""
 
     port: int = 11311
     host: str = "localhost"
-    """What ROS_IP and ROS_HOSTNAME say counts when it is localhost."""
+    """With localhost, ROS_IP and ROS_HOSTNAME apply."""
     master: str = ""
-    """URI of a master to join, in place of being one."""
+    """URI of a master to join; by default the gateway is a master itself."""
 
 
 class Ros1Gateway(Gateway):
-    """Two servers of XML-RPC, for the master and for the daemon's nodes, and what carries the data."""
+    """Two XML-RPC servers, for the master and for the daemon's nodes, and the data plane."""
 
     kind = "ros1"
 
@@ -60,7 +60,7 @@ class Ros1Gateway(Gateway):
         self._options = options
         self._paths: InstancePaths | None = None
         self._proxies: dict[str, DaemonConnection | None] = {}
-        """Nodes of the daemon's graph that stand for foreign ones; None while the connection is being made."""
+        """Node names of connections that represent foreign nodes; None while connecting."""
         self._following: asyncio.Task[None] | None = None
         self._graph_changed = asyncio.Event()
         self._main: DaemonConnection | None = None
@@ -72,7 +72,7 @@ class Ros1Gateway(Gateway):
     # --- Gateway ------------------------------------------------------------------------------------------------
 
     async def open(self) -> str:
-        """As every gateway. Raises also UsageError: the URI of the master is none."""
+        """Listen, and return the address to show. Raises as Gateway.open, and UsageError: invalid URI of the master."""
         if master := self._options.master:
             try:
                 xmlrpc.host_port_path(master)
@@ -159,14 +159,14 @@ class Ros1Gateway(Gateway):
         return uri.rstrip("/")
 
     async def _open_nodes(self, slave: Slave, bound: str, shown: str) -> None:
-        """Serve the slave API, and listen for data."""
+        """Serve the slave API, and listen for TCPROS."""
         port = await self._listen(slave.answer, bound, 0)
         self._nodes_at = f"http://{in_uri(shown)}:{port}"
         await self._data.open()
         self._natives.service_uri = self._data.service_uri()
 
     async def _listen(self, answer: xmlrpc.Answer, bound: str, port: int) -> int:
-        """The port. Raises Refused: it is taken."""
+        """Serve XML-RPC. Returns the port. Raises Refused: it is taken."""
         server = xmlrpc.XmlRpcServer(answer)
         try:
             port = await server.open(bound, port)
@@ -188,10 +188,10 @@ class Ros1Gateway(Gateway):
         return Refused(f"{reason}\na ROS master is there already, process {pid}", hint)
 
     async def _host(self) -> tuple[str, str]:
-        """The address to listen on, and the name that others are told. Raises Refused: there is no such host.
+        """The address to listen on, and the host name to advertise. Raises Refused: no such host.
 
-        Without ROS_IP, ROS_HOSTNAME and --host that is loopback, and where a master on another machine is joined the
-        address by which this machine reaches it.
+        Without ROS_IP, ROS_HOSTNAME and --host that is loopback, or, for a master on another machine, the address by
+        which this machine reaches it.
         """
         host = self._options.host
         override = os.environ.get("ROS_HOSTNAME") or os.environ.get("ROS_IP") or ""
@@ -217,12 +217,12 @@ class Ros1Gateway(Gateway):
     # --- the daemon ---------------------------------------------------------------------------------------------
 
     async def _connect(self, node: str) -> DaemonConnection:
-        """A connection as this node. Raises Refused: the name is taken; NoDaemon."""
+        """Connect to the daemon under this node name. Raises Refused: the name is taken; NoDaemon."""
         assert self._paths is not None
         return await DaemonConnection.open(self._paths, node, self.lost.set)
 
     async def _connect_proxy(self, node: str) -> DaemonConnection:
-        """One that stands for a foreign node; under another name when the daemon has a node of this one."""
+        """Connect on behalf of a foreign node; under another name when the daemon has a node of this name."""
         try:
             return await self._proxy(node)
         except Refused as error:
@@ -230,7 +230,7 @@ class Ros1Gateway(Gateway):
             return await self._proxy(f"{node}_ros1")
 
     async def _proxy(self, name: str) -> DaemonConnection:
-        """Raises as `_connect`."""
+        """Connect and register the connection in `_proxies`. Raises as `_connect`."""
         self._proxies[name] = None
         try:
             self._proxies[name] = connection = await self._connect(name)
@@ -240,14 +240,14 @@ class Ros1Gateway(Gateway):
         return connection
 
     async def _set_own_parameters(self) -> None:
-        """What roscore sets."""
+        """Set the parameters that roscore sets, if they are not set."""
         own = {"/rosdistro": _ROSDISTRO, "/rosversion": _ROSVERSION, "/run_id": str(uuid.uuid1())}
         for name, value in own.items():
             if not await self._parameters.has(name):
                 await self._parameters.set(name, value)
 
     async def _open_rosout(self) -> None:
-        """roscore's node, as a connection to the daemon. Raises Refused, NoDaemon."""
+        """Provide roscore's /rosout node, as a connection to the daemon. Raises Refused, NoDaemon."""
         self._rosout = connection = await self._connect(_ROSOUT)
         connection.advertise("/rosout_agg", "rosgraph_msgs/Log")
 
@@ -272,11 +272,11 @@ class Ros1Gateway(Gateway):
                 await self._take_graph()
             except NoDaemon:
                 return
-            except SlidectlError as error:  # a daemon that stood still for a while
+            except SlidectlError as error:  # the daemon did not respond for a while
                 _log.warning("the graph: %s; it is asked again", error)
                 await asyncio.sleep(_ASK_AGAIN_S)
                 self._graph_changed.set()
-            except Exception:  # a fault of ours with one graph is none of the next
+            except Exception:  # an internal error with one graph must not stop the next
                 _log.exception("the graph")
 
     async def _take_graph(self) -> None:
@@ -284,7 +284,7 @@ class Ros1Gateway(Gateway):
         self._graph_changed.clear()
         closed = [node for node, connection in self._proxies.items() if connection and not connection.is_open]
         self._set_graph(await self._main.call("/slidectl/graph"))
-        for node in closed:  # the daemon has heard of that: this name may be anybody's now
+        for node in closed:  # the graph just read no longer has them: another connection may use the name now
             if (connection := self._proxies.get(node)) and not connection.is_open:
                 del self._proxies[node]
 
@@ -297,7 +297,7 @@ class Ros1Gateway(Gateway):
             self._joined.natives_changed()
 
     def _is_hidden(self, node: str) -> bool:
-        """True for what ROS is not to see: us, and what stands for foreign nodes."""
+        """True for nodes hidden from ROS: the gateway's own, and those that represent foreign nodes."""
         return node == OWN_NODE or node in self._proxies or node.startswith(f"/slidectl_{os.getpid()}_")
 
     def _take_changes(self, published: dict[str, Any]) -> None:
@@ -308,12 +308,12 @@ class Ros1Gateway(Gateway):
 
 
 def _joined_node(paths: InstancePaths) -> str:
-    """The one node that all of a daemon is at a master that is another program."""
+    """The node name of a daemon at a master that is another program."""
     return "/slidectl_" + re.sub(r"\W", "_", paths.name, flags=re.ASCII)
 
 
 async def _check_host(host: str) -> None:
-    """Raises Refused unless the name has an address."""
+    """Check that the host resolves. Raises Refused."""
     try:
         await asyncio.get_running_loop().getaddrinfo(host, None)
     except (OSError, UnicodeError) as error:
@@ -321,7 +321,7 @@ async def _check_host(host: str) -> None:
 
 
 async def _address_towards(uri: str) -> str:
-    """The address of this machine by which it reaches the host of that URI. Raises Refused: there is no such host."""
+    """The address of this machine on the route to the URI's host. Raises Refused: no such host, or no answer."""
     host, port, _ = xmlrpc.host_port_path(uri)
     await _check_host(host)
     try:

@@ -1,4 +1,4 @@
-"""The message types of ROS 1 as its connections need them."""
+"""ROS 1 message types with what TCPROS connections need: md5 sum, definition, serialization."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from slidectl.msgs import Field, Message
 from slidectl.msgs.serialization import packer, unpacker
 
 _MOST_ELEMENTS = 100_000
-"""Elements of all lists of a message that comes in; the daemon takes no more values."""
+"""Limit of the elements of all lists of a received message; the daemon accepts no more values."""
 
 
 class Ros1Type:
-    """A message type: its md5 sum, its text as connection headers hold it, and its bytes. Raises UnknownName."""
+    """A message type: its md5 sum, its text for connection headers, and its serialization. Raises UnknownName."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -24,22 +24,22 @@ class Ros1Type:
         first = msgs.fields(name)[:1]
         self.has_header = first == (Field("header", "std_msgs/Header"),)
         self.pack = packer(name, msgs.fields)
-        """The bytes of a complete message."""
+        """Serialize a complete message."""
         self._unpack = unpacker(name, msgs.fields, _MOST_ELEMENTS)
 
     def unpack(self, data: bytes) -> Message:
-        """The message. Raises BadMessage: the bytes are none."""
+        """Deserialize a message. Raises BadMessage."""
         try:
             return self._unpack(data)
         except (struct.error, ValueError) as error:
             raise BadMessage(f"{len(data)} bytes that are no {self.name}: {error}") from None
 
     def key(self, data: bytes) -> int:
-        """The same for messages that differ in nothing but `header.seq`."""
+        """A key that is equal for messages that differ only in `header.seq`."""
         return hash(data[4:] if self.has_header else data)
 
 
 @cache
 def ros1_type(name: str) -> Ros1Type:
-    """The type of that name; services have `pkg/TypeRequest` and `pkg/TypeResponse`. Raises UnknownName."""
+    """The type of that name; those of services are `pkg/TypeRequest` and `pkg/TypeResponse`. Raises UnknownName."""
     return Ros1Type(name)

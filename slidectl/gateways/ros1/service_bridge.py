@@ -23,7 +23,7 @@ _DONE, _FAILED = b"\x01", b"\x00"
 
 
 class ServiceServer:
-    """The provider of all native services."""
+    """The provider of all native services to ROS nodes."""
 
     def __init__(self, node: str) -> None:
         self._node = node
@@ -35,12 +35,12 @@ class ServiceServer:
         self._daemon = daemon
 
     def detach(self) -> None:
-        """The daemon has gone. Clients keep their connections; calls fail until it is back."""
+        """Handle the end of the daemon. Clients stay connected; calls fail until a daemon is back."""
         self._daemon = None
         self.services = {}
 
     def accept(self, connection: TcprosConnection, header: Fields) -> None:
-        """A client has sent its header. The texts of refusals are rospy's."""
+        """Process a client's header. The refusal texts are rospy's."""
         for required in ("service", "md5sum", "callerid"):
             if required not in header:
                 connection.refuse(f"Missing required '{required}' field")
@@ -74,14 +74,14 @@ class ServiceServer:
         ServiceClientLink(self, connection, service, ros1_type(request), ros1_type(response), is_persistent)
 
     async def call(self, service: str, request: Message) -> Message:
-        """Raises SlidectlError."""
+        """Call a native service. Raises SlidectlError."""
         if self._daemon is None:
             raise NoDaemon("the daemon has gone")
         return await self._daemon.call(service, request, timeout_s=math.inf)
 
 
 class ServiceClientLink:
-    """One foreign client of one service. Its requests are answered one after the other."""
+    """A foreign client of one service. Its requests are answered one after the other."""
 
     def __init__(
         self,
@@ -99,14 +99,14 @@ class ServiceClientLink:
         self._response = response
         self._is_persistent = is_persistent
         self._waiting: deque[bytes | str] = deque()
-        """Requests, and the reasons why there is none."""
+        """Received requests, or reasons why a request could not be received."""
         self._task: asyncio.Task[None] | None = None
         connection.on_message = lambda body, _: self._take(body)
         connection.on_too_long = self._take
         connection.on_closed = self._end
 
     def _take(self, request: bytes | str) -> None:
-        """Nothing more is read while a second one waits, so that who only asks fills its own buffers."""
+        """Queue a request. Reading stops while a second one waits, so that a fast client fills its own buffers."""
         self._waiting.append(request)
         if self._task is None:
             self._task = asyncio.get_running_loop().create_task(self._serve())
@@ -114,7 +114,7 @@ class ServiceClientLink:
             self._connection.pause_reading()
 
     async def _serve(self) -> None:
-        """Answer all that wait."""
+        """Answer all waiting requests."""
         while self._waiting:
             self._connection.write(await self._answer(self._waiting.popleft()))
             await self._connection.writable()
@@ -132,7 +132,7 @@ class ServiceClientLink:
             return _DONE + frame(self._response.pack(values))
         except SlidectlError as error:
             return _FAILED + frame(f"service cannot process request: {error}".encode())
-        except Exception as error:  # a fault of ours is the failure of one call
+        except Exception as error:  # an internal error fails only this call
             traceback.print_exc()
             return _FAILED + frame(f"service cannot process request: internal error: {error!r}".encode())
 
@@ -142,7 +142,7 @@ class ServiceClientLink:
 
 
 async def service_type(service: str, uri: str, caller: str) -> tuple[str, str]:
-    """Type and md5 sum of a foreign service, which only the service itself knows. Raises SlidectlError."""
+    """Ask a foreign service for its type and md5 sum. Raises SlidectlError."""
     outgoing = await OutgoingConnection.connect(
         *_address(uri), {"callerid": caller, "md5sum": ANY_MD5, "probe": "1", "service": service}
     )
@@ -152,10 +152,10 @@ async def service_type(service: str, uri: str, caller: str) -> tuple[str, str]:
 
 
 async def call_service(service: str, uri: str, type_name: str, request: Message, caller: str) -> Message:
-    """The response of a foreign service. It may take as long as it takes; a server that hangs up ends the call.
+    """Call a foreign service and return its response. No time limit; the call ends when the server disconnects.
 
     Raises:
-        SlidectlError: it failed, with its reason.
+        SlidectlError: the call failed, with the reason.
     """
     outgoing = await OutgoingConnection.connect(
         *_address(uri),

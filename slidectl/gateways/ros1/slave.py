@@ -1,7 +1,6 @@
-"""The slave API of the daemon's nodes. Which node is meant stands in the path of its address: http://host:port/gazebo.
+"""The slave API of the daemon's nodes. The path of the address selects the node, for example http://host:port/gazebo.
 
-roscpp leaves the paths out of the addresses that it calls. That does not matter: topics are asked for at the gateway's
-own node, which has those of all.
+roscpp omits the path in its calls. That is harmless: it asks the gateway's own node for topics, which has all of them.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ _log = logging.getLogger(__name__)
 
 
 class Slave:
-    """All nodes of the daemon. `joined` is their master where that is another program."""
+    """The slave API of all nodes of the daemon. `joined` is their master if that is another program."""
 
     def __init__(self, natives: NativeGraph, data: DataPlane, master_uri: str, joined: JoinedMaster | None) -> None:
         self._natives = natives
@@ -44,7 +43,7 @@ class Slave:
         add(self.requestTopic, [], api_calls.name("topic"), api_calls.protocols)
 
     async def answer(self, path: str, method: str, arguments: list[Any]) -> Answered:
-        """The answer to a call at this path. Raises XmlRpcFault."""
+        """Answer a call at this path. Raises XmlRpcFault."""
         node = "" if path in ("/", "/RPC2") else "/" + path.strip("/")
         if node not in ("", OWN_NODE) and node not in self._natives.nodes:
             return -1, f"unknown node [{node}]", 0
@@ -66,7 +65,7 @@ class Slave:
         return 1, "", node
 
     def shutdown(self, node: str, caller: str, reason: Any) -> Answered:
-        """Nobody ends the simulation, or a client of it, from here. A master may let go the node that joined it."""
+        """Refuse, except for the master that was joined: no ROS node may end the simulation or one of its clients."""
         if self._joined is not None and caller == "/master":
             self._joined.shut_down(str(reason))
             return 1, "shutdown", 0

@@ -1,7 +1,6 @@
-"""TCPROS: connection headers, frames of messages, and a connection on asyncio that has both.
+"""TCPROS: connection headers, message frames, and an asyncio connection that uses both.
 
-What comes from outside is bounded in length and time, what waits for a reader in count and length. Knows no topic and
-no service.
+Received data is limited in length and time, queued data in count and length. It knows no topic and no service.
 """
 
 from __future__ import annotations
@@ -22,36 +21,36 @@ Fields = dict[str, str]
 
 LONGEST_HEADER = 256 * 1024
 LONGEST_MESSAGE = LONGEST_LINE * 3 // 4
-"""Bytes of a message: as base64 it must fit a line of the daemon."""
+"""Bytes of a message: its base64 form must fit into a line to the daemon."""
 HANDSHAKE_LIMIT_S = 10.0
 SENDER_GONE = "unable to receive data from sender, check sender's logs for details"
-"""What rospy says when the other end hangs up."""
+"""rospy's text for a connection closed by the other side."""
 
 _MOST_QUEUED = 4000
-"""Messages that wait for a subscriber: some seconds at 1 kHz, in which others may have the processor."""
+"""Messages queued for a subscriber: some seconds at 1 kHz, in case other processes occupy the CPU."""
 _MOST_QUEUED_BYTES = 8 * 1024 * 1024
 _MOST_HELD = 128 * 1024 * 1024
-"""Bytes of messages of which the end has not come, of all connections."""
+"""Limit of the bytes of unfinished messages, over all connections."""
 _WRITE_AHEAD = 64 * 1024
-"""Bytes that are given to asyncio beyond what the socket takes."""
+"""Bytes in asyncio's write buffer beyond which messages are queued here."""
 _KEEPALIVE = ((socket.TCP_KEEPIDLE, 60), (socket.TCP_KEEPINTVL, 10), (socket.TCP_KEEPCNT, 9))
-"""As rospy sets them: a host that has vanished is noticed after two and a half minutes."""
+"""rospy's values: a vanished host is detected after two and a half minutes."""
 _U32 = Struct("<I")
 
 
 class BadHeader(UsageError):
-    """Bytes that are no connection header. The texts are rosgraph's."""
+    """Bytes that are no valid connection header. The texts are rosgraph's."""
 
 
 def encode_header(fields: Fields) -> bytes:
-    """A header with its length before it."""
+    """Encode a header, with its length first."""
     lines = [f"{name}={value}".encode("utf-8", "replace") for name, value in sorted(fields.items())]
     body = b"".join(_U32.pack(len(line)) + line for line in lines)
     return _U32.pack(len(body)) + body
 
 
 def decode_header(body: bytes) -> Fields:
-    """The fields of a header, without the length before it. Raises BadHeader."""
+    """Decode a header, without the length. Raises BadHeader."""
     fields: Fields = {}
     at, size = 0, len(body)
     while at < size:
@@ -74,50 +73,50 @@ def decode_header(body: bytes) -> Fields:
 
 
 def frame(body: bytes) -> bytes:
-    """A message as it is sent."""
+    """A message with its length first, as it is sent."""
     return _U32.pack(len(body)) + body
 
 
 class TcprosConnection(asyncio.Protocol):
-    """One socket. First each side sends a header, then messages follow.
+    """One socket. Each side first sends a header, then messages.
 
-    A message that is longer than allowed is read and thrown away: `on_too_long` hears of it.
+    A message above the length limit is read and discarded, and `on_too_long` is called.
     """
 
     _serials = count(1)
     _held = 0
 
     def __init__(self, on_header: Callable[[TcprosConnection, Fields], None], has_status: bool = False) -> None:
-        """`has_status`: a byte before each message says whether it is one, or the text of a failure."""
+        """`has_status`: a byte before each message tells success from an error text, as for services."""
         self.on_header = on_header
         self.on_message: Callable[[bytes, bool], None] = lambda _body, _is_done: None
-        """Takes the bytes, and False when they are the text of a failure."""
+        """Takes the body, and False when it is an error text."""
         self.on_too_long: Callable[[str], None] = lambda _: None
         self.on_closed: Callable[[], None] = lambda: None
-        """Called once when the connection has ended, whoever ended it."""
+        """Called once when the connection has ended, on whichever side."""
         self.on_opened: Callable[[TcprosConnection], None] = lambda _: None
         self.on_gone: Callable[[TcprosConnection], None] = lambda _: None
-        """These two are the listener's."""
+        """`on_opened` and `on_gone` are for the listener."""
         self.id = next(self._serials)
         self.sent = self.received = 0
-        """Messages."""
+        """The number of messages."""
         self.sent_bytes = self.received_bytes = 0
         self.dropped = 0
-        """Messages that the other end did not read in time."""
+        """The number of messages dropped because the other side read too slowly."""
         self.is_open = False
         self._is_refused = False
         self._prefix = 1 if has_status else 0
         self._has_header = False
         self._rest = bytearray()
         self._counted = 0
-        """Bytes of it that are counted in `_held`."""
+        """Bytes of `_rest` that are counted in `_held`."""
         self._skip = 0
         self._queue: deque[bytes] = deque()
         self._queued_bytes = 0
         self._may_write = asyncio.Event()
         self._may_write.set()
         self.where = ""
-        """As getBusInfo tells it."""
+        """The text for getBusInfo."""
 
     # --- asyncio.Protocol ---------------------------------------------------------------------------------------
 
@@ -169,7 +168,7 @@ class TcprosConnection(asyncio.Protocol):
             self.close()
 
     def _take_frames(self, data: bytes) -> int:
-        """Hand on what is whole. Returns where the rest begins."""
+        """Process whole frames. Returns the index of the unfinished rest."""
         at, size = 0, len(data)
         while self.is_open:
             begin = at + (self._prefix if self._has_header else 0)
@@ -211,11 +210,11 @@ class TcprosConnection(asyncio.Protocol):
     # --- for those who use it -----------------------------------------------------------------------------------
 
     def send_header(self, fields: Fields) -> None:
-        """Send the header of this side."""
+        """Send this side's header."""
         self.write(encode_header(fields))
 
     def refuse(self, reason: str) -> None:
-        """Send a header that says why there is no connection, and end it when it has been read."""
+        """Send a header with an error text, and end the connection when it has been read."""
         if not self.is_open or self._is_refused:
             return
         self.send_header({"error": reason})
@@ -226,16 +225,16 @@ class TcprosConnection(asyncio.Protocol):
         self._limit = asyncio.get_running_loop().call_later(HANDSHAKE_LIMIT_S, self.close)
 
     def write(self, data: bytes) -> None:
-        """Send these bytes, whatever waits already."""
+        """Send bytes at once, before any queued messages."""
         if self._is_writable():
             self._transport.write(data)
 
     def _is_writable(self) -> bool:
-        """Whether the other end is there, and was not refused."""
+        """True when the connection is open and was not refused."""
         return self.is_open and not self._is_refused and not self._transport.is_closing()
 
     def send(self, data: bytes) -> int:
-        """Send a framed message, or queue it. Returns how many older ones had to go for it."""
+        """Send a framed message, or queue it. Returns how many older messages were dropped."""
         if not self._is_writable():
             return 0
         if self._may_write.is_set():
@@ -251,25 +250,25 @@ class TcprosConnection(asyncio.Protocol):
         return lost
 
     async def writable(self) -> None:
-        """Wait until the other end has read most of what was sent."""
+        """Wait until most of what was sent has been read."""
         await self._may_write.wait()
 
     def ignore(self) -> None:
-        """Throw away what still comes."""
+        """Discard everything received from now on."""
         self._has_header, self._skip = True, 1 << 62
 
     def pause_reading(self) -> None:
-        """Nothing is read until `resume_reading`; what was read already is still handed on."""
+        """Stop reading until `resume_reading`; data read before is still processed."""
         if self.is_open:
             self._transport.pause_reading()
 
     def resume_reading(self) -> None:
-        """Read again."""
+        """Start reading again."""
         if self.is_open:
             self._transport.resume_reading()
 
     def close(self) -> None:
-        """End the connection: at once when the other side does not read, else when it has what was sent."""
+        """End the connection: at once if the other side does not read, else after sending what is buffered."""
         if self.is_open:
             if self._may_write.is_set():
                 self._transport.close()
@@ -296,9 +295,9 @@ class TcprosConnection(asyncio.Protocol):
 
 
 class OutgoingConnection:
-    """A connection that this side makes, for one task that waits for what comes back. Use `connect`.
+    """A connection opened by this side, for one task that waits for the answer. Use `connect`.
 
-    `check` gets the header of the other side before any message comes, and raises SlidectlError when it is not fit.
+    `check` takes the other side's header before any message, and raises SlidectlError to reject it.
     """
 
     def __init__(self, has_status: bool, check: Callable[[Fields], None]) -> None:
@@ -331,13 +330,13 @@ class OutgoingConnection:
         return made
 
     async def header(self) -> Fields:
-        """The header of the other side. Raises SlidectlError: it says an error, is not fit, or did not come."""
+        """Wait for the other side's header. Raises SlidectlError: it has an error, is rejected, or did not arrive."""
         return await self._header
 
     async def exchange(self, request: bytes) -> tuple[bytes, bool]:
-        """Send a request and wait for the answer of a service, and whether it is one.
+        """Send a request and wait for the answer of a service; False when the answer is an error text.
 
-        Raises Refused: the other side hung up, or the answer is too long.
+        Raises Refused: the other side disconnected, or the answer is too long.
         """
         self.connection.on_message = lambda body, is_done: _settle(self._answer, (body, is_done))
         self.connection.on_too_long = lambda reason: _fail(self._answer, Refused(reason))
@@ -369,4 +368,4 @@ def _settle(future: asyncio.Future[T], value: T) -> None:
 def _fail(future: asyncio.Future[Any], error: SlidectlError) -> None:
     if not future.done():
         future.set_exception(error)
-        future.exception()  # nobody may be waiting for it
+        future.exception()  # marks the exception as retrieved: possibly no task waits for it

@@ -1,7 +1,7 @@
 """Topics between the daemon and nodes of ROS 1, both ways.
 
-`TopicServer` is the publisher of native topics: each is subscribed once in the daemon, encoded once, and the same bytes
-go to all subscribers. `Follower` subscribes one foreign publisher, while the topic has a native subscriber.
+`TopicServer` is the publisher of native topics: each is subscribed once in the daemon and encoded once, and the same
+bytes go to all subscribers. `Follower` subscribes one foreign publisher while the topic has a native subscriber.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from slidectl.gateways.tasks import Tasks
 _log = logging.getLogger(__name__)
 
 Row = tuple[int, str, str, str, str, bool, str]
-"""One of getBusInfo: id, destination or source, direction, transport, topic, connected, text."""
+"""A row of getBusInfo: id, destination or source, direction, transport, topic, connected, text."""
 
 ANY_TYPE = "*"
 _TRANSPORT = "TCPROS"
 _MOST_ECHOES = 1000
 _READ_AHEAD = 10_000
-"""Messages that the daemon keeps for us: ten seconds at 1 kHz, when the processor is busy with others."""
+"""Messages that the daemon queues for the gateway: ten seconds at 1 kHz, in case the CPU is busy."""
 _SETTLE_EVERY = 1024 * 1024
-"""Bytes of foreign messages after which the daemon has to take what it was given."""
+"""Bytes of foreign messages after which the gateway waits until the daemon has taken them."""
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.5, 30.0
-"""Between two tries to reach a publisher, as rospy has them."""
+"""Pauses between attempts to connect to a publisher; rospy's values."""
 
 
 class SubscriberLink:
-    """One foreign subscriber. Until it has got the latched messages, those that come are kept in `pending`."""
+    """One foreign subscriber. Until the latched messages are sent to it, new ones are kept in `pending`."""
 
     def __init__(self, connection: TcprosConnection, caller: str) -> None:
         self.connection = connection
@@ -44,7 +44,7 @@ class SubscriberLink:
         self.pending: list[bytes] | None = []
 
     def send(self, framed: bytes) -> int:
-        """Returns how many messages were lost for it."""
+        """Send or keep a message. Returns how many older messages were dropped."""
         if self.pending is None:
             return self.connection.send(framed)
         if len(self.pending) < _MOST_ECHOES:
@@ -52,14 +52,14 @@ class SubscriberLink:
         return 0
 
     def begin(self, latched: list[bytes]) -> None:
-        """Send the latched messages, and then what came since."""
+        """Send the latched messages, and then the pending ones."""
         since, self.pending = self.pending or [], None
         for framed in [*latched, *(one for one in since if one not in latched)]:
             self.connection.send(framed)
 
 
 class TopicStream:
-    """The messages of one topic of the daemon, and all foreign subscribers that get them from here."""
+    """The messages of one topic of the daemon, and its foreign subscribers."""
 
     def __init__(self, name: str, kind: Ros1Type) -> None:
         self.name = name
@@ -67,13 +67,13 @@ class TopicStream:
         self.links: dict[SubscriberLink, None] = {}
         self.dropped = 0
         self.takes_latched = False
-        """Set while the links lack what is latched: those that outlived the daemon."""
+        """True while subscribers from before a daemon restart still need the latched messages."""
         self._active: tuple[SubscriberLink, ...] = ()
         self._echoes: deque[int] = deque(maxlen=_MOST_ECHOES)
-        """Keys of messages that foreign publishers gave us: their foreign subscribers have them from themselves."""
+        """Keys of messages that came from foreign publishers: foreign subscribers receive these directly."""
 
     def take(self, publish: Message) -> None:
-        """A message of the daemon. Each link asks for the latched ones itself."""
+        """Send a message of the daemon to all links. Latched ones are skipped: each link requests these itself."""
         if not self._active or (publish.get("latch") and not self.takes_latched):
             return
         body = self.type.pack(publish["msg"])
@@ -85,7 +85,7 @@ class TopicStream:
             self.dropped += link.send(framed)
 
     def expect_echo(self, message: Message) -> None:
-        """The daemon is about to get this message from a foreign publisher, and will give it to us too."""
+        """Register a message of a foreign publisher: the daemon will send it back, and it must be dropped then."""
         self._echoes.append(self.type.key(self.type.pack(message)))
 
     def add(self, link: SubscriberLink) -> None:
@@ -97,7 +97,7 @@ class TopicStream:
         self._update()
 
     def _update(self) -> None:
-        """A node gets the messages once: it may connect to another publisher before it leaves the last one."""
+        """Send to one link per node: a node may connect to another publisher before it leaves the last one."""
         self._active = tuple({link.caller: link for link in self.links}.values())
 
 
@@ -107,41 +107,41 @@ class TopicServer:
     def __init__(self, node: str) -> None:
         self._node = node
         self.topics: dict[str, tuple[str, list[str]]] = {}
-        """Topic -> type and native publishers, none where foreign nodes wait for one."""
+        """Topic -> type and native publishers; the list is empty if foreign subscribers wait for a publisher."""
         self.foreign_latched: Callable[[str], set[int]] = lambda _: set()
-        """Keys of the messages of a topic that foreign publishers have latched: their subscribers have them."""
+        """Returns the keys of a topic's messages latched by foreign publishers, which send these themselves."""
         self._streams: dict[str, TopicStream] = {}
         self._connection: DaemonConnection | None = None
         self._asker: DaemonConnection | None = None
-        """Asks for latched messages, one topic at a time."""
+        """The connection that reads latched messages, one topic at a time."""
         self._asking = asyncio.Lock()
         self._tasks = Tasks()
         self._lost = 0
 
     async def attach(self, connection: DaemonConnection, asker: DaemonConnection) -> None:
-        """The daemon is there. Raises NoDaemon."""
+        """Subscribe all streams at a new daemon. Raises NoDaemon."""
         self._connection, self._asker = connection, asker
         for stream in list(self._streams.values()):
             stream.takes_latched = True
             try:
                 await connection.subscribe(stream.name, stream.type.name, stream.take, queue_length=_READ_AHEAD)
-            except Refused as error:  # it has another type now
+            except Refused as error:  # the topic has another type now
                 for link in list(stream.links):
                     link.connection.close()
                 _log.warning("%s: %s", stream.name, error)
             stream.takes_latched = False
 
     def detach(self) -> None:
-        """The daemon has gone. Subscribers of topics that are still served keep their connections."""
+        """Handle the end of the daemon. Subscribers of topics that are still served stay connected."""
         self._connection = self._asker = None
 
     @property
     def dropped(self) -> int:
-        """Messages that subscribers did not read in time."""
+        """The number of messages dropped because subscribers read too slowly."""
         return self._lost + sum(stream.dropped for stream in self._streams.values())
 
     def set_topics(self, topics: dict[str, tuple[str, list[str]]]) -> None:
-        """Have these topics from now on. Subscribers of others lose their connections."""
+        """Set the served topics. Subscribers of other topics are disconnected."""
         self.topics = topics
         for stream in list(self._streams.values()):
             if stream.name not in topics or topics[stream.name][0] != stream.type.name:
@@ -149,11 +149,11 @@ class TopicServer:
                     link.connection.close()
 
     def stream(self, topic: str) -> TopicStream | None:
-        """What foreign subscribers get of it, None while there are none."""
+        """The stream to foreign subscribers; None without any."""
         return self._streams.get(topic)
 
     def accept(self, connection: TcprosConnection, header: Fields) -> None:
-        """A subscriber has sent its header. The texts of refusals are rospy's."""
+        """Process a subscriber's header. The refusal texts are rospy's."""
         for required in ("topic", "md5sum", "callerid"):
             if required not in header:
                 connection.refuse(f"Missing required '{required}' field")
@@ -218,7 +218,7 @@ class TopicServer:
                 self._connection.unsubscribe(stream.name)
 
     async def _latched(self, name: str, kind: Ros1Type) -> list[bytes]:
-        """The framed messages that a subscriber of this moment gets at once, one of each publisher that latches."""
+        """The framed latched messages for a new subscriber, one of each publisher that latches."""
         found: list[bytes] = []
 
         def take(publish: Message) -> None:
@@ -256,7 +256,7 @@ class TopicServer:
 
 
 class Follower:
-    """Subscribes one foreign publisher and gives its messages to the daemon, in its name, until it is closed."""
+    """Subscribes one foreign publisher and publishes its messages in the daemon under its name, until closed."""
 
     def __init__(
         self,
@@ -267,13 +267,13 @@ class Follower:
         subscriber: str,
         take: Callable[[Message, bool], DaemonConnection | None],
     ) -> None:
-        """`take` hands a message on, and whether it is latched, and returns the connection that has it now."""
+        """`take` publishes a message (the flag: it is latched) and returns the daemon connection that it used."""
         self.topic = topic
         self.type = kind
         self.node = node
         self.uri = uri
         self.subscriber = subscriber
-        """The native node that the publisher sees."""
+        """The native node whose name the publisher sees."""
         self.connection: TcprosConnection | None = None
         self._take = take
         self._is_latched = False
@@ -283,7 +283,7 @@ class Follower:
         self._task = asyncio.get_running_loop().create_task(self._follow())
 
     def close(self) -> None:
-        """The publisher, or the last native subscriber, has gone."""
+        """End the subscription."""
         self._task.cancel()
         if self._settling is not None:
             self._settling.cancel()
@@ -309,7 +309,7 @@ class Follower:
             _log.warning("%s of %s (%s): %s", self.topic, self.node, self.uri, problem)
 
     async def _connected(self) -> OutgoingConnection:
-        """Raises SlidectlError: there is no connection, for now."""
+        """Connect to the publisher. Raises SlidectlError: not possible now."""
         answer = await xmlrpc.call(self.uri, "requestTopic", self.subscriber, self.topic, [[_TRANSPORT]])
         host, port = _address(answer)
         kind = self.type
@@ -351,7 +351,7 @@ class Follower:
             self._settling = asyncio.get_running_loop().create_task(self._settle(daemon))
 
     async def _settle(self, daemon: DaemonConnection) -> None:
-        """Let the daemon take what it was given before more is read."""
+        """Stop reading until the daemon has taken the messages."""
         connection = self.connection
         try:
             if connection is not None:
@@ -359,7 +359,7 @@ class Follower:
                 await daemon.drain()
                 connection.resume_reading()
         except SlidectlError:
-            pass  # it has gone; so will this
+            pass  # the daemon has ended; this follower will be closed
         finally:
             self._settling, self._unsettled = None, 0
 
@@ -375,7 +375,7 @@ class Follower:
 
 
 def _address(answer: Any) -> tuple[str, int]:
-    """Host and port that a publisher has answered. Raises Refused."""
+    """Host and port from a publisher's answer. Raises Refused."""
     match answer:
         case [1, _, [str(transport), str(host), int(port)]] if transport == _TRANSPORT and 0 < port < 65536:
             return host, port

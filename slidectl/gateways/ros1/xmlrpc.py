@@ -1,6 +1,6 @@
-"""XML-RPC over HTTP/1.1 on asyncio: values as XML, a server, and a call of somebody else's server.
+"""XML-RPC over HTTP/1.1 on asyncio: values as XML, a server, and a client call.
 
-What comes from outside is bounded in bytes, depth, count and time. Document types and entities are refused.
+Received data is limited in bytes, depth, count and time. Document types and entities are refused.
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ from slidectl.errors import Refused, SlidectlError, TimedOut, cut
 
 LONGEST_BODY = 16 * 1024 * 1024
 DEEPEST = 64
-"""Arrays and structs in each other, as deep as parameters may be."""
+"""The maximum nesting of arrays and structs, the same as for parameters."""
 MOST_VALUES = 100_000
 MOST_CONNECTIONS = 400
 CALL_LIMIT_S = 10.0
 
 _LONGEST_HEAD = 16 * 1024
 _MOST_DIGITS = 12
-"""Of a Content-Length."""
+"""The maximum number of digits of a Content-Length."""
 _MOST_HELD = 4 * LONGEST_BODY
-"""Bytes of all requests that are being received or answered at once."""
+"""Limit of the bytes of all requests in progress."""
 _IDLE_LIMIT_S = 600.0
 _REQUEST_LIMIT_S = 20.0
 _SPARE_S = 1.0
-"""A connection that has been quiet as long may be closed in favour of a new one."""
+"""A connection idle for this long may be closed in favour of a new one."""
 
 _INTEGERS = ("i4", "int", "i8")
 _SCALARS = (*_INTEGERS, "boolean", "double", "string", "dateTime.iso8601", "base64", "nil")
@@ -52,15 +52,15 @@ _PARENTS: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(_SCALARS, ("value",)),
 }
 _NO_CHARACTER = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-"""What XML cannot say."""
+"""Characters that XML cannot represent."""
 
 
 class BadXmlRpc(SlidectlError):
-    """Bytes that are no XML-RPC, or more of it than anybody needs."""
+    """Bytes that are no XML-RPC, or exceed a limit."""
 
 
 class XmlRpcFault(SlidectlError):
-    """A fault, as XML-RPC has them: of our answer, or of somebody else's."""
+    """An XML-RPC fault, in an own or a received answer."""
 
     def __init__(self, code: int, text: str) -> None:
         super().__init__(text)
@@ -68,7 +68,7 @@ class XmlRpcFault(SlidectlError):
 
 
 class DateTime(str):
-    """A dateTime.iso8601, as it was written."""
+    """A dateTime.iso8601 as its original text."""
 
     __slots__ = ()
 
@@ -77,18 +77,18 @@ class DateTime(str):
 
 
 def call_xml(method: str, arguments: tuple[Any, ...]) -> bytes:
-    """A methodCall."""
+    """Encode a methodCall."""
     name, params = _escaped(method), _params(arguments)
     return f"<?xml version='1.0'?>\n<methodCall><methodName>{name}</methodName>{params}</methodCall>\n".encode()
 
 
 def response_xml(value: Any) -> bytes:
-    """A methodResponse with one value."""
+    """Encode a methodResponse with one value."""
     return f"<?xml version='1.0'?>\n<methodResponse>{_params((value,))}</methodResponse>\n".encode()
 
 
 def fault_xml(fault: XmlRpcFault) -> bytes:
-    """A methodResponse that is a fault."""
+    """Encode a fault."""
     value = _value({"faultCode": fault.code, "faultString": fault.message})
     return f"<?xml version='1.0'?>\n<methodResponse><fault>{value}</fault></methodResponse>\n".encode()
 
@@ -101,7 +101,7 @@ def _value(value: Any) -> str:
     if isinstance(value, bool):
         content = f"<boolean>{value:d}</boolean>"
     elif isinstance(value, int):
-        kind = "int" if -(2**31) <= value < 2**31 else "i8"  # Python's clients know i8, roscpp has no such numbers
+        kind = "int" if -(2**31) <= value < 2**31 else "i8"  # Python's clients support i8; roscpp has no such integers
         content = f"<{kind}>{value}</{kind}>"
     elif isinstance(value, float):
         content = f"<double>{value!r}</double>"
@@ -122,13 +122,13 @@ def _value(value: Any) -> str:
 
 
 def _escaped(text: str) -> str:
-    """What XML has no character for becomes U+FFFD."""
+    """Escape text for XML. Characters that XML cannot represent become U+FFFD."""
     text = text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;").replace("\r", "&#13;")
     return _NO_CHARACTER.sub("\N{REPLACEMENT CHARACTER}", text)
 
 
 def read_call(body: bytes) -> tuple[str, list[Any]]:
-    """Method and arguments of a methodCall. Raises BadXmlRpc."""
+    """Decode a methodCall: method and arguments. Raises BadXmlRpc."""
     kind, content = _Reader().read(body)
     if kind != "methodCall":
         raise BadXmlRpc(f"expected a methodCall, got a {kind}")
@@ -140,7 +140,7 @@ def read_call(body: bytes) -> tuple[str, list[Any]]:
 
 
 def read_response(body: bytes) -> Any:
-    """The value of a methodResponse. Raises XmlRpcFault when it is one, BadXmlRpc."""
+    """Decode a methodResponse. Raises XmlRpcFault for a fault, BadXmlRpc."""
     kind, content = _Reader().read(body)
     if kind != "methodResponse" or len(content) != 1:
         raise BadXmlRpc(f"expected a methodResponse with one value, got a {kind}")
@@ -155,7 +155,7 @@ def read_response(body: bytes) -> Any:
 
 
 class _Reader:
-    """One document. A frame of the stack is an element that is open: its tag, what ended in it, and its text."""
+    """Parses one document. A stack frame is an open element: its tag, the elements that ended in it, and its text."""
 
     def __init__(self) -> None:
         self._stack: list[tuple[str, list[tuple[str, Any]], list[str]]] = [("", [], [])]
@@ -226,7 +226,7 @@ def _only(tag: str, content: list[tuple[str, Any]]) -> Any:
 
 
 def _scalar(tag: str, text: str) -> Any:
-    """Raises ValueError."""
+    """Convert the text of a scalar element. Raises ValueError."""
     if tag in _INTEGERS:
         number = int(text[:40])
         if not -(2**63) <= number < 2**63:
@@ -248,21 +248,21 @@ def _scalar(tag: str, text: str) -> Any:
 # --- the server -----------------------------------------------------------------------------------------------------
 
 Answer = Callable[[str, str, list[Any]], Awaitable[Any]]
-"""Takes path, method and arguments; raises XmlRpcFault."""
+"""Takes path, method and arguments; returns the value. Raises XmlRpcFault."""
 
 
 class XmlRpcServer:
-    """Serves calls on one port, each connection one call after the other."""
+    """Serves calls on one port; calls of one connection are answered in order."""
 
     def __init__(self, answer: Answer) -> None:
         self._answer = answer
         self._server: asyncio.Server | None = None
         self._quiet: dict[asyncio.Task[Any], float] = {}
-        """The connections, those that have been quiet longest first, with the time since when; 0 while one is busy."""
+        """Connection -> time since when it is idle, longest idle first; 0 while a request is processed."""
         self._held = 0
 
     async def open(self, host: str, port: int) -> int:
-        """Listen; the port (one that is free when it is 0). Raises OSError."""
+        """Listen and return the port (a free one for 0). Raises OSError."""
         self._server = await asyncio.start_server(self._connected, host, port, limit=_LONGEST_HEAD, reuse_address=True)
         return int(self._server.sockets[0].getsockname()[1])
 
@@ -298,16 +298,16 @@ class XmlRpcServer:
                     first = await reader.readexactly(1)
                 async with asyncio.timeout(_REQUEST_LIMIT_S):
                     head = first + await reader.readuntil(b"\r\n\r\n")
-                self._quiet[task] = 0.0  # who sends half a head is quiet too
+                self._quiet[task] = 0.0  # a client that sends half a head still counts as idle
                 goes_on = await self._request(head, reader, writer)
         except (OSError, EOFError, asyncio.LimitOverrunError, TimeoutError, asyncio.CancelledError):
-            pass  # the other has gone, sends no HTTP, is slow, or the gateway ends
+            pass  # the client disconnected, sends no HTTP or is slow, or the gateway ends
         finally:
             self._quiet.pop(task, None)
             writer.close()
 
     async def _request(self, head: bytes, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> bool:
-        """Carry out one request. Returns whether the connection goes on."""
+        """Process one request. Returns whether the connection stays open."""
         line, fields = _head(head)
         method, _, rest = line.partition(" ")
         path, _, version = rest.partition(" ")
@@ -345,7 +345,7 @@ class XmlRpcServer:
                     size += len(response_xml(answers[-1]))
                     if size > LONGEST_BODY:
                         raise XmlRpcFault(1, f"answers of more than {LONGEST_BODY} bytes to one system.multicall")
-                    await asyncio.sleep(0)  # others have their turn
+                    await asyncio.sleep(0)  # gives other tasks a turn
                 return response_xml(answers)
             return response_xml(await self._answer(path, method, arguments))
         except XmlRpcFault as fault:
@@ -354,7 +354,9 @@ class XmlRpcServer:
             return fault_xml(XmlRpcFault(1, error.message))
 
     async def _one_of_many(self, path: str, call: Any) -> Any:
-        """As Python's servers do it: the value in a list, or the fault as a struct."""
+        """Process one call of system.multicall as Python's servers do: the value in a list, or the fault as a
+        struct.
+        """
         try:
             if not isinstance(call, dict) or not isinstance(call.get("methodName"), str):
                 raise XmlRpcFault(1, "a call of system.multicall has a methodName and params")
@@ -372,7 +374,7 @@ def _calls(arguments: list[Any]) -> list[Any]:
 
 
 def _head(head: bytes) -> tuple[str, dict[str, str]]:
-    """The first line, and the fields with their names in small letters."""
+    """The first line, and the header fields with lower-case names."""
     line, *rest = head.decode("latin-1").strip().split("\r\n")
     fields = (field.partition(":") for field in rest)
     return line, {name.strip().lower(): value.strip() for name, _, value in fields}
@@ -391,10 +393,10 @@ async def _reply(writer: asyncio.StreamWriter, status: str, body: bytes, is_last
 
 
 async def call(uri: str, method: str, *arguments: Any, timeout_s: float = CALL_LIMIT_S) -> Any:
-    """The value that the server at this URI (http://host:port/path) answers.
+    """Call the server at this URI (http://host:port/path) and return the value.
 
     Raises:
-        Refused: there is none, or what it says is no XML-RPC. XmlRpcFault: its answer. TimedOut.
+        Refused: no server, or no valid XML-RPC answer. XmlRpcFault: the answer is a fault. TimedOut.
     """
     host, port, path = host_port_path(uri)
     try:
@@ -410,7 +412,7 @@ async def call(uri: str, method: str, *arguments: Any, timeout_s: float = CALL_L
 
 
 def host_port_path(uri: str) -> tuple[str, int, str]:
-    """Of an http:// or rosrpc:// URI. Raises Refused."""
+    """Split an http:// or rosrpc:// URI. Raises Refused."""
     try:
         parts = urlsplit(uri)
         if parts.scheme not in ("http", "rosrpc") or not parts.hostname:

@@ -1,1 +1,1 @@
-"""rosbridge over WebSocket: roslib in browsers, roslibpy. A frame is a line of the daemon's socket."""
+"""rosbridge over WebSocket, for roslib in browsers and roslibpy. A frame is a line of the daemon's protocol."""

@@ -1,6 +1,6 @@
-"""Goals that browsers send by rosbridge's action ops, over the topics of actionlib: ROS 1 has no ops of its own for it.
+"""rosbridge's action operations for browsers, carried out on actionlib topics: ROS 1 has no such operations.
 
-roslib's `Action` and roslibpy's `ActionClient` speak so. Their states of goals are those of ROS 2.
+roslib's `Action` and roslibpy's `ActionClient` use them. Their goal states are those of ROS 2.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ Message = dict[str, Any]
 SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
 _REJECTED = 5
 _STATES = {2: CANCELED, 3: SUCCEEDED, 4: ABORTED, 8: CANCELED, 9: ABORTED}
-"""Final states of actionlib_msgs/GoalStatus, as those of action_msgs/GoalStatus."""
+"""Final states of actionlib_msgs/GoalStatus -> states of action_msgs/GoalStatus."""
 _MOST_GOALS = 1000
 
 
@@ -30,14 +30,14 @@ class SentGoal(NamedTuple):
     tell: Callable[[Message], None]
     """Sends a message to the browser."""
     id: Any
-    """What the browser calls it."""
+    """The browser's id of the goal."""
     action: str
-    """As the browser names it: it gets that back."""
+    """The action's name as the browser gave it; it is repeated in answers."""
     wants_feedback: bool
 
 
 class ActionGoals:
-    """All goals of all browsers, on one connection to the daemon."""
+    """The goals of all browsers, on one connection to the daemon."""
 
     def __init__(self, daemon: DaemonConnection) -> None:
         self._daemon = daemon
@@ -45,10 +45,10 @@ class ActionGoals:
         """Action -> id of the goal in the graph -> the goal."""
         self._serial = count(1)
         self._lock = asyncio.Lock()
-        """Nobody sends a goal while the topics of its action are about to be subscribed."""
+        """Held while an action's topics are subscribed, so that no goal is sent before that."""
 
     async def send(self, message: Message, tell: Callable[[Message], None]) -> None:
-        """Carry out `send_action_goal`; what is wrong with it is told as the result of the goal."""
+        """Carry out `send_action_goal`; an error is sent as the result of the goal."""
         given, goal_id = message.get("action"), message.get("id")
         try:
             async with self._lock:
@@ -75,7 +75,7 @@ class ActionGoals:
         self._daemon.publish(f"{action}/goal", {"goal_id": {"id": name}, "goal": content})
 
     async def _type_of(self, action: str) -> str:
-        """The type of an action without its last word: control_msgs/FollowJointTrajectory. Raises Refused."""
+        """The type of an action without its ending `Action`: control_msgs/FollowJointTrajectory. Raises Refused."""
         topic = {"topic": f"{action}/goal"}
         answer = await self._daemon.call("/rosapi/topic_type", topic)
         servers = (await self._daemon.call("/rosapi/subscribers", topic))["subscribers"]
@@ -85,7 +85,7 @@ class ActionGoals:
         return str(answer["type"]).removesuffix("ActionGoal")
 
     def cancel(self, message: Message, tell: Callable[[Message], None]) -> None:
-        """Carry out `cancel_action_goal`; the result comes when the action ends. Raises Refused: no such goal."""
+        """Carry out `cancel_action_goal`; the result arrives when the action ends. Raises Refused: no such goal."""
         action = names.join("/", str(message.get("action")))
         for name, goal in self._goals.get(action, {}).items():
             if goal.id == message.get("id") and goal.tell == tell:
@@ -94,7 +94,7 @@ class ActionGoals:
         raise Refused(f"no goal of this connection with that id runs on {action}")
 
     def forget(self, tell: Callable[[Message], None]) -> None:
-        """A browser has gone. Its goals go on, as those of an actionlib client that ends."""
+        """Discard the goals of a disconnected browser. They go on, as those of an actionlib client that ends."""
         for action, goals in list(self._goals.items()):
             for name in [name for name, goal in goals.items() if goal.tell == tell]:
                 self._end(action, name)
@@ -118,7 +118,7 @@ class ActionGoals:
             goal.tell(_result(goal, _STATES.get(status["status"], ABORTED), message["result"], True))
 
     def _end(self, action: str, name: str) -> SentGoal | None:
-        """Forget a goal, and let the topics of an action go that has no other. None: it is not one of ours."""
+        """Remove a goal; unsubscribe the action's topics after its last goal. None: the goal is not from here."""
         goals = self._goals.get(action, {})
         goal = goals.pop(name, None)
         if goal is not None and not goals:

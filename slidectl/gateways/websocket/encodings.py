@@ -1,7 +1,7 @@
-"""How rosbridge packs a message for those who ask for it: as a PNG, as CBOR, as CBOR around ROS 1 bytes; in fragments.
+"""rosbridge's message encodings: PNG, CBOR, CBOR with ROS 1 bytes (cbor-raw), and fragments.
 
-An encoder takes a publish line of the daemon and returns a frame. All browsers share the encoder of a type: what
-several of them get is packed once.
+An encoder takes a publish line of the daemon and returns a frame. All browsers share the encoder of a type: a message
+for several browsers is encoded once.
 """
 
 from __future__ import annotations
@@ -24,25 +24,25 @@ from slidectl.gateways.ros1.ros1_types import ros1_type
 from slidectl.msgs.schema import BYTES, CODES, FLOATS, PRIMITIVES, SCALAR, Field
 
 COMPRESSIONS = ("none", "png", "cbor", "cbor-raw")
-"""The later one wins where a browser subscribes a topic twice."""
+"""If a browser subscribes a topic several times, the last one in this order is used."""
 SMALLEST_FRAGMENT = 256
 _ARRAY_TAGS = {"H": 69, "I": 70, "Q": 71, "b": 72, "h": 77, "i": 78, "q": 79, "f": 85, "d": 86}
-"""Tags of typed arrays, little-endian (RFC 8746), by `struct`'s code of a number; CBOR has bytes of its own."""
+"""struct code -> tag of typed arrays, little-endian (RFC 8746). Byte arrays are CBOR byte strings."""
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _HEADER = Struct(">IIBBBBB")
 _RGB, _BITS = 2, 8
 
 Frame = tuple[bytes, bool]
-"""What is sent, and whether it is text."""
+"""The bytes to send, and whether they are text."""
 Encode = Callable[[bytes], Frame]
 Convert = Callable[[Any], Any]
 
 
 @cache
 def encoder(compression: str, type_name: str) -> Encode:
-    """The one for messages of a type; `compression` is one of COMPRESSIONS but "none". Raises UnknownName.
+    """The encoder of a type's messages; `compression` is one of COMPRESSIONS except "none". Raises UnknownName.
 
-    It keeps its last frame: the next browser gets the same.
+    It caches its last frame for the next browser.
     """
     if compression == "png":
         return lru_cache(1)(lambda line: (_png(line), True))
@@ -52,7 +52,7 @@ def encoder(compression: str, type_name: str) -> Encode:
 
 
 def _png(line: bytes) -> bytes:
-    """The line as pixels, red, green and blue, of an image that is about a square; newlines fill it up."""
+    """Encode a line as the RGB pixels of an almost square PNG, padded with newlines."""
     width = max(1, math.isqrt(len(line) // 3))
     height = math.ceil(len(line) / 3 / width)
     row = 3 * width
@@ -75,7 +75,7 @@ def _cbor(convert: Convert) -> Encode:
 
 
 def _cbor_raw(to_bytes: Callable[[Any], bytes]) -> Encode:
-    """Of lines that have the simulated time. One that was on its way when that was asked for stays as it is."""
+    """The encoder for lines with the simulated time. A line sent before the time was requested stays unchanged."""
 
     def encode(line: bytes) -> Frame:
         message = decode(line)
@@ -89,7 +89,7 @@ def _cbor_raw(to_bytes: Callable[[Any], bytes]) -> Encode:
 
 @cache
 def _converter(type_name: str) -> Convert:
-    """From a message as JSON has it to one as CBOR has it. Raises UnknownName."""
+    """The conversion of a message from JSON's values to CBOR's. Raises UnknownName."""
     if type_name in FLOATS:
         return lambda value: math.nan if value is None else float(value)
     if type_name in PRIMITIVES:
@@ -112,7 +112,7 @@ def _field_converter(field: Field) -> Convert:
 
 
 def fragments(text: bytes, size: int, name: str) -> Iterator[bytes]:
-    """A frame in pieces of so many characters, as frames; `name` is their id. The text is ASCII."""
+    """Split a frame into fragment frames of `size` characters; `name` is their id. The text is ASCII."""
     total = -(-len(text) // size)
     for number in range(total):
         piece = text[number * size : (number + 1) * size].decode("ascii")
@@ -121,11 +121,11 @@ def fragments(text: bytes, size: int, name: str) -> Iterator[bytes]:
 
 
 class FragmentBuffer:
-    """Puts frames together that come in fragments; what waits for its rest is bounded."""
+    """Reassembles fragmented frames; unfinished ones are limited in size."""
 
     MOST_FRAMES = 16
     _OVERHEAD = 200
-    """Bytes that a fragment takes besides its text."""
+    """Bytes counted per fragment in addition to its text."""
 
     def __init__(self, most_bytes: int) -> None:
         self._most_bytes = most_bytes
@@ -134,10 +134,10 @@ class FragmentBuffer:
         self._bytes = 0
 
     def take(self, fragment: dict[str, Any]) -> bytes | None:
-        """The whole, when this was the last that it lacked.
+        """Add a fragment. Returns the whole frame when it is complete.
 
         Raises:
-            UsageError: it is no fragment, or there is no room for it; then all of its frame is forgotten.
+            UsageError: an invalid fragment, or a limit is exceeded; all fragments of its frame are discarded then.
         """
         name, text = str(fragment.get("id"))[:1000], fragment.get("data")
         number, total = fragment.get("num"), fragment.get("total")

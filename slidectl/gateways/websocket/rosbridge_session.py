@@ -1,6 +1,6 @@
-"""What one browser says and hears. Most frames pass as they are: the daemon speaks rosbridge's protocol itself.
+"""The session of one browser. Most frames pass unchanged: the daemon itself implements rosbridge's protocol.
 
-Here is what rosbridge has beyond it: packed messages, fragments, the ops of actions; and what a reader may do.
+This module adds encoded messages, fragments and action operations, and enforces the read-only mode.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _MOST_WISHES = 1000
 
 
 class RosbridgeSession:
-    """One browser's side of a connection to the daemon. `reply` sends it a frame: its bytes, and whether it is text."""
+    """One browser's session with the daemon. `reply` sends the browser a frame: its bytes, and whether it is text."""
 
     def __init__(
         self,
@@ -48,9 +48,9 @@ class RosbridgeSession:
         most_bytes: int,
         is_reader: bool,
     ) -> None:
-        """`type_of` is the type of a topic, empty when there is none; a reader may change nothing."""
+        """`type_of` returns the type of a topic, empty without one; with `is_reader` the browser may change nothing."""
         self.dropped = 0
-        """Messages that the daemon gave up since the browser took them too slowly."""
+        """Messages that the daemon dropped because the browser read too slowly."""
         self._daemon = daemon
         self._goals = goals
         self._type_of = type_of
@@ -61,22 +61,22 @@ class RosbridgeSession:
         self._fragments = FragmentBuffer(most_bytes)
         self._sent_in_fragments = count(1)
         self._requests: dict[str, dict[str | None, str]] = {}
-        """Topic -> id of a subscription -> its compression, of all that were subscribed with one."""
+        """Topic -> subscription id -> compression, for topics with at least one compressed subscription."""
         self._encoders: dict[bytes, Encode] = {}
 
     # --- from the browser ---------------------------------------------------------------------------------------
 
     async def take(self, frame: bytes, is_whole: bool = False) -> None:
-        """Carry out what a browser has sent; `is_whole` when it came in fragments. Raises NoDaemon."""
+        """Process a frame of the browser; `is_whole` when it was reassembled from fragments. Raises NoDaemon."""
         message: Message = {}
-        frame = frame.replace(b"\n", b" ")  # what is judged here is what the daemon reads
+        frame = frame.replace(b"\n", b" ")  # the daemon must read the same single line that is checked here
         try:
             check_size(frame)
             message = decode(frame)
         except BadLine as error:
             if self._is_reader:
                 self._complain(error, message)
-            else:  # the daemon says what is wrong with it
+            else:  # the daemon reports the error
                 self._daemon.send_line(frame + b"\n")
             return
         try:
@@ -88,7 +88,7 @@ class RosbridgeSession:
                     raise UsageError("a fragment within fragments")
                 if (whole := self._fragments.take(message)) is not None:
                     await self.take(whole, is_whole=True)
-            elif op != "auth":  # who connects has shown the token already
+            elif op != "auth":  # the token was checked when the browser connected
                 if self._is_reader and not _only_reads(message):
                     raise UsageError("this gateway is read-only: it was started with --read-only")
                 await self._carry_out(op, message, frame)
@@ -108,17 +108,17 @@ class RosbridgeSession:
             raise UsageError(f"{op} is not offered", "serve an action by its topics: ROSLIB.SimpleActionServer")
         elif op == "set_level" and message.get("level") in _LEVELS:
             self._level = message["level"]
-            # Warnings come for our count in any case, but to a browser that wants to hear nothing.
+            # Warnings are always requested, to count drops, except with level none.
             self._daemon.send_line(encode({**message, "level": "warning" if self._level == "error" else self._level}))
         elif self._is_reader:
-            self._daemon.send_line(encode(message))  # what was judged, and not what another parser may make of it
+            self._daemon.send_line(encode(message))  # re-encoded, so that the daemon parses exactly what was checked
         else:
             if op == "unsubscribe":
                 await self._unsubscribe(message)
             self._daemon.send_line(frame + b"\n")
 
     def _set_fragment_size(self, size: Any) -> None:
-        """As in rosbridge, it holds for all that is sent from now on. Raises UsageError."""
+        """Set the fragment size for all later frames, as rosbridge does. Raises UsageError."""
         if size is not None and (not isinstance(size, int) or size < SMALLEST_FRAGMENT):
             raise UsageError(f"'fragment_size' is a number of bytes from {SMALLEST_FRAGMENT} on")
         self._fragment_size = size or 0
@@ -147,7 +147,7 @@ class RosbridgeSession:
         await self._choose(topic, {key: wish for key, wish in wishes.items() if wish_id not in (None, key)}, "")
 
     async def _choose(self, topic: str, wishes: dict[str | None, str], given: str) -> None:
-        """The encoder of the strongest of the wishes. Raises UsageError, UnknownName: no such type."""
+        """Choose the encoder of the strongest compression. Raises UsageError, UnknownName: no such type."""
         compression = max(wishes.values(), key=COMPRESSIONS.index, default="none")
         if compression == "none":
             self._requests.pop(topic, None)
@@ -163,7 +163,7 @@ class RosbridgeSession:
         self._requests[topic] = wishes
 
     def _complain(self, error: SlidectlError, message: Message) -> None:
-        """As the daemon answers what it refuses."""
+        """Send an error in the form in which the daemon answers refusals."""
         given = message.get("id")
         about = {"id": given} if isinstance(given, str | int) and len(str(given)) <= _LONGEST_ID else {}
         if message.get("op") == "call_service":
@@ -175,11 +175,11 @@ class RosbridgeSession:
     # --- to the browser -----------------------------------------------------------------------------------------
 
     def pass_on(self, line: bytes) -> None:
-        """Send on what the daemon has sent."""
+        """Send a line of the daemon to the browser."""
         if self._encoders and line.startswith(_PUBLISH):
             pack = self._encoders.get(line[len(_PUBLISH) : line.index(b'"', len(_PUBLISH))])
             if pack is not None:
-                with suppress(KeyError, TypeError, ValueError):  # the topic has got another type: as it is, then
+                with suppress(KeyError, TypeError, ValueError):  # the topic has another type now: send it unchanged
                     self._send(*pack(line))
                     return
         elif line.startswith(_STATUS):
@@ -200,7 +200,7 @@ class RosbridgeSession:
             self._reply(frame, is_text)
 
     def close(self) -> None:
-        """The browser has gone."""
+        """Handle the browser's disconnection."""
         self._goals.forget(self._tell)
         self._daemon.close()
 
@@ -215,6 +215,6 @@ def _only_reads(message: Message) -> bool:
 
 
 def _subscription_id(message: Message) -> str | None:
-    """As the daemon tells subscriptions apart."""
+    """The subscription id as the daemon distinguishes subscriptions."""
     given = message.get("id")
     return None if given is None else str(given)

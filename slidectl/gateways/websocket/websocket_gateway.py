@@ -1,7 +1,7 @@
-"""`slidectl gateway websocket`: rosbridge's server. Each browser has a connection of its own to the daemon.
+"""`slidectl gateway websocket`: rosbridge's server. Each browser has its own connection to the daemon.
 
-A browser that does not read is not read from, and neither is its connection to the daemon, which then drops the oldest
-messages of each topic and counts them. Nothing piles up here.
+While a browser does not read, the gateway reads neither from it nor from its daemon connection. The daemon then drops
+the oldest messages of each topic and counts them. No queue grows in the gateway.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from slidectl.paths import InstancePaths
 
 _NODE = "/rosbridge_websocket"
 _UNREAD = 256 * 1024
-"""Bytes that wait for a browser before it gets no more."""
+"""Unsent bytes to a browser at which sending stops."""
 _PING_EVERY_S, _PONG_WITHIN_S = 20.0, 60.0
 _GOING, _RESTARTS, _TRY_LATER, _FAILED = 1001, 1012, 1013, 1011
 _LONGEST_REASON = 120
@@ -38,23 +38,23 @@ class WebSocketOptions(ListenerOptions):
 
     port: int = 9090
     read_only: bool = False
-    """Let browsers subscribe and ask, and change nothing."""
+    """Allow browsers to subscribe and query only."""
     max_rate: int = 5000
-    """Frames a second that are taken from one browser; it has to wait with more."""
+    """Limit of frames per second from one browser; further frames are delayed."""
     max_size: int = LONGEST_LINE
-    """Bytes of a frame from a browser, and of all of its fragments that wait."""
+    """Limit in bytes of a browser's frame, and of all its unfinished fragments."""
     compress: bool | None = None
-    """Compress frames (permessage-deflate) for browsers that can; by default where other machines are let in."""
+    """Compress frames (permessage-deflate) for browsers that support it; by default if other machines may connect."""
 
 
 class WebSocketGateway(Gateway):
-    """Listens for browsers, and lets in those that may come in."""
+    """Accepts browsers and runs a session for each."""
 
     kind: ClassVar[str] = "websocket"
     Options = WebSocketOptions
 
     def __init__(self, options: WebSocketOptions) -> None:
-        """Raises UsageError, Refused: options that do not fit together, or files that cannot be read."""
+        """Raises UsageError, Refused: options that contradict each other, or files that cannot be read."""
         super().__init__()
         self._options = options
         self._listener = WebSocketListener(options)
@@ -64,7 +64,7 @@ class WebSocketGateway(Gateway):
         self._browsers: dict[BrowserConnection, RosbridgeSession] = {}
         self._serial = count(1)
         self._dropped = 0
-        """By browsers that have gone."""
+        """Messages dropped for browsers that have disconnected."""
 
     # --- Gateway ------------------------------------------------------------------------------------------------
 
@@ -88,7 +88,7 @@ class WebSocketGateway(Gateway):
         self._paths = paths
 
     async def detach(self) -> None:
-        """Browsers are told that the service restarts: roslib comes back by itself."""
+        """Disconnect the browsers with the code for a restart: roslib then reconnects."""
         self._paths = None
         if self._daemon is not None:
             self._daemon.close()
@@ -112,7 +112,7 @@ class WebSocketGateway(Gateway):
             await asyncio.wait([asyncio.ensure_future(browser.close(code, reason)) for browser in self._browsers])
 
     async def _serve(self, browser: ServerConnection) -> None:
-        """One browser, from its handshake to its end."""
+        """Serve one browser from its handshake to its end."""
         assert isinstance(browser, BrowserConnection)
         try:
             await self._serve_open(browser)
@@ -147,7 +147,7 @@ class WebSocketGateway(Gateway):
 
 
 class BrowserConnection(ListenerConnection):
-    """A browser's end: what it does not take stops both what is read from it and what is taken from the daemon."""
+    """A browser's connection. While it does not read, neither it nor its daemon connection is read."""
 
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
@@ -159,13 +159,13 @@ class BrowserConnection(ListenerConnection):
     def connection_lost(self, exc: Exception | None) -> None:
         super().connection_lost(exc)
         self._may_write.set()
-        if self.daemon is not None:  # `read` may be waiting until that takes more
+        if self.daemon is not None:  # `read` may be waiting in `drain`
             self.daemon.close()
 
     def pause_writing(self) -> None:
         super().pause_writing()
         self._may_write.clear()
-        self.transport.pause_reading()  # also pings, which are answered, must not make more to be written
+        self.transport.pause_reading()  # stops pings too: answers to them would add to the unsent data
         if self.daemon is not None:
             self.daemon.pause()
 
@@ -177,11 +177,11 @@ class BrowserConnection(ListenerConnection):
             self.daemon.resume()
 
     def write(self, frame: bytes, is_text: bool) -> None:
-        """Send a frame. Never waits: `pause_writing` is called when too much does."""
+        """Send a frame without waiting: `pause_writing` is called when too much is unsent."""
         broadcast((self,), frame, text=is_text)
 
     async def read(self, session: RosbridgeSession, daemon: DaemonConnection, most_a_second: int) -> None:
-        """Take what the browser sends, until it goes. Raises ConnectionClosed, NoDaemon."""
+        """Process the browser's frames until it disconnects. Raises ConnectionClosed, NoDaemon."""
         second_ends, taken = 0.0, 0
         while True:
             await self._may_write.wait()
@@ -195,10 +195,10 @@ class BrowserConnection(ListenerConnection):
             await daemon.drain()
 
     def end_soon(self, code: int, reason: str) -> None:
-        """Close it, from where nobody can wait for that."""
+        """Start closing the connection, from code that cannot await."""
         self._ending = asyncio.ensure_future(self.close(code, reason))
 
 
 def _reason(error: SlidectlError) -> str:
-    """As a closing frame can hold it."""
+    """The error text, cut to the length of a close frame."""
     return error.message.encode()[:_LONGEST_REASON].decode(errors="ignore")

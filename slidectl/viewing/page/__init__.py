@@ -1,4 +1,4 @@
-"""The page: the world in a browser, served by a process of its own that is a client of the daemon.
+"""The web page that shows the world. Its server is a process of its own and a client of the daemon.
 
-viser is the library (extra `view`). Everything that concerns the daemon happens on one thread, that of `Page.run`.
+It uses the library viser (extra `view`). All communication with the daemon is on one thread, that of `Page.run`.
 """

@@ -24,23 +24,23 @@ _ACTIONS: dict[str, Callable[[Manager, str], object]] = {
 
 
 class ControllersPanel(Panel):
-    """For each robot a table, a row of buttons for each controller, and a switch."""
+    """For each robot: a table, a row of buttons per controller, and a switch."""
 
     title = "Controllers"
 
     def __init__(self, page: Page) -> None:
         super().__init__(page)
         self._known: dict[str, dict[str, str]] = {}
-        """Namespace -> controllers that are loaded there, or could be -> type, of those that are not."""
+        """Namespace -> known controller -> its type in the parameters; empty for loaded ones."""
         self._used: set[str] = set()
-        """Namespaces in which somebody did something: their folders are open."""
+        """Namespaces in which a user did something; their folders are open."""
         self._chosen: dict[tuple[str, str], str] = {}
-        """What the dropdowns said."""
+        """Namespace and label -> the value of the dropdown before the panel was rebuilt."""
         self._tables: dict[str, GuiHtmlHandle] = {}
         self._buttons: dict[tuple[str, str], GuiButtonGroupHandle] = {}
-        """By namespace and controller."""
+        """Namespace and controller -> buttons."""
         self._dropdowns: dict[tuple[str, str], Any] = {}
-        """By namespace and label."""
+        """Namespace and label -> dropdown."""
 
     def shape(self, world: WorldState) -> Hashable:
         parameters = self.page.client.params.names()

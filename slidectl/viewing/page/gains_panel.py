@@ -1,7 +1,7 @@
-"""Gains that are turned while the controller runs, and saved as a file of controllers: rqt_reconfigure.
+"""Gains that can be changed while a controller runs, and saved as a controllers file (rqt_reconfigure).
 
-Whatever offers dynamic_reconfigure is here, each PID among it. What is typed counts when the keys have been still for a
-moment: who types 150 wants neither 1 nor 15.
+The panel shows every dynamic_reconfigure server, including each PID. A typed value is applied after a pause without
+input, so that typing 150 does not apply 1 and 15.
 """
 
 from __future__ import annotations
@@ -25,27 +25,27 @@ from slidectl.viewing.page.page import PADDING, Message, Page, Panel, WorldState
 
 _STILL_S = 0.5
 _LATCHED_S = 0.5
-"""Wall seconds for a latched message to come; the page looks again later."""
+"""Wall seconds to wait for a latched message; the page tries again later."""
 _MOST_CHANGES, _MOST_SHOWN = 100, 5
 _SERVICE = "/set_parameters"
 
 
 class GainsPanel(Panel):
-    """The gains of one robot, the last changes of all, and the file."""
+    """The gains of one robot, the last changes of all robots, and the file."""
 
     title = "Gains"
 
     def __init__(self, page: Page) -> None:
         super().__init__(page)
         self._robot = ""
-        """The namespace that was chosen."""
+        """The namespace of the chosen robot."""
         self._saved = ""
         self._changes: list[tuple[str, Values, Values]] = []
-        """Namespace of the gains, what they were, and what they became; the newest last."""
+        """Namespace of the gains, old values, new values; newest last."""
         self._servers: dict[str, list[str]] = {}
-        """Namespace of a robot -> those of its gains."""
+        """Namespace of a robot -> namespaces of its gains."""
         self._typed: dict[tuple[str, str], tuple[float | bool, float]] = {}
-        """Namespace of the gains and name -> what was typed, and from when on it counts."""
+        """Namespace of the gains and name -> typed value, and the wall time at which it is applied."""
         self._inputs: dict[tuple[str, str], Any] = {}
         self._values: dict[str, Values] = {}
         self._updates: dict[str, Subscription] = {}
@@ -96,7 +96,7 @@ class GainsPanel(Panel):
                 if isinstance(value, bool):
                     one: Any = self.gui.add_checkbox(name, value, hint=hint)
                 else:
-                    span = min(low[name], value), max(high[name], value)  # files may go beyond
+                    span = min(low[name], value), max(high[name], value)  # files may exceed the limits
                     step = 10.0 ** math.floor(math.log10(abs(value)) - 1) if 0 < abs(value) < math.inf else 0.1
                     one = self.gui.add_number(name, float(value), min=span[0], max=span[1], step=step, hint=hint)
                     one.precision = 7
@@ -128,7 +128,7 @@ class GainsPanel(Panel):
             self._history.content = html_table(("last changes", "from", "to"), rows) if rows else ""
 
     def _change(self, space: str, wanted: Values) -> None:
-        """Raises Refused; the inputs say what the gains are in any case."""
+        """Set gains. Raises Refused; the inputs show the actual gains in any case."""
         before = self._values[space]
         try:
             after = self._set(space, wanted)
@@ -150,7 +150,7 @@ class GainsPanel(Panel):
             self._show(space, values)
 
     def _set(self, space: str, wanted: Values) -> Values:
-        """All values then. Raises Refused."""
+        """Set gains and return all values. Raises Refused."""
         entries = [{"name": name, "value": value} for name, value in wanted.items()]
         config = {
             "bools": [one for one in entries if isinstance(one["value"], bool)],
@@ -165,7 +165,7 @@ class GainsPanel(Panel):
                 self._inputs[space, name].value = value
 
     def _save(self, browser: ClientHandle) -> None:
-        """Offer the parameters of the robot's controllers as a file to the browser that asked, and show them to all."""
+        """Send the robot's controller parameters as a file to the requesting browser, and show them in all."""
         manager = self.page.client.controllers(self._robot)
         tree = {name: self.page.client.params[names.join(self._robot, name)] for name in manager.configured()}
         text = yaml.safe_dump(nest(self._robot, tree), sort_keys=False, allow_unicode=True)
@@ -181,5 +181,5 @@ class GainsPanel(Panel):
 
 
 def _values(config: Message) -> Values:
-    """Of a dynamic_reconfigure/Config."""
+    """Name -> value, of a dynamic_reconfigure/Config."""
     return {one["name"]: one["value"] for one in (*config["doubles"], *config["bools"])}

@@ -17,7 +17,7 @@ _SHOW_S = 0.5
 
 
 class GraphPanel(Panel):
-    """The graph is read when topics come and go, and by its button; frames are followed while somebody wants that."""
+    """The graph is read when the topics change and by its button; frames are followed while the checkbox is set."""
 
     title = "Graph"
 
@@ -63,7 +63,7 @@ class GraphPanel(Panel):
             picture = as_svg(self._graph.about(self._words.split()) if self._words.strip() else self._graph)
         except SlidectlError as error:
             picture = f"<pre>{escape(str(error))}</pre>"
-        # As wide as the panel, and never too small to read: viser's HTML cannot be zoomed.
+        # As wide as the panel, but never too small to read: viser's HTML cannot be zoomed.
         fitted = re.sub(r'^<svg ([^>]*?)width="\d+" height="\d+"', r'<svg \1style="width:100%;min-width:40em"', picture)
         self._picture.content = f'<div style="{SCROLLED}">{fitted}</div>'
 
@@ -83,7 +83,7 @@ class GraphPanel(Panel):
 
 
 def _age(edge: Edge | None, now: float) -> str:
-    """Of a frame, in simulated time."""
+    """The age of a frame's transform, in simulated time."""
     if edge is None:
         return ""
     return " static" if edge.is_static else f" {max(now - edge.time_ns / 1e9, 0.0):.1f} s"

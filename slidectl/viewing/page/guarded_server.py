@@ -1,7 +1,7 @@
-"""viser's server with a check of each connection: who may open the page, and what a browser may send to viser.
+"""viser's server with access control: who may open the page, and which messages browsers may send to viser.
 
-viser has no hook for that. It serves with `websockets.asyncio.server.serve`, which is wrapped while viser starts; this
-is the only file that knows. Tests connect with wrong tokens and foreign origins, and send nonsense.
+viser has no hook for that. It calls `websockets.asyncio.server.serve`, which is wrapped while viser starts; only this
+file does that. Tests connect with wrong tokens and foreign origins, and send invalid messages.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 _PORTS_TRIED = 100
 _LONGEST_TEXT = 100_000
 _ROUNDING = 1e-7
-"""Sliders of viser round to seven digits, their ends too."""
+"""viser's sliders round to seven digits, also their limits."""
 _TAKEN = {
     kind.__name__: kind
     for kind in (
@@ -44,13 +44,13 @@ _TAKEN = {
         _messages.TransformControlsUpdateMessage, _messages.ViewerCameraMessage,
     )
 }  # fmt: skip
-"""What panels listen to. Of the others some are kept for ever (uploads), or passed on to all browsers (forms)."""
+"""The messages that panels use. Some others would be stored for ever (uploads) or sent to all browsers (forms)."""
 _KEPT_OUT = {"X-Frame-Options": "SAMEORIGIN", "Referrer-Policy": "same-origin", "Cache-Control": "no-store"}
-"""Headers of the page: no foreign page shows it in a frame, and no address with a token leaves the browser."""
+"""Headers of the page: foreign pages cannot frame it, and an address with a token is not sent to other sites."""
 
 
 def free_port(host: str, first: int) -> int:
-    """The first port from `first` on, of a hundred, on which nobody listens.
+    """The first free port from `first` on, out of a hundred.
 
     Raises:
         UnknownName: the host is no address of this machine. Refused: all ports are taken.
@@ -75,22 +75,22 @@ def free_port(host: str, first: int) -> int:
 
 
 class AccessGuard:
-    """Lets in who has the token and comes from the page itself."""
+    """Accepts requests that have the token and come from the page itself."""
 
     def __init__(self, host: str, token: str) -> None:
-        """`token` is empty where none is needed."""
+        """`token` is empty if none is needed."""
         self.opened: SimpleQueue[Mapping[str, Sequence[str]]] = SimpleQueue()
         """The query of each page that was opened."""
         self._host = host
         self._token = token
         self._word = ""
-        self._cookie = f"slidectl-{secrets.token_hex(4)}"  # cookies of all ports of a host are one heap
+        self._cookie = f"slidectl-{secrets.token_hex(4)}"  # cookies are shared by all ports of a host
 
     def answer(self, request: Request) -> Response | None:
-        """What is answered in place of the page; None: it may be had."""
+        """The response that replaces the page: a refusal or redirect; None to serve the page."""
         headers, url = request.headers, urlsplit(request.path)
         named = headers.get("Host", "")
-        # A name that a foreign site has made lead to this machine must not open the page: unless a token does.
+        # DNS rebinding: a foreign site's name may resolve to this machine. It opens the page only with a token.
         if not self._token and host_of(named) not in (*LOOPBACK, self._host):
             return _refused(f"this page does not go by the name {named!r}")
         origin = headers.get("Origin")
@@ -114,7 +114,7 @@ class AccessGuard:
         return None
 
     def word(self) -> str:
-        """What opens the page once in the place of the token: the list of processes shows a browser's arguments."""
+        """Make a one-time word to use in place of the token: a browser's arguments show in the process list."""
         self._word = secrets.token_urlsafe()
         return self._word
 
@@ -141,7 +141,7 @@ def _refused(text: str) -> Response:
 
 
 class GuardedServer(viser.ViserServer):
-    """viser's server, quiet, and without its offer to share the page with the internet."""
+    """viser's server without log output and without its offer to share the page on the internet."""
 
     def __init__(self, host: str, port: int, guard: AccessGuard) -> None:
         logging.getLogger("websockets.server").addFilter(_is_no_handshake)
@@ -150,20 +150,20 @@ class GuardedServer(viser.ViserServer):
         self.choose_theme(dark=False)
 
     def choose_theme(self, dark: bool) -> None:
-        """Light or dark, in all browsers."""
+        """Use the light or dark theme in all browsers."""
         self.gui.configure_theme(dark_mode=dark, show_logo=False, show_share_button=False)
 
     def request_share_url(self, verbose: bool = True) -> str | None:  # noqa: ARG002
-        """None: a browser may ask viser to make the page public, and the page stays where it is."""
+        """Return None: a browser could ask viser to publish the page on the internet, which is not allowed."""
         return None
 
     def takes(self, frame: Any) -> bool:
-        """Whether what a browser sends is a message that viser and the panels can work with.
+        """True when a browser's message is valid for viser and the panels.
 
-        viser itself makes attributes of whatever comes, and only then finds that it is of another type.
+        viser itself sets attributes from any message before it checks their types.
 
         Raises:
-            msgspec.MsgspecError, TypeError, RecursionError: no browser sends that.
+            msgspec.MsgspecError, TypeError, RecursionError: a message that no browser sends.
         """
         message = msgspec.msgpack.decode(frame, type=dict[str, Any])
         kind = _TAKEN.get(message.pop("type", None))
@@ -175,7 +175,7 @@ class GuardedServer(viser.ViserServer):
         return not isinstance(sound, _messages.GuiUpdateMessage) or self._takes_value(sound)
 
     def _takes_value(self, update: _messages.GuiUpdateMessage) -> bool:
-        """Whether an input can have the value. If not, the browsers are told which one it has."""
+        """True when an input accepts the value. If not, the browsers get its present value."""
         handle: Any = self.gui._gui_input_handle_from_uuid.get(update.uuid)
         if handle is None:
             return False
@@ -191,7 +191,7 @@ class GuardedServer(viser.ViserServer):
 
 
 def _can_have(handle: Any, value: Any) -> bool:
-    """Whether an input is enabled, and the value is of its type and in its range."""
+    """True when an input is enabled, and the value has its type and is in its range."""
     before, options = handle.value, getattr(handle, "options", None)
     if handle.disabled or not handle.visible:
         return False
@@ -220,7 +220,7 @@ def _is_finite(value: Any) -> bool:
 
 
 def _is_no_handshake(record: logging.LogRecord) -> bool:
-    """What is no browser is turned away, and that is all: it is no error of ours, with a traceback."""
+    """False for failed handshakes of clients that are no browser: they need no traceback in the log."""
     return record.getMessage() != "opening handshake failed"
 
 
@@ -240,7 +240,7 @@ def _guarded(guard: AccessGuard, server: GuardedServer) -> Iterator[None]:
             return answer
 
         async def handle(connection: Any) -> None:
-            if connection.subprotocol != f"viser-v{viser.__version__}":  # of which viser would print a line each
+            if connection.subprotocol != f"viser-v{viser.__version__}":  # viser would print a line for each
                 await connection.close(1002, f"this page is of viser {viser.__version__}: load it again")
                 return
             receive = connection.recv

@@ -1,4 +1,4 @@
-"""Commands of joints by slider, and how all joints move: joint_state_publisher_gui, and rqt_publisher for commands."""
+"""Sliders for joint commands, and a table of joint states (joint_state_publisher_gui, rqt_publisher)."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from slidectl.viewing.page.page import Message, Page, Panel, WorldState, html_ta
 _SCALAR, _ARRAY = "std_msgs/Float64", "std_msgs/Float64MultiArray"
 _QUANTITIES = ("Position", "Velocity", "Effort")
 _UNITS = {"Position": ("rad", "m"), "Velocity": ("rad/s", "m/s"), "Effort": ("N m", "N")}
-"""Of a joint that turns, and of one that slides."""
+"""Units for revolute and for prismatic joints."""
 _SPANS = {"Position": (2 * math.pi, 1.0), "Velocity": (2 * math.pi, 1.0), "Effort": (10.0, 10.0)}
-"""How far a slider goes both ways where the joint has no limit."""
+"""Half the range of a slider for joints without limits, for revolute and for prismatic joints."""
 _FOLLOW_MS = 200
 _SETTLE_S = 1.0
 
 
 class _Drive(NamedTuple):
-    """A running controller that takes numbers on its command topic."""
+    """A running controller with a command topic of one or more numbers."""
 
     controller: str
     topic: str
     quantity: str
     joints: tuple[str, ...]
-    """What it claims."""
+    """The claimed joints."""
     is_array: bool
 
 
@@ -43,11 +43,11 @@ class JointsPanel(Panel):
     def __init__(self, page: Page) -> None:
         super().__init__(page)
         self._commands: dict[str, list[float]] = {}
-        """Command topic -> what its sliders say."""
+        """Command topic -> values of its sliders."""
         self._tables: dict[str, GuiHtmlHandle] = {}
         """Robot -> its table."""
         self._settled: dict[str, float] = {}
-        """Command topic -> until when its sliders stay where somebody drags them."""
+        """Command topic -> wall time until which its sliders ignore commands from others, after a user moved one."""
 
     def shape(self, world: WorldState) -> Hashable:
         limits = ("name", "type", "lower", "upper", "max_velocity", "max_effort")
@@ -70,7 +70,7 @@ class JointsPanel(Panel):
         self.refresh(world)
 
     def _add_sliders(self, drive: _Drive, joints: dict[str, Message], before: list[float] | None) -> list[Any]:
-        """`before` is what the sliders said. Returns them."""
+        """Add the sliders of a controller; `before` are their earlier values. Returns them."""
         sliders = []
         driven = drive.joints
         if drive.is_array:
@@ -93,7 +93,7 @@ class JointsPanel(Panel):
         return sliders
 
     def _follow(self, drive: _Drive, sliders: list[Any], topics: dict[str, str]) -> None:
-        """Let the sliders show what others command: the set point where the controller tells it, else its topic."""
+        """Update the sliders from others' commands: from the published set point, else the command topic."""
         state = names.join(names.parent(drive.topic), "state")
         is_told = not drive.is_array and topics.get(state) == "control_msgs/JointControllerState"
         commands = self._commands[drive.topic]
@@ -113,7 +113,7 @@ class JointsPanel(Panel):
 
     def _send(self, drive: _Drive, index: int, value: float) -> None:
         values = self._commands.get(drive.topic)
-        if values is not None and index < len(values):  # the panel may have been made anew
+        if values is not None and index < len(values):  # the panel may have been rebuilt
             values[index] = value
             self._settled[drive.topic] = time.monotonic() + _SETTLE_S
             self.page.client.deliver(drive.topic, {"data": values if drive.is_array else value})
@@ -136,7 +136,7 @@ class JointsPanel(Panel):
 
 
 def _robots(world: WorldState) -> Iterator[tuple[Message, list[Message]]]:
-    """The robots that have moving joints, with these."""
+    """Each robot with moving joints, and these joints."""
     for robot in world.robots:
         if joints := [joint for joint in robot["joints"] if joint["type"] in MOVING]:
             yield robot, joints
@@ -156,7 +156,7 @@ def _drives(robot: Message, world: WorldState) -> Iterator[_Drive]:
 
 
 def bounds(joint: Message, quantity: str) -> tuple[float, float]:
-    """How far commands of a slidectl/JointInfo go: its limits, or a span where it has none."""
+    """The range of commands for a slidectl/JointInfo: its limits, or a default range."""
     if quantity == "Position":
         low, high = joint.get("lower"), joint.get("upper")
     else:
@@ -169,10 +169,10 @@ def bounds(joint: Message, quantity: str) -> tuple[float, float]:
 
 
 def placed(value: float, low: float, high: float) -> float:
-    """A value as a slider can show it."""
+    """The value rounded and limited to a slider's range."""
     return min(max(round(value, 4), low), high)
 
 
 def step_of(low: float, high: float) -> float:
-    """Of a slider: a power of ten, a thousandth of the range at most."""
+    """The step of a slider: a power of ten, at most a thousandth of the range."""
     return float(min(0.01, 10.0 ** math.floor(math.log10((high - low) / 1000))))

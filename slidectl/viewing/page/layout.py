@@ -1,4 +1,4 @@
-"""Which panels the page has, and where."""
+"""The panels of the page, and their positions."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from slidectl.viewing.page.trajectories_panel import TrajectoriesPanel
 
 _WORLD: tuple[type[Panel], ...] = (SimulationPanel, SceneView, RecordPanel)
 _ROBOT: tuple[type[Panel], ...] = (JointsPanel, ControllersPanel, GainsPanel, TrajectoriesPanel)
-"""What moves robots."""
+"""Panels that move robots."""
 _DATA: tuple[type[Panel], ...] = (PlotsPanel, PublishPanel, ServicesPanel, TopicsPanel, LogPanel, GraphPanel)
-"""What shows and sends messages."""
+"""Panels that show and send messages."""
 _WIDTH = 380.0
-"""Of the panels beside the view, pixels."""
+"""The width of the panels beside the view, in pixels."""
 
 
 def lay_out(page: Page) -> None:
-    """Make all panels."""
+    """Create all panels."""
     gui = page.server.gui
     tabs = gui.add_tab_group()
     for kind in _WORLD:

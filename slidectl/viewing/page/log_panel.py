@@ -1,4 +1,4 @@
-"""The log: what nodes and the daemon say on /rosout, by severity and text (rqt_console)."""
+"""The log: messages on /rosout, filtered by severity and text (rqt_console)."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ _LONGEST_LINE = 500
 
 
 class LogPanel(Panel):
-    """The last lines, the newest below. They stay when the daemon goes."""
+    """The last log lines, newest at the bottom. They stay when the daemon ends."""
 
     title = "Log"
 
     def __init__(self, page: Page) -> None:
         super().__init__(page)
         self._lines: deque[tuple[int, str, str]] = deque(maxlen=_MOST_KEPT)
-        """Level, what is looked for in it, and how it is shown."""
+        """Level, text for the filter, HTML."""
         self._severity = "debug"
         self._text = ""
         self._paused = False
@@ -50,7 +50,7 @@ class LogPanel(Panel):
         level, text = _SEVERITIES[self._severity], self._text.lower()
         found = [line for line in self._lines if line[0] >= level and text in line[1].lower()]
         lines = "".join(line[2] for line in found[-_MOST_SHOWN:])
-        # Of a column from below, the end is what is seen without scrolling.
+        # With column-reverse, the end is visible without scrolling.
         style = f"{SCROLLED};font-family:monospace;display:flex;flex-direction:column-reverse"
         self._shown.content = f'<div style="{style}"><div>{lines}</div></div>'
 

@@ -1,6 +1,6 @@
-"""Forms of messages: what is published on any topic, once or at a rate (rqt_publisher), and requests to services.
+"""Message forms: publishing on any topic, once or at a rate (rqt_publisher), and calling services.
 
-A form makes the message that `slidectl pub` makes of the same values.
+A form makes the same message as `slidectl pub` from the same values.
 """
 
 from __future__ import annotations
@@ -26,34 +26,34 @@ from slidectl.viewing.page.page import SCROLLED, Page, Panel, WorldState, offer
 _NONE = "none"
 _SECOND = 10**9
 _MOST_STEPS = 10_000
-"""Of an expression, while which the page does nothing else."""
+"""Limit of an expression: the page is blocked while it is evaluated."""
 _MOST_RUNNING = 8
 _AHEAD_NS = 5 * _SECOND
-"""Simulated, for which messages are handed over before their time: the page need not be as quick as the world."""
+"""Simulated ns by which messages are sent to the daemon in advance: the page may be slower than the world."""
 _MOST_AHEAD = 2000
 _LONGEST_TURN_S = 0.01
-"""For which messages are made in one turn of the page, which others wait for; of the processor's time."""
+"""CPU seconds per turn of the page for making messages: other panels wait meanwhile."""
 _HIGHEST_HZ = 1000.0
 _LIST_EVERY_S = 2.0
 _LONGEST_WAIT_S = 60.0
 _LONGEST_ANSWER = 20_000
 
 Maker = Callable[[int, float, Time], dict[str, Any]]
-"""Makes the message of an i and a t (s), at a simulated time."""
+"""Makes the message for i and t (s) at a simulated time."""
 
 
 # --- forms ------------------------------------------------------------------------------------------------------------
 
 
 class MessageForm:
-    """One input a field, nested ones as `a.b`: a box for a bool, else text, in the container that is entered.
+    """One input per field, nested ones as `a.b`: a checkbox for a bool, else text. They go into the entered container.
 
-    Numbers may be expressions in i and t, times `now`; arrays are YAML, of expressions too. What is left empty takes
-    its default.
+    Numbers may be expressions in i and t, times `now`; arrays are YAML and may contain expressions. Empty inputs take
+    the default.
     """
 
     def __init__(self, page: Page, schema: Schema, chosen: dict[str, str | bool]) -> None:
-        """`chosen` are the texts by path, and is written to: another form of the type begins with them."""
+        """`chosen` maps paths to texts and is updated: the next form of the type starts with them."""
         self._schema = schema
         self._chosen = chosen
         self._fields = {path: _field(schema, path) for path in field_paths(schema.fields, schema.root)}
@@ -68,9 +68,9 @@ class MessageForm:
             page.acting(handle, partial(chosen.__setitem__, path))
 
     def maker(self) -> Maker:
-        """Of what is in the inputs now. Raises UsageError: text that is no YAML.
+        """A function that makes messages of the present inputs. Raises UsageError: invalid YAML.
 
-        The maker raises UsageError, Refused: a text is no expression, or cannot be computed; BadMessage.
+        The function raises UsageError, Refused: an invalid expression, or one that cannot be computed; BadMessage.
         """
         values: dict[str, Any] = {}
         for path, field in self._fields.items():
@@ -106,7 +106,7 @@ def _initial(field: Field) -> str | bool:
 
 
 class FormPanel(Panel):
-    """A dropdown of topics or of services, and the form of the one that is chosen."""
+    """A dropdown of topics or services, and the form of the chosen one."""
 
     def __init__(self, page: Page) -> None:
         super().__init__(page)
@@ -117,11 +117,11 @@ class FormPanel(Panel):
         self._inputs: GuiFolderHandle | None = None
 
     def schema_of(self, chosen: str) -> tuple[str, Schema] | None:
-        """What the form is of: the name of the type, and the message. None: there is none any more."""
+        """The type name and the schema of the form's message; None when the topic or service no longer exists."""
         raise NotImplementedError
 
     def add_dropdown(self, label: str, known: Iterable[str]) -> None:
-        """The dropdown, with room for the form, which `choose` makes when all else is there."""
+        """Add the dropdown and an empty container for the form; call `choose` after all other elements are made."""
         options = (_NONE, *known)
         self._chosen = self._chosen if self._chosen in options else _NONE
         self._dropdown = self.gui.add_dropdown(label, options, initial_value=self._chosen)
@@ -144,7 +144,7 @@ class FormPanel(Panel):
                 self._form = MessageForm(self.page, schema, self._values.setdefault(kind, {}))
 
     def offer_again(self, known: Iterable[str]) -> None:
-        """Let one choose among what there is now."""
+        """Update the options of the dropdown."""
         options = (_NONE, *known)
         offer(self._dropdown, options)
         if self._chosen not in options:
@@ -167,7 +167,7 @@ def _parts(time_ns: int) -> Time:
 
 
 class PublishPanel(FormPanel):
-    """A form for one topic, and what is published at a rate. That ends with the page, and with the daemon."""
+    """A form for one topic, and publications at a rate. These end with the page or the daemon."""
 
     title = "Publish"
 
@@ -175,7 +175,7 @@ class PublishPanel(FormPanel):
         super().__init__(page)
         self._rate = 10.0
         self._types: dict[str, str] = {}
-        """By topic."""
+        """Topic -> type."""
         self._running: dict[str, _TimedPublication] = {}
 
     def build(self, world: WorldState) -> None:
@@ -232,7 +232,7 @@ class PublishPanel(FormPanel):
 
     def _begin(self) -> None:
         make = self._maker()
-        make(0, 0.0, (0, 0))  # what is wrong is told before what runs is stopped
+        make(0, 0.0, (0, 0))  # report errors before the running publication is stopped
         if len(self._running.keys() | {self._chosen}) > _MOST_RUNNING:
             raise Refused(f"{_MOST_RUNNING} topics are published at a rate, and there can be no more", "stop one")
         self._stop(self._chosen)
@@ -249,10 +249,10 @@ class PublishPanel(FormPanel):
 
 
 class _TimedPublication:
-    """Messages on a topic at times of the simulation, which the daemon gets before. Closing `client` takes them back.
+    """Messages on a topic at simulated times, sent to the daemon in advance. Closing `client` withdraws them.
 
-    i counts the messages, and t is i / rate. Both begin anew when the time of the world goes back. Times that have
-    passed already, as after a leap forward, are left out.
+    i counts the messages, and t is i / rate. Both restart when simulated time goes back. Times that have already
+    passed, for example after a jump forward, are skipped.
     """
 
     folder: GuiFolderHandle
@@ -263,7 +263,7 @@ class _TimedPublication:
         self.rate = rate
         self.published = 0
         self.reason = ""
-        """What the subscribers said last of a message that they took."""
+        """The warnings of the last published message."""
         self._topic = topic
         self._make = make
         self._waiting: deque[str] = deque()
@@ -271,7 +271,7 @@ class _TimedPublication:
         self._index = 0
 
     def advance(self, client: Client) -> None:
-        """Take in what was published, and hand over what comes next.
+        """Process what was published, and send the next messages.
 
         Raises MessageRefused; Refused, BadMessage: a message cannot be made. NoDaemon.
         """
@@ -303,7 +303,7 @@ class _TimedPublication:
 
 
 class _Call(NamedTuple):
-    """What is under way, whatever is chosen meanwhile."""
+    """A call in progress; it does not change with the dropdown."""
 
     id: str
     service: str
@@ -312,9 +312,9 @@ class _Call(NamedTuple):
 
 
 class ServicesPanel(FormPanel):
-    """Any service: a form of its request, and the answer as YAML (rqt_service_caller).
+    """Calls any service: a form of its request, and the response as YAML (rqt_service_caller).
 
-    One at a time is called. The page goes on while it waits for the answer.
+    Only one call is in progress at a time. The page stays responsive meanwhile.
     """
 
     title = "Services"

@@ -1,7 +1,7 @@
-"""The loop of the page: asks the daemon how the world is, shows it, and does what browsers ask for.
+"""The main loop of the page: reads the state of the world, shows it, and carries out what browsers request.
 
-viser calls back on threads of its own; these only put what is to be done into a queue, of which this thread takes it.
-While no browser is there the daemon is asked nothing, but by panels that publish or step.
+viser calls back on its own threads; these only queue actions for this thread. Without a connected browser only panels
+that publish or step communicate with the daemon.
 """
 
 from __future__ import annotations
@@ -28,31 +28,31 @@ if TYPE_CHECKING:
     from slidectl.viewing.page.guarded_server import GuardedServer
 
 FRAME_S = 1 / 35
-"""Wall seconds between two looks at where the links are."""
+"""Wall seconds between two updates of the link poses."""
 _REFRESH_S = 0.1
 _LOOK_S = 0.5
-"""Between two looks at what there is: robots, controllers, topics."""
+"""Wall seconds between two reads of robots, controllers and topics."""
 _CONNECT_S = 0.5
 _MOST_WANTED = 500
 _NOTICE_S = 8.0
 _MOST_TAKEN = 10_000
-"""Of what arrives in one turn while no browser is there: a fast world may send more than can be read."""
+"""Limit of the objects read per turn without a browser: a fast world may send more than can be read."""
 _LONGEST_NOTICE = 600
 PADDING = "padding:0.2em 0.7em"
-"""Of HTML in a panel, so that it stands below the inputs."""
+"""CSS of HTML in a panel, which aligns it with the inputs."""
 _TABLE = "width:100%;font-size:0.8em;font-variant-numeric:tabular-nums;overflow-wrap:anywhere"
 _LONGEST_WORD = 12
-"""Letters of a cell that is never broken."""
+"""Cells up to this many letters are never wrapped."""
 HIGHEST = "max-height:50vh;overflow:auto"
-"""Of what may be long."""
+"""CSS of content that may be long."""
 SCROLLED = f"{HIGHEST};{PADDING};font-size:0.8em;white-space:pre-wrap;overflow-wrap:anywhere"
-"""Of text that may be long."""
+"""CSS of text that may be long."""
 
 Message = dict[str, Any]
 
 
 class WorldState(NamedTuple):
-    """What there is in the world, of one moment."""
+    """The state of the world at one moment."""
 
     status: Message
     """slidectl/Status."""
@@ -75,35 +75,35 @@ class Panel:
         self._subscriptions: list[Subscription] = []
 
     def shape(self, world: WorldState) -> Hashable:  # noqa: ARG002
-        """What decides which elements the panel has: it is built anew when that becomes another."""
+        """A key of the panel's elements: when it changes, the panel is rebuilt."""
         return None
 
     def build(self, world: WorldState) -> None:
-        """Make the elements; the container is entered. What an earlier `build` made is gone."""
+        """Create the elements in the entered container. Elements of an earlier `build` have been removed."""
 
     def refresh(self, world: WorldState) -> None:
-        """Show the newest values, ten times a second while a browser is there. `world` may be half a second old."""
+        """Show the newest values, ten times per second with a browser connected. `world` may be half a second old."""
 
     def update(self) -> None:
-        """Go on with what does not end when no browser is there: ten times a second while the daemon is."""
+        """Continue work that needs no browser; called ten times per second while there is a daemon."""
 
     def opened(self, query: Mapping[str, Sequence[str]]) -> None:
-        """A browser has opened the page with this query in its address."""
+        """Handle a page opened with this query in its address."""
 
     def subscribe(self, topic: str, type_name: str | None = None, **options: Any) -> Subscription:
-        """As `Client.subscribe`, until the panel is left."""
+        """Subscribe as `Client.subscribe` does, until `leave`."""
         self._subscriptions.append(self.page.client.subscribe(topic, type_name, **options))
         return self._subscriptions[-1]
 
     def leave(self) -> None:
-        """Before the panel is built anew, and when the daemon has gone: end subscriptions."""
+        """End subscriptions. Called before the panel is rebuilt, and when the daemon has ended."""
         for subscription in self._subscriptions:
             subscription.close()
         self._subscriptions.clear()
 
 
 def html_table(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Numbers stand on the right, with four decimals; None, as NaN comes from the daemon, is a dash."""
+    """An HTML table. Floats are right-aligned with four decimals; None (NaN from the daemon) is a dash."""
     lines = [list(row) for row in rows]
     is_number = [bool(lines) and (one is None or isinstance(one, float)) for one in (*lines, columns)[0]]
     head = "".join(map(_cell, columns, is_number, ["th"] * len(columns)))
@@ -120,13 +120,13 @@ def _cell(value: object, is_number: bool, kind: str) -> str:
 
 
 def offer(handle: Any, options: tuple[str, ...]) -> None:
-    """Let one choose among these; viser would send them anew each time."""
+    """Set the options of an input if they differ: viser would send equal ones again."""
     if handle.options != options:
         handle.options = options
 
 
 class Page:
-    """Panels and scene of one daemon, in all browsers that have the page open."""
+    """Panels and scene of one daemon, in all browsers that show the page."""
 
     def __init__(
         self,
@@ -135,7 +135,7 @@ class Page:
         read_only: bool,
         opened: queue.SimpleQueue[Mapping[str, Sequence[str]]],
     ) -> None:
-        """`connect` makes a connection to the daemon, or raises NoDaemon. `opened` has the queries of pages."""
+        """`connect` connects to the daemon or raises NoDaemon. `opened` has the queries of opened pages."""
         self.server = server
         self._opened = opened
         self.read_only = read_only
@@ -150,22 +150,22 @@ class Page:
         self._frame: Callable[[], object] = lambda: None
         self._banner = server.gui.add_markdown("connecting ...", order=-1000)
         self._told: dict[tuple[str, str], float] = {}
-        """Notice -> until when it is shown."""
+        """Notification -> wall time until which it is shown."""
         self._faults: set[tuple[type[Exception], str]] = set()
-        """Those whose traceback is on stderr."""
+        """Internal errors whose traceback has been printed."""
         self._due = dict.fromkeys(("frame", "update", "refresh", "look", "connect"), 0.0)
 
     # --- for panels -----------------------------------------------------------------------------------------------
 
     @property
     def client(self) -> Client:
-        """The connection to the daemon, for the page's thread. Raises NoDaemon while there is none."""
+        """The connection to the daemon, for the page's thread only. Raises NoDaemon without one."""
         if self._client is None:
             raise NoDaemon("the daemon is not there", "the page comes back with it")
         return self._client
 
     def call(self, service: str, request: Message | None = None) -> Message:
-        """As `Client.call`. Raises Refused for an answer that says so too."""
+        """Call a service as `Client.call` does. Raises Refused also for a response with success false."""
         answer = self.client.call(service, request)
         if not answer.get("success", True):
             raise Refused(answer.get("status_message") or answer.get("message") or f"{service} refused")
@@ -176,14 +176,14 @@ class Page:
         self._panels.append((panel, tab))
 
     def each_frame(self, action: Callable[[], object]) -> None:
-        """What puts the robots where they are."""
+        """Set the function that updates the robots' poses."""
         self._frame = action
 
     def do(self, action: Callable[[], object], key: Hashable = None) -> None:
-        """Have something done on the page's thread, from any thread.
+        """Queue an action for the page's thread; callable from any thread.
 
-        Of all that waits with one key only the newest is done: a slider that is dragged sends what it is now. What it
-        raises is shown in all browsers. When too much waits, it is left out, and that is told.
+        Of waiting actions with the same key only the newest is done, for example for a dragged slider. Errors are shown
+        in all browsers. When the queue is full the action is dropped, and the browsers are notified.
         """
         key = object() if key is None else key
         if self._queue.qsize() >= _MOST_WANTED:
@@ -193,9 +193,9 @@ class Page:
         self._queue.put(key)
 
     def acting(self, handle: Any, action: Callable[[Any], object], coalesce: bool = False) -> None:
-        """Call `action` with the value of an input, or of a button, whenever somebody changes it.
+        """Call `action` with the value of an input or button when a user changes it.
 
-        It is for what changes the world: on a page that only looks the input is disabled, and nothing is done.
+        For actions that change the world: on a read-only page the input is disabled.
         """
         if self.read_only and isinstance(handle, GuiButtonGroupHandle):  # cannot be disabled
             handle.visible = False
@@ -205,14 +205,14 @@ class Page:
             self.looking(handle, action, coalesce)
 
     def looking(self, handle: Any, action: Callable[[Any], object], coalesce: bool = False) -> None:
-        """As `acting`, for what changes the page alone."""
+        """As `acting`, for actions that change only the page."""
         self.answering(handle, lambda value, _: action(value), coalesce)
 
     def answering(self, handle: Any, action: Callable[[Any, ClientHandle], object], coalesce: bool = False) -> None:
-        """As `looking`, with the browser that asks, which may get a file."""
+        """As `looking`; `action` also gets the requesting browser, for example to send it a file."""
         key = object() if coalesce else None  # a handle cannot be a key
 
-        async def changed(event: Any) -> None:  # async: in the order in which they come
+        async def changed(event: Any) -> None:  # async: keeps the order of events
             if event.client is not None:  # else the page itself has set the value
                 self.do(partial(action, event.target.value, event.client), key)
 
@@ -220,7 +220,7 @@ class Page:
         register(changed)
 
     def notify(self, title: str, text: str = "", color: str = "teal") -> None:
-        """Tell all browsers; what has just been told is not told again."""
+        """Show a notification in all browsers, unless it is still shown."""
         now = time.monotonic()
         self._told = {one: until for one, until in self._told.items() if until > now}
         if self._told.setdefault((title, text), now + _NOTICE_S) != now + _NOTICE_S:
@@ -229,27 +229,27 @@ class Page:
             browser.add_notification(title, cut(text, _LONGEST_NOTICE), auto_close_seconds=_NOTICE_S, color=color)  # type: ignore[call-overload]
 
     def attempt(self, action: Callable[[], object]) -> None:
-        """Do something whose failure is told in all browsers. Raises NoDaemon."""
+        """Do an action and show its errors in all browsers. Raises NoDaemon."""
         try:
             action()
         except NoDaemon:
             raise
         except SlidectlError as error:
             self.notify(error.message, error.hint or "", "red")
-        except Exception as error:  # a fault in one panel does not end the page for all
+        except Exception as error:  # an internal error in one panel must not end the page
             if (type(error), str(error)) not in self._faults:
                 self._faults.add((type(error), str(error)))
                 traceback.print_exc()
             self.notify("A fault of slidectl", f"{type(error).__name__}: {error}", "red")
 
     def look_again(self) -> None:
-        """Look at what there is without waiting: something has just been changed."""
+        """Read the robots, controllers and topics in the next turn, after a change."""
         self._due["look"] = 0.0
 
     # --- the loop -------------------------------------------------------------------------------------------------
 
     def run(self, until: Callable[[], bool] = lambda: False) -> None:
-        """Until it is interrupted, or until it is true."""
+        """Run until interrupted, or until `until` returns True."""
         while not until():
             try:
                 self._turn()
@@ -274,7 +274,7 @@ class Page:
             for panel in list(self._built):
                 self.attempt(panel.update)
         if not self.server.get_clients():
-            for _ in islice(self._client.events(0.0), _MOST_TAKEN):  # and a daemon that has gone is noticed
+            for _ in islice(self._client.events(0.0), _MOST_TAKEN):  # also notices the end of the daemon
                 pass
             return
         if self._is_due("look", _LOOK_S, now):
@@ -288,16 +288,16 @@ class Page:
     def _is_due(self, what: str, period: float, now: float) -> bool:
         if now < self._due[what]:
             return False
-        self._due[what] = max(self._due[what] + period, now + period / 2)  # a turn that was late is not made up for
+        self._due[what] = max(self._due[what] + period, now + period / 2)  # missed turns are not repeated
         return True
 
     def _wait(self) -> None:
-        """Until the next turn, or until somebody wants something; does what is wanted."""
+        """Do queued actions until the next turn."""
         idle = self._client is None or not self.server.get_clients()
         left = _REFRESH_S if idle else min(self._due["frame"] - time.monotonic(), FRAME_S)
         with suppress(queue.Empty):
             key = self._queue.get(timeout=max(left, 0.001))
-            end = time.monotonic() + FRAME_S  # what one browser wants does not hold up the others for longer
+            end = time.monotonic() + FRAME_S  # one browser's actions must not delay the others longer
             while True:
                 action = self._wanted.pop(key, None)
                 if action is not None:
@@ -314,7 +314,7 @@ class Page:
             self.notify("Too much at once", "Some of what browsers asked for was left out.", "red")
 
     def _look(self, client: Client) -> None:
-        """See what there is, and build anew what shows it."""
+        """Read robots, controllers and topics, and rebuild the panels that changed."""
         robots = client.robots()
         answer = client.call("/rosapi/services_for_type", {"type": "controller_manager_msgs/ListControllers"})
         spaces = sorted(names.parent(names.parent(service)) for service in answer["services"])
@@ -328,7 +328,7 @@ class Page:
             self.attempt(partial(self._show, panel, tab, world))
 
     def _show(self, panel: Panel, tab: GuiTabHandle, world: WorldState) -> None:
-        """Build a panel whose shape has become another, or that could not be built before."""
+        """Build a panel whose shape has changed, or that could not be built before."""
         shape = panel.shape(world)
         if panel in self._built and self._built[panel][0] == shape:
             return
@@ -356,7 +356,7 @@ class Page:
                 container.remove()
 
     def _lost(self) -> None:
-        """The daemon has gone: say so, show nothing that may not be true any more, and look for it."""
+        """Handle the end of the daemon: notify browsers, clear the panels, and try to reconnect."""
         if self._client is not None:
             with suppress(SlidectlError):
                 self._client.close()
@@ -369,7 +369,7 @@ class Page:
         self._due["connect"] = time.monotonic() + _CONNECT_S
 
     def close(self) -> None:
-        """Leave the daemon and the browsers."""
+        """Disconnect from the daemon and stop the server."""
         for panel in self._built:
             with suppress(SlidectlError):
                 panel.leave()

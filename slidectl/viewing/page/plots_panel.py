@@ -1,4 +1,4 @@
-"""Fields of topics over the last seconds of simulated time, several a plot (rqt_plot)."""
+"""Fields of topics over the last seconds of simulated time, several per plot (rqt_plot)."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from slidectl.viewing.plots import Curve, Plot, as_file, thinned
 
 _MOST_PLOTS = 8
 _MOST_FIELDS = 16
-"""Of one plot."""
+"""Fields per plot."""
 _MOST_POINTS = 1000
 _LONGEST_S = 120.0
 _QUEUE = 5000
 _TRIM_EVERY = 1000
-"""Messages, after which what is too old is forgotten: also while no browser is there and nothing is drawn."""
+"""Messages between two removals of old samples, which also happen when no browser is connected."""
 _LONGEST_NOTE = 600
 _NONE, _NEW = "none", "new plot"
 _PAUSE, _CSV, _REMOVE = "Pause", "CSV", "Remove"
@@ -34,7 +34,7 @@ _COLOURS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#
 
 
 class PlotsPanel(Panel):
-    """What is plotted, which all browsers see. A plot whose topic is not there waits for it."""
+    """The plots, the same in all browsers. A plot waits for a missing topic."""
 
     title = "Plots"
 
@@ -97,7 +97,7 @@ class PlotsPanel(Panel):
             plot.is_drawn = False
 
     def _plot(self) -> None:
-        """Raises UnknownName, AmbiguousName, Unused, UsageError: about the field."""
+        """Plot the typed field. Raises UnknownName, AmbiguousName, Unused, UsageError."""
         field = self._field.strip()
         if not field:
             raise UsageError("no field to plot", "write one, as joint_states/position[0], or choose a topic")
@@ -144,7 +144,7 @@ class PlotsPanel(Panel):
 
 
 class _LivePlot:
-    """Fields of topics as they come. What is not there yet is looked for again at each `follow`."""
+    """Curves of live topics. Missing topics are looked up again at each `follow`."""
 
     folder: GuiFolderHandle
     note: GuiHtmlHandle
@@ -152,20 +152,20 @@ class _LivePlot:
     def __init__(self, fields: list[str]) -> None:
         self.fields = fields
         self.frozen: list[Curve] | None = None
-        """What is shown while it is paused."""
+        """The curves shown while the plot is paused."""
         self.is_drawn = False
         self._followed: dict[str, list[TopicCurves]] = {}
-        """By field."""
+        """Field -> its topics' curves."""
         self._subscriptions: list[Subscription] = []
         self._troubles: dict[str, str] = {}
-        """Why there is nothing of a field."""
+        """Field -> why it has no curve."""
         self._end = 0.0
         self._taken = 0
         self._chart: GuiUplotHandle | None = None
         self._labels: list[str] = []
 
     def add(self, client: Client, field: str) -> None:
-        """Raises as `plot_fields.of_live` does, and Refused."""
+        """Subscribe a field. Raises as `plot_fields.of_live`, and Refused."""
         if field in self._followed:
             return
         if len({*self.fields, field}) > _MOST_FIELDS:
@@ -180,7 +180,7 @@ class _LivePlot:
             self.fields.append(field)
 
     def follow(self, client: Client) -> None:
-        """Begin with the fields that are there now. Raises NoDaemon."""
+        """Subscribe the fields that exist now. Raises NoDaemon."""
         for field in self.fields:
             try:
                 self.add(client, field)
@@ -190,7 +190,7 @@ class _LivePlot:
                 self._troubles[field] = str(error)
 
     def leave(self) -> None:
-        """The elements are gone, or go."""
+        """End subscriptions; the elements are removed."""
         for subscription in self._subscriptions:
             subscription.close()
         self._subscriptions.clear()
@@ -200,7 +200,7 @@ class _LivePlot:
         self.is_drawn = False
 
     def _take(self, field: str, every: Mapping[str, TopicCurves], published: dict[str, Any]) -> None:
-        """It is called while anybody waits for an answer, whom errors do not concern."""
+        """Take a message. It may be called during any call, so errors are stored instead of raised."""
         if field in self._troubles:
             return
         time_ns = nanoseconds(published["time"])
@@ -218,20 +218,20 @@ class _LivePlot:
                     one.keep_since(self._end - _LONGEST_S)
 
     def curves(self, seconds: float) -> list[Curve]:
-        """The last seconds of all curves, or what was there when it was paused. Raises Refused: nothing has come."""
+        """The last seconds of all curves, or the curves at the pause. Raises Refused: no message yet."""
         if self.frozen is not None:
             return self.frozen
         found = []
         for curve in (curve for every in self._followed.values() for one in every for curve in one.curves):
             times, values = curve.points()
-            here = (times >= self._end - seconds) & (times <= self._end)  # the time of others may have gone back
+            here = (times >= self._end - seconds) & (times <= self._end)  # another topic's time may have gone back
             found.append(replace(curve, times=times[here], values=values[here]))
         if not any(len(curve.times) for curve in found):
             raise Refused("no message has come yet")
         return found
 
     def draw(self, gui: GuiApi, seconds: float, is_paused: bool) -> None:
-        """Show what has come since the last time."""
+        """Show new samples."""
         text = self._told(is_paused)
         if text != self.note.content:
             self.note.content = text
@@ -258,7 +258,7 @@ class _LivePlot:
                     ({"label": plot.x_label}, *series), scales={"x": {"time": False}},
                     axes=({}, {"label": plot.rows()[0][0]}), height=240, order=1,
                 )  # fmt: skip
-        # Lists, where viser's types want arrays: None reaches the browser as null, and only that is a gap to uPlot.
+        # viser's types want arrays, but lists are needed: None becomes null, which uPlot draws as a gap.
         self._chart.data = columns  # type: ignore[assignment]
 
     def _told(self, is_paused: bool) -> str:
@@ -273,7 +273,7 @@ class _LivePlot:
 
 
 def _labels(curves: Sequence[Curve]) -> list[str]:
-    """The ends of the names by which they differ, and the joints."""
+    """The shortest distinct ends of the names, with the joints."""
     parts = [curve.name.split("/") for curve in curves]
     ends = (["/".join(one[-count:]) for one in parts] for count in range(1, max(map(len, parts)) + 1))
     chosen = next((names for names in ends if len(set(names)) == len(names)), [curve.name for curve in curves])
@@ -282,9 +282,9 @@ def _labels(curves: Sequence[Curve]) -> list[str]:
 
 
 def _columns(curves: Sequence[Curve]) -> list[list[float | None]]:
-    """Times, then a column a curve at these times: None is a gap. Of each part the lowest and the highest are there.
+    """The times, then one column per curve; None is a gap. Thinning keeps the minimum and maximum of each interval.
 
-    A curve that has no sample at the time of another has what the line between its own samples has there.
+    A curve without a sample at a time is interpolated linearly.
     """
     points = [(np.asarray(curve.times), np.asarray(curve.values)) for curve in curves]
     grid = np.unique(np.concatenate([times for times, _ in points]))

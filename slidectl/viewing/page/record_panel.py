@@ -1,4 +1,4 @@
-"""Recordings into files of the folder in which the page was started, each by a `slidectl record` of its own."""
+"""Recordings into files in the working folder of the page, each by its own `slidectl record` process."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from slidectl.errors import Refused, UsageError
 from slidectl.viewing.page.page import SCROLLED, Page, Panel, WorldState
 
 _LAST = 4096
-"""Bytes of the end of what a recorder has said."""
+"""Bytes read from the end of a recorder's output."""
 _LONGEST_NAME = 200
 
 
 class RecordPanel(Panel):
-    """One recording at a time. It ends by its button, with the page, and with the daemon."""
+    """One recording at a time. It ends by its button, with the page, or with the daemon."""
 
     title = "Record"
 
@@ -80,7 +80,7 @@ class RecordPanel(Panel):
         self._recorder = _Recording(self._path(), [*daemon, *(["--", *topics] if topics else ["--all"])])
 
     def _path(self) -> Path:
-        """Of the file. Raises UsageError, Refused."""
+        """The path of the file. Raises UsageError, Refused."""
         from slidectl.recording.recording_files import check_kind
 
         name = self._name.strip()
@@ -94,7 +94,7 @@ class RecordPanel(Panel):
 
 
 class _Recording:
-    """The process of `slidectl record`. It writes into files: a pipe could be full while no browser looks."""
+    """A `slidectl record` process. Its output goes to files: a pipe could fill up when no browser reads it."""
 
     def __init__(self, path: Path, words: list[str]) -> None:
         """Raises Refused: it cannot be started."""
@@ -105,18 +105,18 @@ class _Recording:
         try:
             self.process = subprocess.Popen(
                 command, stdin=subprocess.DEVNULL, stdout=self._told, stderr=self._errors,
-                start_new_session=True,  # Ctrl-C is for the page, which ends it
+                start_new_session=True,  # Ctrl-C is for the page, which then stops the recorder
             )  # fmt: skip
         except OSError as error:
             raise Refused(f"cannot start the recorder: {error.strerror}") from None
 
     def stop(self) -> None:
-        """It completes the file."""
+        """Interrupt the recorder, which then completes the file."""
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGINT)
 
     def so_far(self) -> str:
-        """What has come, in words."""
+        """The progress in words."""
         lines = _end_of(self._told).splitlines()
         if not lines:
             return "begins"
@@ -124,13 +124,13 @@ class _Recording:
         return f"{said['messages']} messages of {said['topics']} topics, {said['seconds']:.3f} s"
 
     def trouble(self) -> str:
-        """Why it has failed; empty where it has not."""
+        """The error of an ended recorder; empty without one."""
         if not self.process.returncode:
             return ""
         last = (_end_of(self._errors).splitlines() or [""])[-1]
         try:
             said = json.loads(last)
-        except ValueError:  # it did not come as far as to say it
+        except ValueError:  # it ended without an error message in JSON
             return last or f"the recorder ended with {self.process.returncode}"
         return "\n".join(filter(None, (said["error"], said["hint"])))
 

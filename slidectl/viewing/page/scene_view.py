@@ -1,4 +1,4 @@
-"""The robots in the browser, where the simulation has them; what can be shown beside them; pushes with the mouse."""
+"""The 3D view of the robots in the browser, optional drawings in it, and pushing links with the mouse."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from slidectl.viewing.page.page import Page, Panel, WorldState
 FRAMES, AXES, MASSES, CONTACTS = "frames of links", "joint axes", "centres of mass", "contacts and their forces"
 _MOST_TRACED = 2000
 _STIFFNESS = 50.0
-"""N a metre of a push with the mouse, and a kg of the robot."""
+"""Stiffness of a push with the mouse, N per m and per kg of the robot."""
 _PUSH_S = 0.3
-"""Wall seconds for which a push goes on unless it is renewed: the page may have gone."""
+"""Wall seconds after which a push ends unless it is renewed: the page may have ended."""
 _LONGEST_PUSH = 10.0
-"""Radii of all that is there."""
+"""The longest push, in radii of the scene."""
 _NOTHING = "nothing"
 _RED, _GREEN, _BLUE, _YELLOW = (230, 60, 60), (60, 180, 75), (60, 90, 230), (240, 190, 30)
 
 
 class SceneView(Panel):
-    """What is drawn, with the panel that chooses it."""
+    """The 3D scene, and the panel with its options."""
 
     title = "View"
 
@@ -36,13 +36,13 @@ class SceneView(Panel):
         super().__init__(page)
         self._scene: DrawnScene | None = None
         self._links: dict[str, Any] = {}
-        """ROBOT::LINK -> its frame."""
+        """ROBOT::LINK -> its frame in viser."""
         self._extra: dict[str, list[SceneNodeHandle]] = {FRAMES: [], AXES: [], MASSES: []}
         self._shown: dict[str, bool] = dict.fromkeys((FRAMES, AXES, MASSES, CONTACTS), False)
         self._collisions = self._dark = False
         self._traced = _NOTHING
         self._held: dict[str, tuple[Vector, Array]] = {}
-        """Link that is pushed -> where it was taken, in its frame, and where the mouse is."""
+        """Pushed link -> the grasped point in the link's frame, and the mouse's point in the world, m."""
         self._trace: deque[Vector] = deque(maxlen=_MOST_TRACED)
         self._is_trace_new = False
         self._placed: Any = None
@@ -124,7 +124,7 @@ class SceneView(Panel):
     # --- the scene ------------------------------------------------------------------------------------------------
 
     def draw(self) -> None:
-        """Put everything where it is now. Raises NoDaemon."""
+        """Update all poses. Raises NoDaemon."""
         if self._scene is None:
             return
         answer = self.page.client.call("/slidectl/scene", {"contacts": self._shown[CONTACTS]})
@@ -146,7 +146,7 @@ class SceneView(Panel):
             self._is_trace_new = True
 
     def _look(self) -> None:
-        """Make the robots anew that there are now. Raises NoDaemon."""
+        """Rebuild the robots in the view. Raises NoDaemon."""
         self._remove_robots()
         scene = self._scene = DrawnScene(
             self.page.client.call("/slidectl/scene", {"descriptions": True}), self._collisions
@@ -181,7 +181,7 @@ class SceneView(Panel):
                 browser.camera.position, browser.camera.look_at = eye, centre
 
     def _add_extras(self, name: str, robot: Robot, size: float) -> None:
-        """Frames, joint axes and centres of mass of a robot that is so many metres big."""
+        """Add frames, joint axes and centres of mass of a robot of `size` m."""
         scene, length = self.page.server.scene, 0.08 * size
         for link in robot.links.values():
             path = _path(f"{name}::{link.name}")
@@ -235,7 +235,7 @@ class SceneView(Panel):
     # --- the mouse ------------------------------------------------------------------------------------------------
 
     def _pushable(self, mesh: Any, link: str) -> None:
-        async def dragged(event: Any) -> None:  # async: in the order in which they come
+        async def dragged(event: Any) -> None:  # async: keeps the order of events
             start, end = event.start_position, event.end_position
             if event.phase == "end":
                 self.page.do(lambda: self._release(link), ("push", link))
@@ -245,8 +245,8 @@ class SceneView(Panel):
         mesh.on_drag("left", modifier="shift")(dragged)
 
     def _hold(self, link: str, start: Vector, end: Vector) -> None:
-        """Push a link from where it was taken to where the mouse is, at each refresh until it is released."""
-        if self._scene is None or link not in self._scene.poses:  # its robot has just gone
+        """Start or move a push: it acts on the grasped point at each refresh until released."""
+        if self._scene is None or link not in self._scene.poses:  # its robot was just deleted
             return
         radius = self._scene.bounds()[1]
         way = np.array(end) - start
@@ -257,7 +257,7 @@ class SceneView(Panel):
         self._held[link] = taken_at, np.array(start) + way
 
     def _push(self, link: str, speed: float) -> None:
-        """A spring from where the link was taken to the mouse, for the next moment."""
+        """Apply a spring force from the grasped point towards the mouse, for a short time."""
         if self._scene is None or link not in self._scene.poses:
             del self._held[link]
             self.page.server.scene.remove_by_name("/push")
@@ -285,7 +285,7 @@ class SceneView(Panel):
         self.page.call("/gazebo/clear_body_wrenches", {"body_name": link})
 
     def _choose_placed(self, name: str) -> None:
-        """Show the handles with which a free robot is put elsewhere."""
+        """Show the handles that move a free robot."""
         if self._placed is not None:
             self._placed.remove()
             self._placed = None
@@ -308,7 +308,7 @@ class SceneView(Panel):
 
 
 def _path(link: str) -> str:
-    """Where a link is in viser's tree of names."""
+    """The name of a link's node in viser's scene tree."""
     robot, _, name = link.partition("::")
     return f"/robots/{robot.replace('/', '_')}/{name.replace('/', '_')}"
 

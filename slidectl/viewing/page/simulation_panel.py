@@ -1,4 +1,4 @@
-"""Time of the world: pause, step, speed, reset, save and load."""
+"""Simulation control: pause, step, speed, reset, save and load."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _NONE = "none"
 
 
 class SimulationPanel(Panel):
-    """What `slidectl sim` does."""
+    """The functions of `slidectl sim`."""
 
     title = "Simulation"
 
@@ -24,10 +24,10 @@ class SimulationPanel(Panel):
         self._cycles = 1
         self._name = "here"
         self._stepping: tuple[Client, str] | None = None
-        """The connection and the id of the call of the steps that are under way."""
+        """The connection and the call id of the step in progress."""
         if not page.read_only:
             for label, key, action in (("Pause or resume", "space", self._toggle), ("Step", ".", self._step)):
-                # "." is no key of viser's list, which its browser part does not look at.
+                # viser's type of hotkeys lacks ".", but its browser part accepts it.
                 command = self.gui.add_command(label, hotkey=key)  # type: ignore[arg-type]
                 command.on_trigger(_triggered(page, action))
 
@@ -60,7 +60,7 @@ class SimulationPanel(Panel):
         is_still = world.status["paused"] and not self._stepping
         self._pause.label = "Resume (space)" if is_still else "Pause (space)"
         speed = f"{world.status['speed']:g}" if world.status["speed"] else "max"
-        if speed != self._seen_speed:  # not the dropdown's: what was chosen there may be newer than `world`
+        if speed != self._seen_speed:  # compared to the last seen speed: the dropdown may be newer than `world`
             self._seen_speed = speed
             self._speed.options = tuple(dict.fromkeys((*_SPEEDS, speed)))
             self._speed.value = speed
@@ -69,7 +69,7 @@ class SimulationPanel(Panel):
         if self._stepping is None:
             return
         client, call = self._stepping
-        if client is not self.page.client:  # their daemon has gone
+        if client is not self.page.client:  # that daemon has ended
             self._stepping = None
         elif client.is_answered(call):
             self._stepping = None
@@ -79,7 +79,7 @@ class SimulationPanel(Panel):
                 raise Refused(answer["message"])
 
     def _status(self) -> Message:
-        """slidectl/Status, before which the answer to steps comes that are done."""
+        """The slidectl/Status. The answer of finished steps arrives before it and is processed."""
         status = self.page.client.call("/slidectl/status")
         self.page.attempt(self.update)
         return status
@@ -108,7 +108,7 @@ class SimulationPanel(Panel):
         self.page.look_again()
 
     def _load(self, name: str) -> None:
-        self._snapshots.value = _NONE  # it can be chosen again
+        self._snapshots.value = _NONE  # allows choosing the same one again
         if name != _NONE:
             at = self.page.client.load(name)
             self.page.notify(f"{name} loaded: it is {at:.3f} s")

@@ -1,4 +1,4 @@
-"""All topics with who uses them, and of those that somebody chooses the rate and the last message (rqt_topic)."""
+"""All topics with their numbers of users, and the rate and last message of chosen ones (rqt_topic)."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ _SHOW_S = 0.25
 _MOST_ELEMENTS, _LONGEST_TEXT = 12, 200
 _SLOW_MS, _FAST_MS = 200, 10
 _FAST_HZ = 80.0
-"""What comes as fast through a throttle of `_FAST_MS` may come faster."""
+"""A rate measured through a throttle of `_FAST_MS` from which on the true rate may be higher."""
 
 
 class TopicsPanel(Panel):
-    """The list of topics, and those that are monitored."""
+    """The list of topics, and the monitored ones."""
 
     title = "Topics"
 
@@ -45,7 +45,7 @@ class TopicsPanel(Panel):
 
     def build(self, world: WorldState) -> None:  # noqa: ARG002
         client = self.page.client
-        types = client.topics()  # what is there without us
+        types = client.topics()  # before the page's own subscriptions
         for name in self._chosen:
             if name in types:
                 self._monitored[name] = _MonitoredTopic(client, name, types[name])
@@ -107,9 +107,10 @@ class TopicsPanel(Panel):
 
 
 class _MonitoredTopic:
-    """How often messages come, in simulated time, and the last one.
+    """The rate of messages in simulated time, and the last message.
 
-    Of those with a header few are enough to tell; of those with lists, which may be long, a hundred a second are taken.
+    Messages with a header are throttled, since their count is in it. Messages with lists may be long, so at most a
+    hundred per second are received.
     """
 
     shown: GuiHtmlHandle
@@ -124,11 +125,11 @@ class _MonitoredTopic:
         self._last: tuple[object, str] = (None, "")
 
     def stop(self) -> None:
-        """Subscribe no more."""
+        """End the subscription."""
         self._followed.subscription.close()
 
     def show(self, now_ns: int) -> None:
-        """Show what is new."""
+        """Show a new message or rate."""
         rate, message = self._rate(now_ns), self._followed.message
         if message is self._last[0] and rate == self._last[1]:
             return
@@ -147,7 +148,7 @@ class _MonitoredTopic:
 
 
 def _shortened(value: Any) -> Any:
-    """Of long lists the first elements, of long texts the beginning."""
+    """The value with long lists and texts cut."""
     if isinstance(value, dict):
         return {key: _shortened(inner) for key, inner in value.items()}
     if isinstance(value, list):
@@ -155,4 +156,4 @@ def _shortened(value: Any) -> Any:
         return [*map(_shortened, value[:_MOST_ELEMENTS]), *([f"and {more} more"] if more > 0 else [])]
     if isinstance(value, str):
         return cut(value, _LONGEST_TEXT)
-    return math.nan if value is None else value  # what is no number travels as null
+    return math.nan if value is None else value  # NaN is null in JSON

@@ -1,4 +1,4 @@
-"""Targets for the joints of a trajectory controller, and a duration: rqt_joint_trajectory_controller."""
+"""Target positions and a duration for a trajectory controller (rqt_joint_trajectory_controller)."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ _LONGEST_S = 1e6
 
 
 class TrajectoriesPanel(Panel):
-    """One of the running trajectory controllers."""
+    """A goal form for one of the running trajectory controllers."""
 
     title = "Trajectories"
 
     def __init__(self, page: Page) -> None:
         super().__init__(page)
         self._controller = ""
-        """The full name of the one that was chosen."""
+        """The full name of the chosen controller."""
         self._duration = 2.0
         self._targets: dict[str, dict[str, float]] = {}
         """Controller -> joint -> position."""
         self._sliders: dict[str, Any] = {}
         self._states: Subscription | None = None
         self._goal: tuple[Action, str] | None = None
-        """What was sent and has not ended, with its id."""
+        """The action and the id of the goal that was sent and has not ended."""
         self._told = "no goal was sent"
 
     def shape(self, world: WorldState) -> Hashable:
@@ -118,7 +118,7 @@ class TrajectoriesPanel(Panel):
             self._goal = None
 
     def _end_goal(self) -> None:
-        """Follow it no more."""
+        """Stop following the goal."""
         self._look_at_goal()
         if self._goal is not None:
             self._goal[0].close()
@@ -132,7 +132,7 @@ class TrajectoriesPanel(Panel):
 
 
 def _running(world: WorldState) -> Iterator[tuple[str, str, Message]]:
-    """The full name of each trajectory controller that runs, its action and its robot."""
+    """The full name of each running trajectory controller, its action and its robot."""
     actions = trajectory_controllers(world.topics)
     robots = {robot["namespace"]: robot for robot in world.robots if robot["kind"] == "robot"}
     for space, loaded in world.controllers.items():
