@@ -1124,7 +1124,7 @@ class Manager:
         return self.start(idle, stop) if start and (idle or stop) else self.states()
 
     def start(self, wanted: Sequence[str], stop: Sequence[str] = ()) -> dict[str, str]:
-        """Start loaded controllers in one strict switch, and check that they run. Returns the states. Raises Refused."""
+        """Start loaded controllers in one strict switch, check that they run, return the states. Raises Refused."""
         self.switch(wanted, stop)
         return self.check_started(wanted)
 

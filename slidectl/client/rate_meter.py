@@ -1,4 +1,4 @@
-"""How often messages come."""
+"""The rate of messages."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from itertools import pairwise
 
 
 class RateMeter:
-    """The rate of the last `most` messages, or of those of the last `span_ns`, which are never less than two.
+    """The rate of the last `most` messages, or of the messages in the last `span_ns` (at least two).
 
-    It begins anew when the clock or the count jumps back: after a reset, or with another publisher.
+    It starts again when the clock or the count jumps back: after a reset, or with another publisher.
     """
 
     def __init__(self, most: int | None = None, span_ns: float = math.inf) -> None:
         self._span_ns = span_ns
         self._taken: deque[tuple[int, int]] = deque(maxlen=most)
-        """The time and the count of each message."""
+        """Time in ns and count of each message."""
 
     def __len__(self) -> int:
         return len(self._taken)
 
     def take(self, time_ns: int, count: int | None = None) -> None:
-        """A message. `count`: how many the publisher had sent before, where they are not all taken."""
+        """Add a message. `count`: messages that the publisher had sent before, if not all of them are added."""
         last_ns, last = self._taken[-1] if self._taken else (time_ns, -1)
         count = last + 1 if count is None else count
         if time_ns < last_ns or count < last:
@@ -33,7 +33,7 @@ class RateMeter:
 
     @property
     def rate(self) -> float | None:
-        """In Hz; None before it can be told."""
+        """The rate in Hz; None while unknown."""
         if not self._taken:
             return None
         (begin_ns, first), (end_ns, last) = self._taken[0], self._taken[-1]
@@ -41,10 +41,10 @@ class RateMeter:
 
     @property
     def intervals(self) -> list[float]:
-        """Between messages that followed each other, in s."""
+        """The intervals between consecutive messages, s."""
         return [(after - before) / 1e9 for (before, _), (after, _) in pairwise(self._taken)]
 
     def is_silent(self, now_ns: int) -> bool:
-        """True when none came for longer than `span_ns`, and than twice the last interval."""
+        """True when no message came for longer than `span_ns` and for longer than twice the last interval."""
         times_ns = [time_ns for time_ns, _ in self._taken]
         return bool(times_ns) and now_ns - times_ns[-1] > max(self._span_ns, 2 * (times_ns[-1] - times_ns[-2:][0]))
