@@ -90,7 +90,7 @@ class UpdateTimes:
                 self._node.log("warn", f"controller {self._name!r}: {text}")
 
     def message(self) -> dict[str, Any]:
-        """As slidectl/UpdateTimes, in seconds."""
+        """The times as slidectl/UpdateTimes, in seconds."""
         mean_ns = self.total_ns / self.count if self.count else 0.0
         times = {"mean": mean_ns, "longest": self.longest_ns, "budget": self.budget_ns}
         seconds = {key: value / NANOSECONDS for key, value in times.items()}
@@ -212,7 +212,7 @@ class LoadedController:
             return None
 
     def message(self) -> dict[str, Any]:
-        """As controller_manager_msgs/ControllerState."""
+        """The entry as controller_manager_msgs/ControllerState."""
         claimed = [
             {"hardware_interface": claim.hardware_interface, "resources": list(claim.resources)}
             for claim in self.controller.claimed_resources

@@ -1,4 +1,4 @@
-"""What the compiled cycle reads of the control package: the functions that are laws, and the attributes of their state.
+"""Laws, which are functions that also run compiled, and the attributes of their state.
 
 A law is a plain function of numbers and of objects with plain attributes. The interpreter calls it with controllers,
 PIDs and handles; the compiler with rows of tables that have columns of the same names. Nothing is compiled here.

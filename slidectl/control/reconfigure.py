@@ -103,7 +103,7 @@ class ReconfigureServer:
 
 
 def _config(values: Values) -> Message:
-    """As dynamic_reconfigure/Config."""
+    """The values as dynamic_reconfigure/Config."""
     return {
         "bools": [{"name": name, "value": value} for name, value in values.items() if isinstance(value, bool)],
         "ints": [],

@@ -74,7 +74,7 @@ class ForwardController(ScalarController):
         hand_on(self, self._joint)
 
     def parts(self) -> Parts:
-        """What runs compiled besides this controller."""
+        """The parts of the compiled form."""
         return Parts(joint=self._joint)
 
 
@@ -118,7 +118,7 @@ class ForwardGroupController(GroupController):
         self.set_points = array("d", values)
 
     def parts(self) -> Parts:
-        """What runs compiled besides this controller."""
+        """The parts of the compiled form."""
         return Parts(members=[Member(None, joint) for joint in self._joints], numbers=self.set_points)
 
     def check_restored(self) -> None:

@@ -205,7 +205,7 @@ def count_time(follower: Any, period_s: float) -> int:
 
 @law
 def state_is_due(follower: Any) -> bool:
-    """True when a message on `state` is due. Counts it, even if nobody subscribes."""
+    """True when a message on `state` is due. Counts it, even without subscribers."""
     if not follower.published_ns + follower.state_period_ns < follower.uptime_ns:
         return False
     follower.published_ns += follower.state_period_ns
