@@ -3,7 +3,7 @@
 After ros_control, ros_controllers and control_toolbox (ROS 1 Noetic), whose arithmetic it keeps to the bit.
 A controller sees handles and a node; nothing here knows the physics, sockets or the command line.
 
-What authors of controllers need is here by name, as `from slidectl.control import Controller`, and in `params`.
+It exports the names that authors of controllers import, as in `from slidectl.control import Controller`.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Differences of angles on the circle, with and without limits: the functions of ros/angles 1.9.13.
 
-Pure arithmetic, angles in radians. Names follow their models; limits wider than ±π are read as each one reads them.
+Pure arithmetic, angles in radians. Names follow ros/angles. The functions treat limits wider than ±π differently.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ TWO_PI = 2.0 * pi
 
 @law
 def normalize_angle(angle: float) -> float:
-    """The same angle in (-π, π]; both -π and π become π. What is not finite has no angle: nan."""
+    """The same angle in (-π, π]; both -π and π become π. nan when it is not finite."""
     turned = angle + pi
-    if 0.0 < turned < TWO_PI:  # fmod would give it back as it is, and later
+    if 0.0 < turned < TWO_PI:  # fmod would return it unchanged, but takes longer
         return turned - pi
     if not isfinite(angle):
         return nan
@@ -32,13 +32,13 @@ def shortest_angular_distance(start: float, end: float) -> float:
 
 @law
 def unwrapped(position: float, angle: float) -> float:
-    """The position nearest to `position` that is `angle` on the circle: whole turns stay. nan when one is infinite."""
+    """The position nearest to `position` that equals `angle` modulo 2π. nan when an argument is infinite."""
     return position + shortest_angular_distance(position, angle)
 
 
 @law
 def two_pi_complement(angle: float) -> float:
-    """The turn the other way round that leads to the same place."""
+    """The turn in the opposite direction that ends at the same angle."""
     if angle > TWO_PI or angle < -TWO_PI:
         angle = fmod(angle, TWO_PI) if isfinite(angle) else nan
     if angle < 0.0:
@@ -52,7 +52,7 @@ def two_pi_complement(angle: float) -> float:
 def distance_with_large_limits(start: float, end: float, lower: float, upper: float) -> float:
     """The shortest turn from `start` to `end` that stays within the limits; limits may span many turns.
 
-    Where no turn stays within them, the shortest one. Limits are plain numbers: a joint may wind up.
+    The shortest turn when neither direction stays within them. Limits are not modulo 2π: a joint may make many turns.
     """
     delta = shortest_angular_distance(start, end)
     other = two_pi_complement(delta)
@@ -88,7 +88,7 @@ def min_max_turn(angle: float, lower: float, upper: float) -> tuple[bool, float,
 def distance_with_limits(start: float, end: float, lower: float, upper: float) -> float:
     """The turn from `start` to `end` that does not cross the limits; these lie on the circle (modulo 2π).
 
-    Where none is valid, the one that leads towards the permitted side.
+    When no turn is valid, the one towards the permitted range.
     """
     inside, down, up = min_max_turn(start, lower, upper)
     delta = shortest_angular_distance(start, end)
@@ -99,7 +99,7 @@ def distance_with_limits(start: float, end: float, lower: float, upper: float) -
         if down <= other <= up:
             return other
         _, down, up = min_max_turn(end, lower, upper)
-        # Beyond the end the nearer limit is the one that was overrun, so go the other way.
+        # Outside the limits the nearer limit is the one that was crossed, so turn away from it.
         down, up = up, down
     if abs(down) < abs(up):
         return min(delta, other)

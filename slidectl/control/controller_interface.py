@@ -1,6 +1,6 @@
-"""What every controller is: its life cycle, how it gets its interfaces, and the hooks that a law fills in.
+"""Base classes of controllers: life cycle, access to hardware interfaces, and the hooks that an author overrides.
 
-Only the manager changes a controller's state; hooks never do. It knows no other controllers.
+Only the manager changes a controller's state; hooks never do. A controller has no access to other controllers.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from slidectl.errors import Refused, listing
 
 
 class State(StrEnum):
-    """A controller is in exactly one of these."""
+    """The states of a controller."""
 
     CONSTRUCTED = "constructed"
-    """Never seen by anybody else: the manager lists a controller only after its init."""
+    """Before `init`. No client sees this state: the manager lists a controller only after its init."""
     INITIALIZED = "initialized"
     RUNNING = "running"
     STOPPED = "stopped"
@@ -38,11 +38,11 @@ class State(StrEnum):
 
 
 class Compiled:
-    """How a controller runs compiled: the law of its `update`, and the columns of its row and of its members' rows.
+    """The compiled form of a controller: the law of its `update`, and the columns of its row and of its members' rows.
 
-    `update(row, tables, time_ns, period_s)` is a law: it does to the rows what the method does to the objects. It
-    returns 0, or False; PUBLISH, or True, when `publish` is due; or LEAVE. Behind its columns a row has `pid` and
-    `joint`, indices into `tables`, and `wanted`: somebody listens. A member's row has `pid` and `joint`.
+    `update(row, tables, time_ns, period_s)` is a law: it changes the rows as the method changes the objects. It returns
+    0 or False; PUBLISH or True when `publish` is due; or LEAVE. After its columns a row has `pid` and `joint`, indices
+    into `tables`, and `wanted`: a publisher has subscribers. A member's row has `pid` and `joint`.
     """
 
     __slots__ = ("instead_of", "members", "row", "update")
@@ -54,16 +54,16 @@ class Compiled:
         members: Columns | None = None,
         instead_of: str = "",
     ) -> None:
-        """`instead_of`: methods besides `update` and `publish` that the law stands for, parted by blanks."""
+        """`instead_of`: methods besides `update` and `publish` that the law replaces, separated by blanks."""
         self.update = update
         self.row = (columns or Columns()).with_places("pid joint wanted")
         self.members = (members or Columns()).with_places("pid joint")
         self.instead_of = ("update", "publish", *instead_of.split(), *self.row.attributes)
-        """What an heir cannot have of its own and run compiled by this."""
+        """Methods and attributes. A subclass that overrides one of them cannot run in this compiled form."""
 
 
 class Member(NamedTuple):
-    """One of several like parts of a controller: an object with the attributes of a row, its joint and its PID."""
+    """One of several equal parts of a controller: an object with the attributes of a row, its joint and its PID."""
 
     source: object
     joint: JointStateHandle | None = None
@@ -72,25 +72,25 @@ class Member(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Parts:
-    """What a controller consists of besides itself, while it runs compiled."""
+    """The objects that a controller uses while it runs compiled."""
 
     publishers: tuple[Publisher, ...] = ()
-    """Where its `publish` goes; it is called only while one of them is wanted."""
+    """The publishers of `publish`, which is called only while one of them is wanted."""
     joint: JointHandle | None = None
     pid: Pid | None = None
     shown: tuple[JointStateHandle, ...] = ()
-    """Joints of which `publish` tells."""
+    """Joints whose state `publish` reads."""
     members: Sequence[Member] = ()
     numbers: Any = None
     """A writable buffer of doubles that the law and the methods share."""
 
     def handles(self) -> list[JointStateHandle]:
-        """All that are named here."""
+        """All joint handles of these parts."""
         joints = [self.joint, *(member.joint for member in self.members)]
         return [*self.shown, *(joint for joint in joints if joint is not None)]
 
     def pids(self) -> list[Pid]:
-        """All that are named here."""
+        """All PIDs of these parts."""
         pids = [self.pid, *(member.pid for member in self.members)]
         return [pid for pid in pids if pid is not None]
 
@@ -109,16 +109,16 @@ class ControllerBase:
     """States, requests and hooks. Times are nanoseconds of simulated time, periods seconds."""
 
     compiled: ClassVar[Compiled | None] = None
-    """How `update` runs compiled, declared by the class that defines it; None: in the interpreter only."""
+    """The compiled form of `update`, declared by the class that defines `update`; None: interpreter only."""
 
     parameters: ClassVar[tuple[Parameter, ...]] = ()
-    """All that it reads below its own name; `slidectl check` knows files by this."""
+    """All parameters that the controller reads in its namespace. `slidectl check` judges files by them."""
 
     def __init__(self) -> None:
         self.state = State.CONSTRUCTED
         self.claimed_resources: tuple[ClaimedResources, ...] = ()
 
-    # Hooks: what a controller's author writes.
+    # Hooks that a controller's author overrides.
 
     def starting(self, time_ns: int) -> None:
         """Called once when the controller starts, before its first update."""
@@ -136,22 +136,24 @@ class ControllerBase:
     def aborting(self, time_ns: int) -> None:
         """Called when the start, or the controller itself, failed."""
 
-    # What a controller adds that declares `compiled`.
+    # Hooks of a controller that declares `compiled`.
 
     def parts(self) -> Parts | None:
-        """What it consists of while it runs compiled; None: not now."""
+        """The parts of the controller for its compiled form; None when it cannot run compiled now."""
         return None
 
     def publish(self, time_ns: int, period_s: float) -> None:
-        """Publish what the last update made due; called only while a publisher of its parts is wanted."""
+        """Publish the messages that the last update made due. Called only while a publisher of the parts is wanted."""
 
     def check_restored(self) -> None:
-        """Raises Refused: what a snapshot has put in does not fit together. Machine code checks no index."""
+        """Raise Refused when state restored from a snapshot is inconsistent. Compiled code does not check indices."""
 
-    # What the manager calls.
+    # Methods that the manager calls.
 
     def init_request(self, hw: RobotHW, root: NodeHandle, node: NodeHandle) -> None:
-        """Get interfaces, call the init hooks and note the claims. `root` is the robot's namespace, `node` the own one.
+        """Get the interfaces, call the init hooks and record the claims.
+
+        `root` is the robot's namespace, `node` the controller's own.
 
         Raises:
             SlidectlError: an interface is missing, or a hook refused.
@@ -160,7 +162,7 @@ class ControllerBase:
         self.state = State.INITIALIZED
 
     def enter_state(self, state: State, time_ns: int) -> None:
-        """Call the hook that leads to the state, which may be the present one too."""
+        """Call the hook of the state, then set it. The state may equal the present one."""
         hooks = {
             State.RUNNING: self.starting,
             State.STOPPED: self.stopping,
@@ -175,7 +177,7 @@ class ControllerBase:
 
 
 class Controller(ControllerBase, Generic[I]):
-    """A controller on one interface, which `interface_type` names. Fill in one of the two init hooks."""
+    """A controller that uses one interface, `interface_type`. Override one of the two init hooks."""
 
     interface_type: type[I]
 
@@ -183,7 +185,7 @@ class Controller(ControllerBase, Generic[I]):
         """Get handles, parameters and topics. Raises SlidectlError to refuse."""
 
     def init_in_root(self, interface: I, root: NodeHandle, node: NodeHandle) -> None:
-        """The same, for a controller that needs the robot's namespace too. Called after `init`."""
+        """As `init`, for a controller that also needs the robot's namespace. Called after `init`."""
 
     def _claim(self, hw: RobotHW, root: NodeHandle, node: NodeHandle) -> tuple[ClaimedResources, ...]:
         interface = hw.get(self.interface_type)
@@ -196,17 +198,17 @@ class Controller(ControllerBase, Generic[I]):
 
 
 class MultiInterfaceController(ControllerBase):
-    """A controller on several interfaces, in the order of `interface_types`. Fill in one of the two init hooks."""
+    """A controller that uses several interfaces, those of `interface_types`. Override one of the two init hooks."""
 
     interface_types: ClassVar[tuple[type[AnyInterface], ...]] = ()
     allow_optional_interfaces: ClassVar[bool] = False
-    """True: an interface that the robot has not is None in `init`."""
+    """True: `hw.get` in `init` returns None for an interface that the robot does not have."""
 
     def init(self, hw: RobotHW, node: NodeHandle) -> None:
-        """Get handles, parameters and topics from a hardware that has only the listed interfaces."""
+        """Get handles, parameters and topics. `hw` has only the interfaces of `interface_types`."""
 
     def init_in_root(self, hw: RobotHW, root: NodeHandle, node: NodeHandle) -> None:
-        """The same, for a controller that needs the robot's namespace too. Called after `init`."""
+        """As `init`, for a controller that also needs the robot's namespace. Called after `init`."""
 
     def _claim(self, hw: RobotHW, root: NodeHandle, node: NodeHandle) -> tuple[ClaimedResources, ...]:
         interfaces: list[AnyInterface] = []

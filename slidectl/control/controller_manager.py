@@ -1,7 +1,7 @@
 """The controller manager: loads, lists, switches and unloads the controllers of one robot, and updates them.
 
 After ros_control's controller_manager. All calls come from one thread, between two cycles or (`update`) in one.
-It knows neither the names of the services around it nor who waits for an answer.
+It does not know the names of the services that call it, nor the clients that wait for an answer.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _LONGEST_BUDGET_S = 1e9
 
 
 class UpdateTimes:
-    """Wall time, in ns, that the updates of one controller took in the interpreter since it was started."""
+    """Wall time, in ns, of the updates of one controller in the interpreter since its last start."""
 
     __slots__ = (
         "_name",
@@ -56,29 +56,29 @@ class UpdateTimes:
         self._node = node
         self._next_warning_ns = 0
         self.budget_ns = 0
-        """An update that takes longer is warned of; 0: none is."""
+        """A longer update causes a warning; 0: no warnings."""
         self.clear()
 
     def clear(self) -> None:
-        """Count from now on."""
+        """Reset all counts and times."""
         self.count = self.total_ns = self.longest_ns = self.over_budget = 0
         self.notable_ns = 0
-        """Longer updates go to `note`: they are the longest so far, or over the budget."""
+        """`add` passes longer updates to `note`: they are the longest so far, or over the budget."""
 
     def set_budget(self, budget_s: float) -> None:
-        """From now on; not above 0: none."""
+        """Set the budget in seconds; 0 or less: no budget."""
         self.budget_ns = round(min(max(0.0, budget_s), _LONGEST_BUDGET_S) * NANOSECONDS)
         self.notable_ns = 0
 
     def add(self, took_ns: int, now_ns: int) -> None:
-        """One more update; now is on the clock of `perf_counter_ns`."""
+        """Record an update. `now_ns` is a time of `perf_counter_ns`."""
         self.count += 1
         self.total_ns += took_ns
         if took_ns > self.notable_ns:
             self.note(took_ns, now_ns)
 
     def note(self, took_ns: int, now_ns: int) -> None:
-        """Record an update that is the longest so far or over the budget; warn of the latter."""
+        """Record an update that is the longest so far or over the budget. Log a warning when it is over the budget."""
         self.longest_ns = max(self.longest_ns, took_ns)
         self.notable_ns = min(self.longest_ns, self.budget_ns or self.longest_ns)
         if 0 < self.budget_ns < took_ns:
@@ -90,7 +90,7 @@ class UpdateTimes:
                 self._node.log("warn", f"controller {self._name!r}: {text}")
 
     def message(self) -> dict[str, Any]:
-        """As slidectl/UpdateTimes, in seconds."""
+        """The times as slidectl/UpdateTimes, in seconds."""
         mean_ns = self.total_ns / self.count if self.count else 0.0
         times = {"mean": mean_ns, "longest": self.longest_ns, "budget": self.budget_ns}
         seconds = {key: value / NANOSECONDS for key, value in times.items()}
@@ -98,7 +98,7 @@ class UpdateTimes:
 
 
 class LoadedController:
-    """One entry of a manager's list. Times are nanoseconds of simulated time."""
+    """A loaded controller of a manager. Times are nanoseconds of simulated time."""
 
     __slots__ = ("_is_of_user", "_watched", "controller", "failure", "info", "may_compile", "node", "times")
 
@@ -110,15 +110,15 @@ class LoadedController:
         node: NodeHandle,
         commands: WrittenCommands | None = None,
     ) -> None:
-        """`commands` are those of a user's controller."""
+        """`commands`: the commands that a user's controller writes; None for a controller of slidectl."""
         self.controller = controller
         self.node = node
         self.info = ControllerInfo(name, type_name, controller.claimed_resources)
         self.times = UpdateTimes(name, node)
         self.failure = ""
-        """Why it was aborted by what its code raised, since its last start."""
+        """The message of the exception that aborted it since its last start; empty: none."""
         self.may_compile = True
-        """False when what a user's class declares for machine code cannot be used."""
+        """False when the compiled form that a user's class declares has failed."""
         self._is_of_user = is_of_a_user(type(controller))
         self._watched = watched(type(controller), commands)
         self._read_budget()
@@ -132,27 +132,27 @@ class LoadedController:
 
     @property
     def name(self) -> str:
-        """The name it was loaded under."""
+        """The name under which it was loaded."""
         return self.info.name
 
     @property
     def is_running(self) -> bool:
-        """True while it is updated each cycle."""
+        """True in the state RUNNING, in which it is updated each cycle."""
         return self.controller.state is State.RUNNING
 
     @property
     def is_aborted(self) -> bool:
-        """True after its start, or itself, failed."""
+        """True in the state ABORTED: its start or its code has failed."""
         return self.controller.state is State.ABORTED
 
     def start(self, time_ns: int) -> None:
-        """Start, or start again."""
+        """Start the controller, and reset its times and failure."""
         self.times.clear()
         self.failure = ""
         self.enter_state(State.RUNNING, time_ns)
 
     def enter_state(self, state: State, time_ns: int) -> None:
-        """Stop, wait for the hardware, or be aborted. What the controller raises meanwhile aborts it."""
+        """Call the hook of the state, then set it. An exception of the hook aborts the controller."""
         try:
             with self._watched:
                 self.controller.enter_state(state, time_ns)
@@ -160,7 +160,7 @@ class LoadedController:
             self.fail(failure, time_ns)
 
     def update(self, time_ns: int, period_s: float) -> None:
-        """One cycle, measured. Raises what the controller raises."""
+        """Run one update and record its wall time. Raises the controller's exceptions."""
         began_ns = perf_counter_ns()
         self.bare_update(time_ns, period_s)
         now_ns = perf_counter_ns()
@@ -168,7 +168,7 @@ class LoadedController:
 
     @property
     def bare_update(self) -> Callable[[int, float], None]:
-        """The same, not measured."""
+        """The update without the measurement of its time."""
         return self._watched_update if self._is_of_user else self.controller.update
 
     def _watched_update(self, time_ns: int, period_s: float) -> None:
@@ -176,12 +176,12 @@ class LoadedController:
             self.controller.update(time_ns, period_s)
 
     def publish(self, time_ns: int, period_s: float) -> None:
-        """What its compiled law made due. Raises what the controller raises."""
+        """Publish the messages that the compiled law made due. Raises the controller's exceptions."""
         with self._watched:
             self.controller.publish(time_ns, period_s)
 
     def update_if_running(self, time_ns: int, period_s: float) -> None:
-        """One cycle, unless a controller before this one has stopped it. A failure aborts it."""
+        """Run one update, unless an earlier controller stopped this one in the same cycle. An exception aborts it."""
         try:
             if self.is_running:
                 self.update(time_ns, period_s)
@@ -189,7 +189,7 @@ class LoadedController:
             self.fail(failure, time_ns)
 
     def fail(self, failure: Exception, time_ns: int) -> None:
-        """Log what the controller's code raised, and abort it."""
+        """Log the exception of the controller's code, and abort the controller."""
         self.failure = f"controller {self.name!r} failed and is aborted: {described(failure)}"
         self.node.log("fatal", self.failure)
         try:
@@ -200,7 +200,7 @@ class LoadedController:
             self.controller.state = State.ABORTED
 
     def try_to_compile(self, action: Callable[[], T]) -> T | None:
-        """Call what machine code needs of the controller. If a user's class fails in that, its `update` goes on."""
+        """Call an action that the compiled form needs. If a user's class fails in it, `update` runs interpreted."""
         if not self._is_of_user:
             return action()
         try:
@@ -212,7 +212,7 @@ class LoadedController:
             return None
 
     def message(self) -> dict[str, Any]:
-        """As controller_manager_msgs/ControllerState."""
+        """The entry as controller_manager_msgs/ControllerState."""
         claimed = [
             {"hardware_interface": claim.hardware_interface, "resources": list(claim.resources)}
             for claim in self.controller.claimed_resources
@@ -222,14 +222,14 @@ class LoadedController:
 
 
 def described(failure: Exception) -> str:
-    """An error on one line: our own by their text, others with their class and the place."""
+    """An error as one line: a SlidectlError as its text, others with their class, file and line."""
     if isinstance(failure, SlidectlError):
         return "; ".join(line.rstrip(".") for line in str(failure).splitlines())
     return raised(failure)
 
 
 class CallbackGuard(HookGuard):
-    """Inside, a user's controller takes a message, a call, a goal or a tick. What it raises becomes a Refused."""
+    """Context of a callback of a user's controller: message, service call, goal or tick. Exceptions become Refused."""
 
     def __init__(self, node: NodeHandle) -> None:
         super().__init__()
@@ -240,7 +240,7 @@ class CallbackGuard(HookGuard):
             super().__exit__(kind, failure, *trace)
             if isinstance(failure, Exception) and not isinstance(failure, SlidectlError):
                 raise Refused(described(failure)) from None
-        except Refused as refusal:  # who sent the message may not ask what became of it
+        except Refused as refusal:  # the sender of a message gets no answer, so log it
             self._node.log("error", f"{self._node.namespace}: {described(refusal)}")
             raise
 
@@ -248,13 +248,13 @@ class CallbackGuard(HookGuard):
 BEST_EFFORT = 1
 STRICT = 2
 MOST_NAMES = 1000
-"""Of one request: a robot has a few dozen controllers at most, and hooks are called for every name."""
+"""Most names in one request, for hooks are called for every name. A robot has a few dozen controllers at most."""
 _MOST_WARNINGS = 20
 
 
 @dataclass
 class Plan:
-    """What was asked, and what it comes to: genuine starts and stops, and who will then be running."""
+    """A switch request, and its effect: the controllers that really start and stop, and those that run afterwards."""
 
     start_request: list[LoadedController]
     stop_request: list[LoadedController]
@@ -271,7 +271,7 @@ def plan_switch(
     strict: bool,
     node: NodeHandle,
 ) -> Plan:
-    """The plan for a request. Names may repeat; then so do the calls of their hooks.
+    """The plan for a request. A name may occur several times; its hooks are then called as often.
 
     Raises:
         Refused: strict and a name is unknown, already running or not running; or a running one is in both lists.
@@ -323,7 +323,7 @@ def _known(
 
 @dataclass
 class Switch:
-    """An accepted switch, carried out by `advance` once a cycle, after the updates."""
+    """An accepted switch. `advance` carries it out, once per cycle, after the updates."""
 
     plan: Plan
     asap: bool
@@ -331,7 +331,7 @@ class Switch:
     init_time_ns: int
     on_done: Callable[[bool], None]
     reasons: Reasons | None
-    """Those of the request, for what goes wrong in later cycles."""
+    """The reasons of the request. Errors in later cycles are added to them."""
     has_begun: bool = False
 
     def advance(self, hw: RobotHW, time_ns: int) -> bool:
@@ -351,13 +351,13 @@ class Switch:
         return all(entry.is_running or entry.is_aborted for entry in plan.start_request)
 
     def give_up(self, time_ns: int) -> None:
-        """The hardware failed: what should start is aborted."""
+        """Abort the controllers that should start, because the hardware failed."""
         for entry in self.plan.start_request:
             if not entry.is_running:
                 entry.enter_state(State.ABORTED, time_ns)
 
     def _start(self, entries: list[LoadedController], info: ControllerInfo | None, hw: RobotHW, time_ns: int) -> bool:
-        """Start them, let them wait, or abort them, as the hardware says of `info`. False while they wait."""
+        """Start the entries, let them wait, or abort them, by the hardware's state for `info`. False: they wait."""
         if hw.switch_result(info) is SwitchState.DONE:
             for entry in entries:
                 entry.start(time_ns)
@@ -395,7 +395,7 @@ class ControllerManager:
         """
         if reset_controllers:
             self.restart_running(time_ns)
-        # What UpdateTimes.add does, and one look at the clock for each controller: a call more would show.
+        # UpdateTimes.add inline, with one clock reading per controller: hot path, a further call would be measurable.
         clock_ns = perf_counter_ns
         began_ns = clock_ns()
         try:
@@ -414,7 +414,7 @@ class ControllerManager:
             self.manage_switch(time_ns)
 
     def finish_update(self, done: int, time_ns: int, period_s: float, failure: Exception | None = None) -> None:
-        """The rest of an `update` in which `done` controllers had their turn; the last of them failed so, if at all."""
+        """Finish an `update` in which `done` controllers were updated. `failure`: the exception of the last of them."""
         if failure is not None:
             self._carry_on(done - 1, failure, time_ns, period_s)
         else:
@@ -424,7 +424,7 @@ class ControllerManager:
             self.manage_switch(time_ns)
 
     def manage_switch(self, time_ns: int) -> None:
-        """Carry a pending switch one cycle further. For a world that stands still; `update` does it by itself."""
+        """Advance a pending switch by one cycle. For a paused simulation; `update` does it by itself."""
         switch = self._switch
         if switch is None:
             return
@@ -451,7 +451,7 @@ class ControllerManager:
         self._refresh()
 
     def stop_running(self, time_ns: int) -> None:
-        """Stop every running controller, in load order, because the robot goes."""
+        """Stop every running controller, in load order, because the robot is removed."""
         for entry in self._running:
             entry.enter_state(State.STOPPED, time_ns)
         self._refresh()
@@ -468,16 +468,16 @@ class ControllerManager:
         self._running = tuple(entry for entry in self._loaded.values() if entry.is_running)
         self._updates = tuple((entry.bare_update, entry.times) for entry in self._running)
 
-    # What is there.
+    # Queries.
 
     @property
     def switching(self) -> bool:
-        """True while an accepted switch waits for its cycle, or for the hardware."""
+        """True while an accepted switch is not finished: it waits for the next cycle, or for the hardware."""
         return self._switch is not None
 
     @property
     def running(self) -> tuple[LoadedController, ...]:
-        """The running controllers, in order: another tuple whenever these are others."""
+        """The running controllers, in load order. A change of these makes a new tuple."""
         return self._running
 
     def names(self) -> list[str]:
@@ -498,7 +498,7 @@ class ControllerManager:
         return [entry.message() for entry in self._loaded.values()]
 
     def update_times(self) -> Messages:
-        """How long the updates of all loaded controllers took, in load order, each as slidectl/UpdateTimes."""
+        """The update times of all loaded controllers, in load order, each as slidectl/UpdateTimes."""
         return [entry.times.message() for entry in self._loaded.values()]
 
     def types(self) -> Names:
@@ -512,7 +512,7 @@ class ControllerManager:
     # Loading.
 
     def load(self, name: str) -> bool:
-        """Load and initialise the controller that `<node>/<name>` describes. False: refused, nothing is left."""
+        """Load and initialise the controller with the parameters `<node>/<name>`. False: refused, nothing remains."""
         try:
             self.load_again(name)
         except Exception as failure:
@@ -520,12 +520,12 @@ class ControllerManager:
         return True
 
     def load_again(self, name: str) -> None:
-        """`load` that raises what is wrong."""
+        """As `load`, but raises the error."""
         self.check_new(name)
         self._loaded[name] = self._load(name)
 
     def check_new(self, name: str) -> None:
-        """Raise Refused when a controller of that name is loaded, BadName when none can have it."""
+        """Raise Refused when a controller of that name is loaded, BadName when the name is not legal."""
         if name in self._loaded:
             raise Refused("it is loaded already")
         if not names.is_legal(name) or name.startswith("~"):
@@ -551,7 +551,7 @@ class ControllerManager:
         return LoadedController(name, type_name, controller, node, guard.commands)
 
     def unload(self, name: str) -> bool:
-        """Remove a controller that is not running. False: it is running, or there is none of that name."""
+        """Remove a controller that is not running. False: it runs, it is not loaded, or a switch is pending."""
         entry = self._loaded.get(name)
         if entry is None:
             return self._refuse(f"cannot unload: {described(UnknownName('controller', name, self.names()))}")
@@ -567,7 +567,7 @@ class ControllerManager:
         """Import the file of a loaded controller's class anew, for `exchange`. Returns the controller's state.
 
         Raises:
-            Refused: it is not loaded. SlidectlError: as `registry.renewed`; then nothing has changed.
+            Refused: it is not loaded. SlidectlError: as `registry.renewed`; nothing has changed.
         """
         entry = self._loaded.get(name)
         if entry is None:
@@ -577,13 +577,13 @@ class ControllerManager:
         return entry.controller.state
 
     def failure_of(self, name: str) -> str:
-        """Why a controller was aborted by what its code raised, since its last start; empty when it was not."""
+        """The message of the exception that aborted a controller since its last start; empty: none."""
         return self._loaded[name].failure if name in self._loaded else ""
 
     def exchange(self, name: str) -> bool:
-        """Make a stopped controller anew from what its type means now, in its place in the order.
+        """Replace a stopped controller with a new one of the class that its type means now. The load order stays.
 
-        False: that cannot be loaded, so the class that it had is loaded again.
+        False: the new class cannot be loaded, so the former class is loaded again.
         """
         entry = self._loaded[name]
         if entry.is_running:
@@ -591,7 +591,7 @@ class ControllerManager:
         former = type(entry.controller)
         entry.node.shutdown()
         try:
-            self._loaded[name] = self._load(name)  # a key that is there keeps its place
+            self._loaded[name] = self._load(name)  # an existing key keeps its place in the order
         except Exception as failure:
             text = f"cannot load controller {quoted(name)} from its edited file: {described(failure)}"
             registry.put_back(former)
@@ -605,7 +605,7 @@ class ControllerManager:
         return self._refuse(f"{text}; the class that it had is loaded again")
 
     def save_state(self) -> dict[str, Any]:
-        """What a snapshot saves of the controllers, in load order."""
+        """The state of the controllers for a snapshot, in load order."""
         entries = self._loaded.items()
         return {
             "controllers": {name: entry.controller for name, entry in entries},
@@ -614,7 +614,7 @@ class ControllerManager:
         }
 
     def load_state(self, state: dict[str, Any]) -> None:
-        """As they were when the state was saved; the controllers have their own state already."""
+        """Restore states and failures. The controllers' own attributes are already restored."""
         for name, entry in self._loaded.items():
             entry.controller.state, entry.failure = state["states"][name], state["failures"][name]
         if [entry for entry in self._loaded.values() if entry.is_running] != list(self._running):
@@ -631,7 +631,10 @@ class ControllerManager:
             self.unload(entry.name)
 
     def reload_libraries(self, force_kill: bool) -> bool:
-        """Registered classes stay; loaded controllers are in the way: they are killed, or it is refused."""
+        """Prepare a reload of libraries. Refused while controllers are loaded, unless `force_kill`, which unloads them.
+
+        Registered classes stay.
+        """
         if self._loaded and not force_kill:
             return self._refuse(
                 f"cannot reload while {len(self._loaded)} controllers are loaded; unload them, or force it"
@@ -642,7 +645,7 @@ class ControllerManager:
         return True
 
     def fail(self, name: str, failure: Exception) -> bool:
-        """Abort a running controller as if its update had raised that. False: there is none of that name that runs."""
+        """Abort a running controller as if its update had raised `failure`. False: no controller of that name runs."""
         entry = self._loaded.get(name)
         if entry is None or not entry.is_running:
             return False
@@ -651,7 +654,7 @@ class ControllerManager:
         return True
 
     def kill(self, name: str) -> bool:
-        """Stop a controller at once and unload it. False: it is not there, or a switch is under way."""
+        """Stop a controller at once and unload it. False: it is not loaded, or a switch is pending."""
         entry = self._loaded.get(name)
         if entry is None or self._switch is not None:
             return False
@@ -678,10 +681,10 @@ class ControllerManager:
         timeout_s: float = 0.0,
         on_done: Callable[[bool], None] = lambda _: None,
     ) -> bool:
-        """Arm a switch, to be carried out at the end of the next cycle. False: refused, nothing changes.
+        """Accept a switch, carried out at the end of the next cycle. False: refused, nothing changes.
 
-        `on_done(True)` follows when it is finished, even if what should start was aborted; `on_done(False)` when the
-        hardware failed. `timeout_s` is simulated time that the hardware has to get ready; 0 is for ever.
+        `on_done(True)` is called when it is finished, even if a controller to start was aborted; `on_done(False)` when
+        the hardware failed. `timeout_s` is the simulated time for the hardware to become ready; 0: no limit.
         """
         try:
             self._switch = self._armed(start, stop, strictness, start_asap, timeout_s, on_done)
@@ -726,7 +729,7 @@ class ControllerManager:
 
 
 def _understood(node: NodeHandle, type_name: str) -> str:
-    """The name here of a type that is written as in ROS 2, with the parameters that it needs here. Raises Refused."""
+    """The slidectl type for a type name of ROS 2. Sets the parameters that the type needs here. Raises Refused."""
     found = counterpart(type_name, node.get_param(node.namespace, {}))
     if found is None:
         return type_name

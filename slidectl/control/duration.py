@@ -1,6 +1,6 @@
 """Durations as ros::Duration computes them: integer nanoseconds inside, seconds as `sec + 1e-9 * nsec`.
 
-The arithmetic is kept to the bit, since control laws multiply and divide by these seconds. It knows no clock.
+Results equal those of ROS to the bit, since control laws multiply and divide by these seconds. Reads no clock.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def from_seconds(seconds: float) -> int:
 
 @law
 def nearest_ns(seconds: float) -> int:
-    """`from_seconds` of what a duration can hold."""
+    """`from_seconds` without the check of the range."""
     whole = floor(seconds)
     value = (seconds - whole) * 1e9
     above = ceil(value)  # not floor(value + 0.5): that sum may round up by itself
@@ -50,11 +50,11 @@ def nearest_ns(seconds: float) -> int:
 
 
 def to_stamp(ns: int) -> dict[str, int]:
-    """The time as it stands on messages."""
+    """The time as a message holds it."""
     seconds, nanoseconds = divmod(ns, NANOSECONDS)
     return {"secs": seconds, "nsecs": nanoseconds}
 
 
 def header_of(ns: int, frame: str = "") -> dict[str, Any]:
-    """std_msgs/Header of a message of that time. Its publisher numbers it."""
+    """std_msgs/Header of a message at that time. The publisher sets `seq`."""
     return {"seq": 0, "stamp": to_stamp(ns), "frame_id": frame}

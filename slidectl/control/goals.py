@@ -1,6 +1,6 @@
-"""Controllers that work on a goal of an action: what updates decide reaches the client at the ticks of a monitor.
+"""Controllers that serve an action. An update decides the outcome of a goal; a monitor timer sends it to the client.
 
-After realtime_tools' RealtimeServerGoalHandle and the timer that ros_controllers put beside it.
+After realtime_tools' RealtimeServerGoalHandle and the timer with which ros_controllers call it.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ def period_of(node: NodeHandle, rate: Parameter) -> int:
     """The period, in nanoseconds, of a rate in 1/s that is a parameter with a default.
 
     Raises:
-        Refused: it is not above 0, or no clock can count its period.
+        Refused: the rate is not above 0, or its period is not a valid duration.
     """
     return checked_period(node, rate.name, params.value_of(node, rate))
 
 
 def checked_period(node: NodeHandle, name: str, rate: float) -> int:
-    """The same of a rate that the parameter of this name is to have. Raises Refused."""
+    """The period, in nanoseconds, of a proposed value of the rate parameter `name`. Raises Refused, as `period_of`."""
     try:
         period_ns = from_seconds(1.0 / rate if rate > 0.0 else inf)
     except BadDuration:
@@ -42,35 +42,35 @@ def checked_period(node: NodeHandle, name: str, rate: float) -> int:
 
 
 class MonitoredGoal:
-    """One goal. An update decides at most once what becomes of it; `tick` carries that out."""
+    """One goal. An update decides its outcome at most once; `tick` sends the outcome."""
 
     def __init__(self, handle: GoalHandle) -> None:
         self.handle = handle
         self.last_feedback: Message | None = None
-        """That of the update before the decision, where there is any."""
+        """The feedback of the update before the decision, if there is any."""
         self._decision: GoalStatus | None = None
         self._result: Message = {}
 
     @property
     def is_active(self) -> bool:
-        """Accepted, not ended, and no client wants it cancelled."""
+        """True when the goal is accepted, has not ended, and no client asked to cancel it."""
         return self.handle.status is GoalStatus.ACTIVE
 
     def decide(self, status: GoalStatus, result: Message) -> None:
-        """It is to end as SUCCEEDED or ABORTED, with the result as it is at the tick. The first decision counts."""
+        """End the goal as SUCCEEDED or ABORTED at the tick, with the result as it is then. The first call counts."""
         if self._decision is None:
             self._decision = status
             self._result = result
 
     @property
     def looks(self) -> bool:
-        """Does a tick look at the controller, or change what it looks at?"""
+        """True when the next tick reads the controller's state, or changes state that the controller reads."""
         return self._decision is not None or self.handle.wants_feedback
 
     def tick(self, feedback: Callable[[], Message | None]) -> None:
-        """Send what there is: the result of a decision, and the feedback if the goal was active until now.
+        """Send the result, if the outcome is decided, and the feedback, if the goal was active before this tick.
 
-        `feedback` makes that of the last update; None before the first one, or where there is none at all.
+        `feedback` returns the feedback of the last update; None before the first update, or when the action has none.
         """
         was_active = self.is_active
         if self.handle.status in (GoalStatus.ACTIVE, GoalStatus.PREEMPTING):
@@ -84,10 +84,10 @@ class MonitoredGoal:
 
 
 class ActionController(Controller[I]):
-    """Serves one action, and works on the goal that came last. A child says what a goal means.
+    """Serves one action, and follows the goal that was accepted last. A subclass defines what a goal does.
 
-    The goal that was accepted last is ticked. As in ros_controllers, one that was decided but not ticked when the next
-    is accepted never gets a result.
+    Only the goal that was accepted last is ticked. As in ros_controllers, a goal that is decided but not yet ticked
+    when the next one is accepted never gets a result.
     """
 
     def _serve(self, node: NodeHandle, action: str, type_name: str, monitor_period_ns: int) -> None:
@@ -100,26 +100,26 @@ class ActionController(Controller[I]):
         node.advertise_action(action, type_name, self._take_goal, self._take_cancel)
 
     def _take_goal(self, handle: GoalHandle) -> None:
-        """Reject the goal, or follow it."""
+        """Reject the goal, or `_follow` it."""
         raise NotImplementedError
 
     def _hold(self) -> None:
-        """The goal is cancelled: come to rest."""
+        """Stop the motion, because the goal is cancelled."""
         raise NotImplementedError
 
     def _feedback(self) -> Message | None:
-        """That of the last update of a goal; None before its first update."""
+        """The feedback of the goal's last update; None before its first update."""
         return None
 
     def stopping(self, time_ns: int) -> None:  # noqa: ARG002
-        """Nobody works on the goal any more."""
+        """Preempt the goal."""
         self._preempt()
 
     def aborting(self, time_ns: int) -> None:  # noqa: ARG002
         self._preempt()
 
     def _follow(self, goal: MonitoredGoal) -> None:
-        """From now on this goal, and no other."""
+        """Accept this goal and preempt the one before."""
         self._preempt()
         goal.handle.accept()
         if self._ticked is not None:
@@ -146,7 +146,7 @@ class ActionController(Controller[I]):
             handle.cancel()
 
     def _preempt(self) -> None:
-        """Another motion takes the place of the goal's. One that has just ended keeps its result."""
+        """Cancel the present goal, because another motion replaces it. A goal that has ended keeps its result."""
         goal, self._goal = self._goal, None
         if goal is not None and goal.is_active:
             goal.handle.cancel()

@@ -1,7 +1,7 @@
 """The robot as controllers see it: handles of joints and sensors, interfaces that hold them, claims, and the hardware.
 
-After ros_control's hardware_interface. The hardware is the base of every robot, simulated or fake. It knows no
-controllers, only what they claim, and nothing here moves a joint.
+After ros_control's hardware_interface. RobotHW is the base of every robot, simulated or fake. It does not import
+controllers, it only sees their claims. Nothing here moves a joint.
 """
 
 from __future__ import annotations
@@ -44,12 +44,12 @@ class JointHandle(JointStateHandle):
         super().__init__(name, position, velocity, effort)
         self.command = command
         self.lowest = -inf
-        """The hardware lets no command below this through, nor one above `highest`."""
+        """The hardware raises a command below this to it, and lowers a command above `highest`. Units of `command`."""
         self.highest = inf
 
 
 class PosVelJointHandle(JointHandle):
-    """State of one joint, and commands of its position and its velocity at once. `command` is the position."""
+    """State of one joint, with a command of position (`command`) and a command of velocity."""
 
     __slots__ = ("command_velocity",)
 
@@ -68,7 +68,7 @@ class PosVelJointHandle(JointHandle):
 
 
 class PosVelAccJointHandle(PosVelJointHandle):
-    """The same with a command of the acceleration."""
+    """A PosVelJointHandle with a command of acceleration (m/s² or rad/s²)."""
 
     __slots__ = ("command_acceleration",)
 
@@ -78,7 +78,7 @@ class PosVelAccJointHandle(PosVelJointHandle):
 
 
 class ImuData(NamedTuple):
-    """What an IMU measures, in its own frame; None for what it does not. Covariances are 3 x 3, row by row."""
+    """A measurement of an IMU, in its own frame; None: not measured. Covariances are 3 x 3, row by row."""
 
     orientation: Quaternion | None = None
     orientation_covariance: Sequence[float] | None = None
@@ -91,7 +91,7 @@ class ImuData(NamedTuple):
 
 
 class ForceTorqueData(NamedTuple):
-    """What a force and torque sensor measures, in its own frame: N and N·m."""
+    """A measurement of a force and torque sensor, in its own frame: N and N·m."""
 
     force: Vector
     torque: Vector
@@ -101,7 +101,7 @@ D = TypeVar("D")
 
 
 class SensorHandle(Generic[D]):
-    """A sensor of the robot. `measure` gives what it measures in this cycle; who does not call it costs nothing."""
+    """A sensor of the robot. `measure` returns the measurement of this cycle; it is computed only when called."""
 
     def __init__(self, name: str, frame_id: str, measure: Callable[[], D]) -> None:
         self.name = name
@@ -124,18 +124,18 @@ class UnknownResource(UnknownName):
 
 @dataclass(frozen=True, slots=True)
 class ClaimedResources:
-    """What one controller claims through one interface: names, sorted."""
+    """The resources that one controller claims through one interface: names, sorted."""
 
     hardware_interface: str
     resources: tuple[str, ...] = ()
 
 
 class ResourceManager(Generic[H]):
-    """Handles of one interface by name. Subclasses give the type name and whether getting a handle claims it."""
+    """Handles of one interface by name. Subclasses define the type name and whether `get_handle` claims."""
 
     type_name: ClassVar[str] = ""
     kind: ClassVar[str] = "joint"
-    """What a resource is called in messages."""
+    """The word for a resource in messages."""
     claims: ClassVar[bool] = False
 
     def __init__(self, handles: Iterable[H] = ()) -> None:
@@ -145,7 +145,7 @@ class ResourceManager(Generic[H]):
             self.register_handle(handle)
 
     def register_handle(self, handle: H) -> None:
-        """Put the handle under its name, in the place of another of that name."""
+        """Register the handle under its name. It replaces another handle of that name."""
         self._handles[handle.name] = handle
 
     def names(self) -> list[str]:
@@ -153,10 +153,10 @@ class ResourceManager(Generic[H]):
         return sorted(self._handles)
 
     def get_handle(self, name: str) -> H:
-        """The handle of that name; a claiming interface notes the claim.
+        """The handle of that name. An interface with `claims` records the claim.
 
         Raises:
-            UnknownResource: there is none; then nothing is claimed.
+            UnknownResource: there is no such handle; nothing is claimed.
         """
         handle = self._handles.get(name)
         if handle is None:
@@ -182,7 +182,7 @@ J = TypeVar("J", bound=JointHandle)
 
 
 class JointCommands(ResourceManager[J]):
-    """Joints that take commands. Not registered itself: its children are the interfaces of `description.interfaces`."""
+    """Base of the interfaces whose joints take commands, which are those of `description.interfaces`."""
 
     claims = True
     declared: ClassVar[JointInterface]
@@ -190,12 +190,12 @@ class JointCommands(ResourceManager[J]):
 
     @classmethod
     def commands_of(cls, handle: JointHandle) -> list[tuple[JointHandle, str]]:
-        """A handle of this interface, with the name of each attribute that is a command."""
+        """For each command of a handle of this interface: the handle and the name of the attribute."""
         return [(handle, attribute) for attribute in ("command", *cls.declared.beside)]
 
 
 class JointCommandInterface(JointCommands[JointHandle]):
-    """Those that take one command."""
+    """Base of the interfaces whose joints take one command."""
 
 
 class EffortJointInterface(JointCommandInterface):
@@ -259,7 +259,7 @@ COMMAND_INTERFACES: dict[JointInterface, type[JointCommands[Any]]] = {
         PosVelAccJointInterface,
     )
 }
-"""The class of each interface by which a joint of simulated hardware takes commands."""
+"""The class of each interface through which a simulated joint takes commands."""
 
 
 I = TypeVar("I", bound=ResourceManager[Any])  # noqa: E741 - the field's letter for an interface
@@ -267,7 +267,7 @@ AnyInterface = ResourceManager[Any]
 
 
 class SwitchState(Enum):
-    """How far the hardware is with a change of interfaces."""
+    """The progress of the hardware with a change of interfaces."""
 
     DONE = "done"
     ONGOING = "ongoing"
@@ -285,7 +285,7 @@ class ControllerInfo:
 
 @dataclass(frozen=True, slots=True)
 class Conflict:
-    """A resource that is claimed more than once, by these controllers (one may be named twice)."""
+    """A resource that is claimed more than once, with the claiming controllers (one may occur twice)."""
 
     resource: str
     controllers: tuple[str, ...]
@@ -295,13 +295,13 @@ class Conflict:
 
 
 class RobotHW:
-    """Interfaces of a robot by type; `read` and `write` once a cycle."""
+    """The interfaces of a robot by type. `read` and `write` are called once per cycle."""
 
     def __init__(self) -> None:
         self._interfaces: dict[str, AnyInterface] = {}
 
     def register_interface(self, interface: AnyInterface) -> None:
-        """Put the interface under its type's name, in the place of another of that type."""
+        """Register the interface under its type name. It replaces another interface of that type."""
         self._interfaces[interface.type_name] = interface
 
     def get(self, interface_type: type[I]) -> I | None:
@@ -310,7 +310,7 @@ class RobotHW:
         return interface if isinstance(interface, interface_type) else None
 
     def claimed_commands(self, claims: Iterable[ClaimedResources]) -> list[tuple[JointHandle, str]]:
-        """The handles of claimed joints, each with the name of an attribute that is a command."""
+        """For each command of the claimed joints: the handle and the name of the attribute."""
         found = ((self._interfaces[claim.hardware_interface], claim.resources) for claim in claims)
         return [
             command
@@ -334,18 +334,18 @@ class RobotHW:
         return [Conflict(name, tuple(who)) for name, who in sorted(claimants.items()) if len(who) > 1]
 
     def prepare_switch(self, start: Sequence[ControllerInfo], stop: Sequence[ControllerInfo]) -> bool:  # noqa: ARG002
-        """May these controllers start and stop together? False vetoes the switch."""
+        """True when these controllers can start and stop in one switch. False refuses the switch."""
         return True
 
     def do_switch(self, start: Sequence[ControllerInfo], stop: Sequence[ControllerInfo]) -> None:
         """Begin the change of interfaces, in the cycle of the switch."""
 
     def switch_result(self, info: ControllerInfo | None = None) -> SwitchState:  # noqa: ARG002
-        """How far the change is, of one controller or as a whole."""
+        """The progress of the change, for one controller or (None) for all."""
         return SwitchState.DONE
 
     def read(self, time_ns: int, period_s: float) -> None:
-        """Take the state of all joints into their handles."""
+        """Copy the state of all joints into their handles."""
 
     def write(self, time_ns: int, period_s: float) -> None:
-        """Give the commands of all handles to the joints."""
+        """Copy the commands of all handles to the joints."""

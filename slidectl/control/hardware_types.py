@@ -1,7 +1,7 @@
-"""Types of simulated hardware that users write, by the names that `<robotSimType>` gives them.
+"""Types of simulated hardware that users write, by the names that `<robotSimType>` uses.
 
-They come from modules (see `registry.add_module`) and from installed packages, by their entry points. The default one
-is in `physics/robot_hw.py`, which is also the base of all others; it is not known here.
+They come from modules (see `registry.add_module`) and from the entry points of installed packages. This module does not
+import the default type, which is in `physics/robot_hw.py` and is the base of all others.
 """
 
 from __future__ import annotations
@@ -20,12 +20,15 @@ _known: dict[str, type[RobotHW]] = {}
 
 
 def types() -> list[str]:
-    """All types: the default, those that were imported, and those of installed packages."""
+    """All types: the default one, the imported ones, and those of installed packages."""
     return [SIM_TYPES[0], *sorted({*_known, *installed_hardware()})]
 
 
 def add_all(module: ModuleType, prefix: str) -> list[str]:
-    """Take in the hardware that a module defines: the prefix and the class name; but none that begins with `_`."""
+    """Register the hardware classes that a module defines, except those that begin with `_`.
+
+    Returns their types: the prefix and the class name.
+    """
     found = {
         f"{prefix}{name}": value
         for name, value in vars(module).items()
@@ -39,16 +42,16 @@ def add_all(module: ModuleType, prefix: str) -> list[str]:
 
 
 def check_known(type_name: str) -> None:
-    """Raises UnknownName, without any import of the type's code."""
+    """Raise UnknownName when there is no such type. Imports no code of the type."""
     if type_name not in (*SIM_TYPES, *types()):
         raise UnknownName("robotSimType", type_name, types())
 
 
 def find(type_name: str) -> type[RobotHW] | None:
-    """The class of that type; None: the default is meant.
+    """The class of that type; None for the default type.
 
     Raises:
-        UnknownName. BadFile: an installed package names it, and its code fails or has no such class.
+        UnknownName: there is no such type. BadFile: the code of the installed package fails or has no such class.
     """
     check_known(type_name)
     if type_name in SIM_TYPES:

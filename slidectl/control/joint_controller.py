@@ -1,6 +1,6 @@
-"""Bases of the controllers that take one number a joint as their command: of one joint, with a PID, of several joints.
+"""Bases of the controllers whose command is one number per joint: for one joint, for one joint with a PID, for several.
 
-What the numbers do, the error and what becomes of it are the children's part.
+Subclasses define the meaning of the numbers, the error, and the control law.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ _TOLD_EVERY_NS = 1_000_000_000
 
 
 class CommandController(Controller[JointCommandInterface]):
-    """Takes commands on `~command` and says what becomes of those that are not followed as they are."""
+    """Subscribes to `~command`, and warns about commands that have no effect or are clipped."""
 
     _node: NodeHandle
 
     def _listen(self, node: NodeHandle, type_name: str, receive: MessageCallback) -> None:
-        """Subscribe. This is the last step of an init: a latched command arrives at once."""
+        """Subscribe. This must be the last step of an init, since a latched command arrives at once."""
         self._node = node
         self._told = ""
         self._told_ns = 0
         node.subscribe("command", type_name, receive)
 
     def _check(self, commands: Sequence[tuple[JointHandle, float, tuple[float, float]]]) -> None:
-        """Judge a command: each joint, its value, and the lowest and the highest value that is followed as it is.
+        """Check a command: each joint, its value, and the lowest and the highest value that is not clipped.
 
-        ros_control would take nan and infinities too, and run with them.
+        ros_control accepts nan and infinity, and runs with them.
 
         Raises:
             MessageRefused: a value is not finite.
@@ -49,7 +49,7 @@ class CommandController(Controller[JointCommandInterface]):
             text = f"{name} takes no command of nan or infinity: it must be a finite number"
             self._node.log("error", text)
             raise MessageRefused(text)
-        if self.state is not State.RUNNING:  # starting will set a command of its own
+        if self.state is not State.RUNNING:  # `starting` will overwrite the command
             self._tell(f"{name} is not running: the command has no effect", "idle")
             return
         beyond = [
@@ -67,7 +67,7 @@ class CommandController(Controller[JointCommandInterface]):
         self._tell(f"{name}: {', '.join(parts)}", " ".join(f"{side} {joint}" for joint, _, side, _ in beyond))
 
     def _tell(self, text: str, what: str) -> None:
-        """Say it to whoever sent the command; on the log not a hundred times a second."""
+        """Warn the sender of the command. The same warning is logged at most once per second."""
         now_ns = self._node.now_ns()
         if what != self._told or not 0 <= now_ns - self._told_ns < _TOLD_EVERY_NS:
             self._told = what
@@ -83,7 +83,7 @@ class ScalarController(CommandController):
     _joint: JointHandle
 
     def bounds(self) -> tuple[float, float]:
-        """The lowest and the highest command that is followed as it is; the others are cut to these."""
+        """The lowest and the highest command. Others are clipped to these."""
         return self._joint.lowest, self._joint.highest
 
     def set_command(self, value: float) -> None:
@@ -103,7 +103,7 @@ class GroupController(CommandController):
     _joints: tuple[JointHandle, ...]
 
     def bounds(self) -> list[tuple[float, float]]:
-        """For each joint the lowest and the highest command that is followed as it is; the others are cut to these."""
+        """For each joint the lowest and the highest command. Others are clipped to these."""
         return [(joint.lowest, joint.highest) for joint in self._joints]
 
     def set_commands(self, values: list[float]) -> None:
@@ -111,7 +111,7 @@ class GroupController(CommandController):
         raise NotImplementedError
 
     def _get_joints(self, interface: JointCommandInterface, node: NodeHandle) -> None:
-        """Raises SlidectlError: `joints` is missing or empty, or the robot has not one of them."""
+        """Get the handles. Raises SlidectlError: `joints` is missing or empty, or names an unknown joint."""
         self._joints = tuple(interface.get_handle(name) for name in joint_names(node))
 
     def _receive(self, message: Message) -> None:
@@ -137,7 +137,7 @@ def joint_names(node: NodeHandle) -> list[str]:
 
 
 def warn_of_other_joints(node: NodeHandle, place: str, known: Sequence[str]) -> None:
-    """Say which names in the namespace `place` are none of these, so that nobody reads what is there."""
+    """Warn about names in the namespace `place` that are not in `known`: parameters below them have no effect."""
     tree = node.get_param(place, None)
     for name in tree if isinstance(tree, dict) else ():
         if name not in known:
@@ -150,7 +150,7 @@ UPDATES_PER_STATE = 10
 
 @law
 def state_is_due(goal: PidController) -> bool:
-    """Count an update. True on every tenth, when the state is to be published; that is counted too."""
+    """Count an update. True on every tenth update, when the state is due; counts the states too."""
     goal.updates_to_state -= 1
     if goal.updates_to_state:
         return False
@@ -160,7 +160,7 @@ def state_is_due(goal: PidController) -> bool:
 
 
 class PidController(ScalarController):
-    """A joint, its PID, and its state on every tenth update."""
+    """Base of controllers of one joint with a PID. The state is published on every tenth update."""
 
     parameters: ClassVar[tuple[Parameter, ...]] = (JOINT, *within("pid", GAINS))
     _pid: Pid
@@ -168,25 +168,25 @@ class PidController(ScalarController):
 
     def __init__(self) -> None:
         super().__init__()
-        # Counted over the life of the controller: stopping and starting leave it alone.
+        # Counted over the life of the controller: stopping and starting do not reset them.
         self.updates_to_state = 1
         self.states = 0
         self.set_point = 0.0
         self.error = 0.0
-        """Of the last update."""
+        """The error of the last update."""
 
     def parts(self) -> Parts:
-        """What runs compiled besides this controller."""
+        """The parts of the compiled form."""
         return Parts((self._state,), self._joint, self._pid, (self._joint,))
 
     def _offer_pid(self, node: NodeHandle) -> None:
-        """Offer the gains, and the state. Raises SlidectlError: they are missing or wrong."""
+        """Read the gains and advertise the state. Raises SlidectlError: gains are missing or wrong."""
         self._pid = ReconfigurablePid(node.child("pid")).pid
         self._state = node.advertise("state", "control_msgs/JointControllerState")
 
     @staticmethod
     def track(goal: Any, pid: Pid, joint: JointHandle, period_s: float) -> None:
-        """The law of an update: it commands the joint, and leaves the error in this controller."""
+        """The law of an update: it sets the joint's command and `goal.error`. `goal` is this controller, or its row."""
         raise NotImplementedError
 
     def update(self, time_ns: int, period_s: float) -> None:
@@ -197,7 +197,7 @@ class PidController(ScalarController):
             self.publish(time_ns, period_s)
 
     def _tell_state(self, time_ns: int, period_s: float, *, value: float, value_dot: float) -> None:
-        """As control_msgs/JointControllerState."""
+        """Publish control_msgs/JointControllerState, with this process value and its derivative."""
         pid = self._pid
         self._state.sequence = self.states - 1
         self._state.publish(

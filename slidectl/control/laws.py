@@ -1,4 +1,4 @@
-"""What the compiled cycle needs to know of control: which functions are laws, and which attributes are their state.
+"""Laws, which are functions that also run compiled, and the attributes of their state.
 
 A law is a plain function of numbers and of objects with plain attributes. The interpreter calls it with controllers,
 PIDs and handles; the compiler with rows of tables that have columns of the same names. Nothing is compiled here.
@@ -14,40 +14,40 @@ from typing import Any, NamedTuple, Self, TypeVar
 F = TypeVar("F", bound=Callable[..., Any])
 
 LAWS: list[Callable[..., Any]] = []
-"""All functions that run in the interpreter and compiled, those that others call first."""
+"""All functions that run both interpreted and compiled. A function comes after those that it calls."""
 
 
 def law(function: F) -> F:
-    """Decorator: the function is a law. It is returned as it is.
+    """Decorator: register the function as a law and return it unchanged.
 
-    It may use numbers, attributes of its arguments, tuples, functions of `math`, and other laws; no divisions by zero.
+    It may use numbers, attributes of its arguments, tuples, functions of `math`, and other laws. No divisions by zero.
     """
     LAWS.append(function)
     return function
 
 
 PUBLISH, LEAVE = 1, 2
-"""What the law of a controller's update may return besides 0: `publish` is due; or nothing was changed, and the
-interpreter is to make this update."""
+"""Return values of the law of a controller's update, besides 0. PUBLISH: `publish` is due. LEAVE: the law changed
+nothing, and the interpreter must run this update."""
 
 
 class LawTables(NamedTuple):
-    """What the law of a controller's update finds beside the controller's own row."""
+    """The tables that the law of a controller's update gets besides the controller's row."""
 
     joints: Any
-    """The rows of all joints: position, velocity, effort and command of each, as a handle has them."""
+    """The rows of all joints: position, velocity, effort and command, in the units of the handle."""
     pids: Any
     """The rows of all PIDs."""
     members: Any
-    """The rows of the controller's members, in their order; each tells its `joint` and `pid`."""
+    """The rows of the controller's members, in their order; each has the indices `joint` and `pid`."""
     numbers: Any
     """The controller's block of numbers."""
 
 
 class Columns:
-    """Attributes of an object that make a row: floats and whole numbers, those that laws change first.
+    """The attributes of an object that form a row of a table: floats and integers. Those that laws change come first.
 
-    `places` are columns that only a row has: indices into other tables, flags, bounds.
+    `places` are columns that exist only in the row: indices into other tables, flags, bounds.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class Columns:
         places: str = "",
         whole: str = "",
     ) -> None:
-        """Names parted by blanks; `whole` are those of the others that are whole numbers or truth values.
+        """Each argument is a list of names separated by blanks. `whole` repeats those that are integers or booleans.
 
         `part.name` is an attribute of an attribute; its column is called `name`.
         """
@@ -74,16 +74,16 @@ class Columns:
         self._targets = [path.rpartition(".")[::2] for path in self.changing]
 
     def with_places(self, places: str) -> Self:
-        """The same columns, and places behind them that are whole numbers."""
+        """A copy of these columns, followed by integer columns `places`."""
         changing, fixed, whole = self._written
         return type(self)(changing, fixed, places, f"{whole} {places}")
 
     def fill(self, rows: bytearray, row: int, source: object, *places: float) -> None:
-        """Write the whole row: the attributes of `source`, then the places."""
+        """Write a row: the attributes of `source`, then the values of `places`."""
         self._all.pack_into(rows, row * self.size, *self._values(source), *places)
 
     def give(self, rows: bytearray, row: int, target: object) -> None:
-        """Set the attributes of `target` that laws change to what the row holds."""
+        """Copy the columns that laws change from the row to the attributes of `target`."""
         values = self._changing.unpack_from(rows, row * self.size)
         for (owner, name), value in zip(self._targets, values, strict=True):
             setattr(attrgetter(owner)(target) if owner else target, name, value)

@@ -1,4 +1,4 @@
-"""Limits of joints: where they come from, and what they make of commands.
+"""Limits of joints: reading them, and enforcing them on commands.
 
 After joint_limits_interface (ros_control 0.20), to the bit. Saturation clips to hard limits; soft limits slow the
 joint down before it gets there. Units are those of the joint (m or rad, and per s).
@@ -22,12 +22,12 @@ from slidectl.description.robot import Joint
 from slidectl.errors import Refused
 
 LARGEST = 1.7976931348623157e308
-"""The bound where there is none (DBL_MAX)."""
+"""The bound where there is no limit (DBL_MAX)."""
 
 
 @dataclass(frozen=True, slots=True)
 class JointLimits:
-    """Positions in m or rad, velocity in m/s or rad/s and so on, effort in N or N·m. Flags say which count."""
+    """Positions in m or rad, velocity in m/s or rad/s and so on, effort in N or N·m. Flags tell which limits count."""
 
     has_position_limits: bool = False
     min_position: float = 0.0
@@ -74,7 +74,7 @@ LIMITS = (
     Parameter("k_position", NUMBER, "velocity allowed per distance to the soft limit", "1/s"),
     Parameter("k_velocity", NUMBER, "effort allowed per velocity left", "N·s/m or N·m·s/rad"),
 )
-"""What `joint_limits/<joint>` may hold, as joint_limits_interface reads it."""
+"""The parameters of `joint_limits/<joint>`, as joint_limits_interface reads them."""
 
 _BOUNDS = {
     "has_velocity_limits": "max_velocity",
@@ -85,7 +85,7 @@ _BOUNDS = {
 
 
 def limits_from_joint(joint: Joint, base: JointLimits = NO_LIMITS) -> JointLimits | None:
-    """`base` with what `<limit>` says; None without `<limit>`. Jerk stays that of `base`."""
+    """`base` with the values of `<limit>`; None without `<limit>`. The jerk limit stays that of `base`."""
     limit = joint.limit
     if limit is None:
         return None
@@ -104,7 +104,7 @@ def limits_from_joint(joint: Joint, base: JointLimits = NO_LIMITS) -> JointLimit
 
 
 def soft_limits_from_joint(joint: Joint) -> SoftJointLimits | None:
-    """What `<safety_controller>` says; None without it."""
+    """The soft limits of `<safety_controller>`; None without it."""
     safety = joint.safety
     if safety is None:
         return None
@@ -112,7 +112,7 @@ def soft_limits_from_joint(joint: Joint) -> SoftJointLimits | None:
 
 
 def limits_from_parameters(node: NodeHandle, joint: str, base: JointLimits = NO_LIMITS) -> JointLimits | None:
-    """`base` with what `joint_limits/<joint>/*` says; None when nothing is set there.
+    """`base` with the parameters `joint_limits/<joint>/*`; None when none is set.
 
     A group counts only with its flag; a true flag without its values changes nothing.
     """
@@ -155,14 +155,14 @@ def soft_limits_from_parameters(node: NodeHandle, joint: str) -> SoftJointLimits
     return SoftJointLimits(lower, upper, k_position, k_velocity)
 
 
-# What the limits do to a command: laws on a limit handle and its joint, or on their rows. The formulas are those of
-# joint_limits_interface (ros_control 0.20). The order of the comparisons decides what becomes of nan and of bounds the
-# wrong way round, so it stays as it is there. They stand inline: a call is what costs most in the interpreter.
+# Laws that enforce a limit on a command. They work on a limit handle and its joint, or on their rows. The formulas are
+# those of joint_limits_interface (ros_control 0.20). Do not change the order of the comparisons: it decides the result
+# for nan and for bounds in the wrong order. Comparisons are inline, since calls cost most in the interpreter.
 
 
 @law
 def bounded(value: float, lower: float, upper: float) -> float:
-    """min(max(value, lower), upper): with bounds the wrong way round it is `upper`; nan stays nan."""
+    """min(max(value, lower), upper). `upper` when lower > upper; nan stays nan."""
     if value < lower:
         value = lower
     if upper < value:
@@ -172,7 +172,7 @@ def bounded(value: float, lower: float, upper: float) -> float:
 
 @law
 def bounded_twice(value: float, lower: float, upper: float, lowest: float, highest: float) -> float:
-    """The value within `lower` and `upper`, after these were brought within `lowest` and `highest`."""
+    """The value clipped to `lower` and `upper`, after these are clipped to `lowest` and `highest`."""
     if lower < lowest:
         lower = lowest
     if highest < upper:
@@ -186,7 +186,7 @@ def bounded_twice(value: float, lower: float, upper: float, lowest: float, highe
 
 @law
 def soft_velocities(limit: LimitHandle, position: float) -> tuple[float, float]:
-    """The lowest and the highest velocity that a position allows; soft limits count only beside hard ones."""
+    """The lowest and the highest velocity that a position allows. Soft limits count only together with hard limits."""
     fastest = limit.max_velocity
     if not limit.has_position_limits:
         return -fastest, fastest
@@ -197,7 +197,7 @@ def soft_velocities(limit: LimitHandle, position: float) -> tuple[float, float]:
 
 @law
 def saturate_effort(limit: LimitHandle, joint: JointHandle, period_s: float) -> None:  # noqa: ARG001 - it has no memory
-    """At most the largest effort, and none that pushes further beyond a position or velocity limit."""
+    """Clip the effort to the largest one. Towards a position or velocity limit that is exceeded, the bound is 0."""
     lower = -limit.max_effort
     upper = limit.max_effort
     if joint.position < limit.min_position:
@@ -213,7 +213,7 @@ def saturate_effort(limit: LimitHandle, joint: JointHandle, period_s: float) -> 
 
 @law
 def soften_effort(limit: LimitHandle, joint: JointHandle, period_s: float) -> None:  # noqa: ARG001 - it has no memory
-    """Effort that lets the velocity settle between the two that the position allows."""
+    """Clip the effort so that the velocity converges to the range that the position allows."""
     slowest, fastest = soft_velocities(limit, joint.position)
     most = limit.max_effort
     lower = bounded(-limit.k_velocity * (joint.velocity - slowest), -most, most)
@@ -223,7 +223,7 @@ def soften_effort(limit: LimitHandle, joint: JointHandle, period_s: float) -> No
 
 @law
 def saturate_position(limit: LimitHandle, joint: JointHandle, period_s: float) -> None:
-    """Within the position limits, and with a velocity limit within one step of the previous command."""
+    """Clip the position to the limits and, with a velocity limit, to one step from the previous command."""
     if limit.has_velocity_limits:
         previous = joint.position if limit.previous != limit.previous else limit.previous
         step = limit.max_velocity * period_s
@@ -237,7 +237,7 @@ def saturate_position(limit: LimitHandle, joint: JointHandle, period_s: float) -
 
 @law
 def soften_position(limit: LimitHandle, joint: JointHandle, period_s: float) -> None:
-    """Between the places that the allowed velocities reach within the period, and within the hard position limits."""
+    """Clip the position to the range that the allowed velocities reach, and to the hard position limits."""
     previous = joint.position if limit.previous != limit.previous else limit.previous
     slowest, fastest = soft_velocities(limit, previous)
     lower, upper = previous + slowest * period_s, previous + fastest * period_s
@@ -247,7 +247,7 @@ def soften_position(limit: LimitHandle, joint: JointHandle, period_s: float) -> 
 
 @law
 def saturate_velocity(limit: LimitHandle, joint: JointHandle, period_s: float) -> None:
-    """Within the velocity limit, and with an acceleration limit within one step of the previous command."""
+    """Clip the velocity to the limit and, with an acceleration limit, to one step from the previous command."""
     fastest = limit.max_velocity
     if limit.has_acceleration_limits:
         step = limit.max_acceleration * period_s
@@ -259,7 +259,7 @@ def saturate_velocity(limit: LimitHandle, joint: JointHandle, period_s: float) -
 
 @law
 def soften_velocity(limit: LimitHandle, joint: JointHandle, period_s: float) -> None:
-    """Within the allowed velocities, and with an acceleration limit within one step of the measured velocity."""
+    """Clip to the allowed velocities and, with an acceleration limit, to one step from the measured velocity."""
     slowest, fastest = soft_velocities(limit, joint.position)
     if limit.has_acceleration_limits:
         step = limit.max_acceleration * period_s
@@ -269,16 +269,16 @@ def soften_velocity(limit: LimitHandle, joint: JointHandle, period_s: float) -> 
 
 
 class LimitKind(NamedTuple):
-    """One kind of limit: its name in joint_limits_interface, its law, what it needs and how it begins."""
+    """One kind of limit: its name in joint_limits_interface, its law, what it requires and its initial state."""
 
     name: str
     law: Callable[[LimitHandle, JointHandle, float], None]
     needs: tuple[str, ...] = ()
-    """The limits without which it cannot work, of `velocity` and `effort`."""
+    """The limits that it requires, of `velocity` and `effort`."""
     farthest: float = inf
-    """The position limit where there is none."""
+    """The position limit of a joint without one."""
     initial: float = 0.0
-    """The command before the first; nan is the measured position."""
+    """The previous command before the first one; nan stands for the measured position."""
 
 
 LIMIT_KINDS = (
@@ -303,12 +303,12 @@ _SATURATION: dict[Quantity, int] = {
     "position": POSITION_SATURATION,
     "velocity": VELOCITY_SATURATION,
 }
-"""For commands of each quantity; the kind of soft limits is the next one."""
+"""The saturation kind for commands of each quantity; the next index is the kind of soft limits."""
 
 
 @law
 def enforce(limit: LimitHandle, joint: JointHandle, period_s: float) -> None:
-    """Rewrite the command of the joint as this kind of limit does. For rows; a handle has its law bound."""
+    """Enforce a limit on the command of the joint. For rows; a handle calls its law directly."""
     if limit.kind == EFFORT_SATURATION:
         saturate_effort(limit, joint, period_s)
     elif limit.kind == EFFORT_SOFT:
@@ -324,14 +324,14 @@ def enforce(limit: LimitHandle, joint: JointHandle, period_s: float) -> None:
 
 
 class BadLimits(Refused):
-    """Limits that a handle cannot work with."""
+    """A limit that a handle requires is missing."""
 
     def __init__(self, handle: str, joint: str, missing: str) -> None:
         super().__init__(f"joint {joint!r} has no {missing} limit, which {handle} needs")
 
 
 class LimitHandle:
-    """Watches one joint and rewrites its command in place, once a step, as its kind of limit does."""
+    """Enforces one kind of limit on the command of one joint, once per step, in place."""
 
     __slots__ = (
         "enforce",
@@ -362,7 +362,7 @@ class LimitHandle:
     def __init__(
         self, kind: int, handle: JointHandle, limits: JointLimits, soft: SoftJointLimits | None = None
     ) -> None:
-        """Raises BadLimits: one of those that it needs is missing."""
+        """Raises BadLimits when a limit that the kind requires is missing."""
         of_kind = LIMIT_KINDS[kind]
         for missing in of_kind.needs:
             if not getattr(limits, f"has_{missing}_limits"):
@@ -370,7 +370,7 @@ class LimitHandle:
         self.kind = kind
         self.handle = handle
         self.enforce: Callable[[float], None] = partial(of_kind.law, self, handle)
-        """Puts the command within the limits, given the seconds since the last call. One call, as it is hot."""
+        """Enforces the limit; the argument is the seconds since the last call. Bound to the law directly: hot path."""
         self.has_position_limits = limits.has_position_limits
         self.has_velocity_limits = limits.has_velocity_limits
         self.has_acceleration_limits = limits.has_acceleration_limits
@@ -385,14 +385,14 @@ class LimitHandle:
         self.reset()
 
     def command_bounds(self) -> tuple[float, float]:
-        """The lowest and the highest command that may ever be let through, whatever the joint does."""
+        """The lowest and the highest command that the limit can ever leave, in any state of the joint."""
         if self.kind in (POSITION_SATURATION, POSITION_SOFT):
             return self.min_position, self.max_position
         most = self.max_effort if self.kind in (EFFORT_SATURATION, EFFORT_SOFT) else self.max_velocity
         return -most, most
 
     def reset(self) -> None:
-        """Forget earlier commands."""
+        """Discard the previous command."""
         self.previous = LIMIT_KINDS[self.kind].initial
 
 
@@ -402,14 +402,14 @@ def limit_handle(
     limits: JointLimits,
     soft: SoftJointLimits | None = None,
 ) -> LimitHandle:
-    """The handle for a joint of that interface: soft limits alone when there are some.
+    """The limit handle for a joint of that interface. With soft limits, it enforces the soft kind only.
 
     Raises:
-        BadLimits: the limits lack one that the handle needs.
+        BadLimits: a limit that the handle requires is missing.
     """
     return LimitHandle(_SATURATION[interface.declared.quantity] + (soft is not None), handle, limits, soft)
 
 
 def in_order(handles: Iterable[LimitHandle]) -> list[LimitHandle]:
-    """The handles in the order in which they are to be enforced."""
+    """The handles in the order of enforcement."""
     return sorted(handles, key=lambda limit: (limit.kind, limit.handle.name))

@@ -1,7 +1,7 @@
-"""What the controllers of mobile bases share: commands that time out, limits of velocity, and odometry with its topics.
+"""Common parts of the controllers of mobile bases: commands that time out, velocity limits, odometry and its topics.
 
-After ros_controllers' diff_drive_controller, from which the steering controllers have it. Lengths are in m, angles in
-rad. It knows no joints.
+After ros_controllers' diff_drive_controller, which the steering controllers follow too. Lengths are in m, angles in
+rad. This module commands no joints, except to brake.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ BASE_FRAME = Parameter("base_frame_id", TEXT, "the frame that moves", default="b
 ODOM_FRAME = Parameter("odom_frame_id", TEXT, "the frame that it moves in", default="odom")
 ODOM_TF = Parameter("enable_odom_tf", BOOLEAN, "publishes the frame on /tf too", default=True)
 OF_BASE = (OPEN_LOOP, WINDOW, TIMEOUT, ALLOWS_MANY, BASE_FRAME, ODOM_FRAME)
-"""What a base reads that is commanded by twists alone."""
+"""The parameters of a base that is commanded by twists only."""
 COVARIANCES = (
     Parameter("pose_covariance_diagonal", DIAGONAL, "of the pose on odom", required=True),
     Parameter("twist_covariance_diagonal", DIAGONAL, "of the velocities on odom", required=True),
@@ -67,7 +67,7 @@ LIMITS = (
 
 
 class CommandTopic:
-    """The last command on a topic, as numbers. The controller takes commands while it runs."""
+    """The last command on a topic, as numbers. Commands are accepted while the controller runs."""
 
     def __init__(
         self,
@@ -79,9 +79,9 @@ class CommandTopic:
         standing: tuple[float, ...],
         on_second_publisher: Callable[[], None] | None = None,
     ) -> None:
-        """`standing` is the command where there is none.
+        """`standing` is the command that counts when there is none.
 
-        `on_second_publisher` is called when more nodes than one publish; None: they may.
+        `on_second_publisher` is called when more than one node publishes the topic; None: this is allowed.
         """
         self._standing = standing
         self.forget()
@@ -94,15 +94,15 @@ class CommandTopic:
         node.subscribe(topic, type_name, self._receive)
 
     def forget(self) -> None:
-        """As if none had come."""
+        """Discard the last command."""
         self.received_ns, self.numbers = 0, self._standing
 
     def at(self, time_ns: int) -> tuple[float, ...]:
-        """The command that counts: to stand when there is none, or the last one has timed out."""
+        """The command that counts at this time: the last one, or `standing` when it has timed out or there is none."""
         return self._standing if to_seconds(time_ns - self.received_ns) > self.timeout_s else self.numbers
 
     def _receive(self, message: Message) -> None:
-        """Take a command, between two cycles."""
+        """Accept or refuse a command. Called between two cycles."""
         name = self._node.namespace
         if self._controller.state is not State.RUNNING:
             self._refuse("error", f"{name}: Can't accept new commands. Controller is not running.")
@@ -125,7 +125,7 @@ class CommandTopic:
 def velocity_commands(
     controller: ControllerBase, node: NodeHandle, on_second_publisher: Callable[[], None] | None = None
 ) -> CommandTopic:
-    """Twists on `cmd_vel`: the velocities forwards, in m/s, and to the left, in rad/s."""
+    """The twists on `cmd_vel`: linear velocity forwards in m/s, angular velocity to the left in rad/s."""
     return CommandTopic(
         controller,
         node,
@@ -150,9 +150,9 @@ def clamp(value: float, least: float, most: float) -> float:
 
 @law
 def limited(limits: Any, wanted: float, last: float, before: float, period_s: float) -> float:
-    """The velocity that follows `last` and the one `before` it, when this one is wanted; `limits` as of `limits_of`.
+    """The velocity of the next period for a `wanted` one. `last` and `before` are the two previous ones.
 
-    After speed_limiter.cpp: it bounds a velocity, its change in a period, and the change of that.
+    After speed_limiter.cpp: it bounds the velocity, the acceleration and the jerk by `limits`, see `limits_of`.
     """
     if limits[0]:
         change, scale = last - before, 2.0 * period_s * period_s
@@ -166,9 +166,9 @@ LIMIT_NUMBERS = 9
 
 
 def limits_of(node: NodeHandle, where: str, has_jerk: bool) -> list[float]:
-    """By the parameters of the namespace `where`.
+    """The limits by the parameters of the namespace `where`: LIMIT_NUMBERS numbers.
 
-    Of jerk, acceleration and velocity: whether it is bounded, the least, and the largest.
+    For jerk, acceleration and velocity each: 1.0 if it is bounded, else 0.0; the least value; the largest value.
     """
     velocity, acceleration = _bounds(node, where, "velocity"), _bounds(node, where, "acceleration")
     jerk = _bounds(node, where, "jerk") if has_jerk else None
@@ -190,7 +190,10 @@ def _bounds(node: NodeHandle, where: str, what: str) -> tuple[float, float] | No
 
 @law
 def follow_velocity(velocity: Any, limits: Any, linear: float, angular: float, period_s: float) -> None:
-    """Go on to the next period, in which these are wanted; `velocity` is a LimitedVelocity, or its row."""
+    """Set the velocities of the next period, for the wanted `linear` and `angular` ones.
+
+    `velocity` is a LimitedVelocity, or its row.
+    """
     last_linear, last_angular = velocity.last_linear, velocity.last_angular
     velocity.last_linear = limited(limits, linear, last_linear, velocity.before_linear, period_s)
     velocity.last_angular = limited(limits[LIMIT_NUMBERS:], angular, last_angular, velocity.before_angular, period_s)
@@ -198,19 +201,19 @@ def follow_velocity(velocity: Any, limits: Any, linear: float, angular: float, p
 
 
 class LimitedVelocity:
-    """The velocity that the base is commanded, m/s and rad/s: what is wanted, within the limits of the two before."""
+    """The commanded velocity of the base, m/s and rad/s: the wanted one, limited by the two previous ones."""
 
     def __init__(self, node: NodeHandle, has_jerk: bool = True) -> None:
         self.limits = [*limits_of(node, "linear/x", has_jerk), *limits_of(node, "angular/z", has_jerk)]
-        """Of the velocity forwards, then those of the turning."""
+        """The limits of the linear velocity, then those of the angular velocity."""
         self.forget()
 
     def forget(self) -> None:
-        """Go on from standing still."""
+        """Set the previous velocities to 0."""
         self.last_linear = self.last_angular = self.before_linear = self.before_angular = 0.0
 
     def follow(self, linear: float, angular: float | None, period_s: float) -> None:
-        """Go on to the next period; `angular` is None where nobody turns by it, and the last one stays."""
+        """Set the velocities of the next period. `angular` None: the last angular velocity stays."""
         last_angular = self.last_angular
         follow_velocity(self, self.limits, linear, last_angular if angular is None else angular, period_s)
         if angular is None:
@@ -226,15 +229,15 @@ LARGEST_WINDOW = 100_000
 
 @law
 def rolling_mean(mean: float, value: float, past: Any, first: int, window: int, count: int) -> float:
-    """The mean with one more value, computed as boost's accumulator does: the same bits. The last values, of which
-    there were `count`, are `past` from `first` on; the oldest makes room for the new one."""
+    """The rolling mean after one more value, equal to boost's accumulator to the bit. The last values are in `past`, in
+    the `window` places from `first` on; `count` is the number of values so far. The new value replaces the oldest."""
     slot = first + count % window
     oldest, past[slot] = past[slot], value
     return mean + ((value - oldest) / window if count >= window else (value - mean) / (count + 1))
 
 
 class RollingMean:
-    """The mean of the last values, so many at most."""
+    """The mean of the last values, at most `size`."""
 
     def __init__(self, size: int) -> None:
         self._past = size * [0.0]
@@ -242,14 +245,14 @@ class RollingMean:
         self.mean = 0.0
 
     def add(self, value: float) -> None:
-        """One more value."""
+        """Add a value."""
         self.mean = rolling_mean(self.mean, value, self._past, 0, len(self._past), self._count)
         self._count += 1
 
 
 @law
 def moved(x: float, y: float, heading: float, linear: float, angular: float) -> tuple[float, float, float]:
-    """The place after a way along a circle, or along a line where that is as good."""
+    """x, y and heading after a motion along an arc of length `linear` and angle `angular`, or along a line."""
     if abs(angular) < 1e-6:
         direction = heading + angular * 0.5
         return x + linear * cos(direction), y + linear * sin(direction), heading + angular
@@ -267,7 +270,7 @@ def window_of(node: NodeHandle) -> int:
 
 @law
 def travel(odometry: Any, past: Any, way: float, turn: float, time_ns: int) -> None:
-    """The base has moved so far, in m, and turned so far, in rad, since the last time; `odometry` may be its row."""
+    """Add a motion since the last call: `way` in m, `turn` in rad. `odometry` is an Odometry, or its row."""
     odometry.x, odometry.y, odometry.heading = moved(odometry.x, odometry.y, odometry.heading, way, turn)
     period_s = to_seconds(time_ns - odometry.measured_ns)
     if period_s < SHORTEST_S:
@@ -281,7 +284,7 @@ def travel(odometry: Any, past: Any, way: float, turn: float, time_ns: int) -> N
 
 
 class Odometry:
-    """Where a base is by what it has moved: x and y in m, heading in rad, velocities in m/s and rad/s."""
+    """The pose of a base, integrated from its motion: x and y in m, heading in rad; and velocities in m/s and rad/s."""
 
     def __init__(self, window: int) -> None:
         self.x = self.y = self.heading = self.linear = self.angular = 0.0
@@ -291,18 +294,18 @@ class Odometry:
         self.start(0)
 
     def start(self, time_ns: int) -> None:
-        """Begin with the velocities anew. The place stays."""
+        """Reset the means of the velocities. The pose stays."""
         self.measured_ns = time_ns
         self.count = 0
-        """Of the velocities so far."""
+        """The number of velocities so far."""
         self.linear_mean = self.angular_mean = 0.0
 
     def forget(self) -> None:
-        """The base is at the origin, and its wheels have made no way."""
+        """Set the pose to the origin. Subclasses also reset the positions of the wheels."""
         self.x = self.y = self.heading = 0.0
 
     def travel_at(self, velocity: LimitedVelocity, time_ns: int) -> None:
-        """The base has had the last of these velocities since the last time."""
+        """Add a motion with the last of these velocities since the last call (open loop)."""
         self.linear, self.angular = velocity.last_linear, velocity.last_angular
         period_s = to_seconds(time_ns - self.measured_ns)
         self.measured_ns = time_ns
@@ -311,12 +314,12 @@ class Odometry:
 
 
 SHORTEST_S = 0.0001
-"""A shorter period tells no velocity."""
+"""The shortest period from which a velocity is computed, s."""
 
 
 @law
 def odometry_is_due(topics: Any, time_ns: int) -> bool:
-    """Is a message of OdometryTopics due? Then the next one is due a period later."""
+    """True when a message of OdometryTopics is due. This sets the time of the next one, a period later."""
     if topics.published_ns + topics.period_ns >= time_ns:
         return False
     topics.published_ns += topics.period_ns
@@ -325,10 +328,10 @@ def odometry_is_due(topics: Any, time_ns: int) -> bool:
 
 
 class OdometryTopics:
-    """Tells at a rate where a base is, on `odom` and `/tf`."""
+    """Publishes the odometry at a rate, on `odom` and `/tf`."""
 
     def __init__(self, node: NodeHandle, odom_frame: str) -> None:
-        """Raises SlidectlError: a covariance is missing or wrong, or the rate is none."""
+        """Raises SlidectlError: a covariance is missing or wrong, or the rate is not valid."""
         self.period_ns = period_of(node, PUBLISH_RATE)
         self.has_tf: bool = params.value_of(node, ODOM_TF)
         self._odom_frame = odom_frame
@@ -337,7 +340,7 @@ class OdometryTopics:
             matrix_of(params.value_of(node, diagonal)) for diagonal in COVARIANCES
         )
         self.published_ns = 0
-        """When the last message was due, or the start: the first one comes a period later."""
+        """Time at which the last message was due, or of the start. The first one is due a period after the start."""
         self.messages = 0
         """Odometry messages that were due so far, published or not."""
         self._odom = node.advertise("odom", "nav_msgs/Odometry")
@@ -345,7 +348,7 @@ class OdometryTopics:
 
     @property
     def publishers(self) -> tuple[Publisher, ...]:
-        """Of the odometry and of the frame."""
+        """The publishers of `odom` and `/tf`."""
         return self._odom, self._tf
 
     def publish(self, time_ns: int, place: Vector, velocity: Vector) -> None:
@@ -374,7 +377,7 @@ class OdometryTopics:
 
 
 def matrix_of(diagonal: list[float]) -> list[float]:
-    """A square matrix of zeros but for its diagonal, row by row."""
+    """A square matrix with this diagonal and zeros elsewhere, row by row."""
     size = len(diagonal)
     return [diagonal[k // size] if k % (size + 1) == 0 else 0.0 for k in range(size * size)]
 
@@ -389,9 +392,9 @@ def twist_of(forwards: float, sideways: float, angular: float) -> Message:
 
 
 class BaseController(ControllerBase):
-    """What all have: when they start and stop, everything stands still, with the wheels straight ahead.
+    """Base of the controllers of mobile bases. It sets all joint commands to 0 at start and stop.
 
-    An init sets all of these but `updated_ns`.
+    The init of a subclass sets all of these attributes except `updated_ns`.
     """
 
     odometry: Any
@@ -399,11 +402,11 @@ class BaseController(ControllerBase):
     topics: OdometryTopics
     _commands: tuple[CommandTopic, ...]
     _joints: tuple[JointHandle, ...]
-    """Those that it commands."""
+    """The joints that it commands."""
     updated_ns = 0
 
     def starting(self, time_ns: int) -> None:
-        """The limits go on from the last command, and so does the place, unless time was put back."""
+        """The pose and the limited velocity continue from before the stop, unless time was reset."""
         if time_ns < self.updated_ns:
             self.odometry.forget()
             self.velocity.forget()
@@ -425,7 +428,7 @@ class BaseController(ControllerBase):
 
 
 def wheel_radius(node: NodeHandle, robot: Robot, wheel: Joint, shapes: tuple[type, ...] = (Cylinder,)) -> float:
-    """The radius of the first collision of a wheel's link. Raises Refused: it is of none of the shapes."""
+    """The radius, in m, of the first collision of a wheel's link. Raises Refused: it has none of the shapes."""
     collisions = robot.links[wheel.child].collisions
     shape = collisions[0].geometry if collisions else None
     if isinstance(shape, Cylinder | Sphere) and isinstance(shape, shapes):

@@ -1,7 +1,7 @@
-"""What a controller sees of the graph: a namespace with parameters, topics, services and a log.
+"""The interface of a controller to the graph: a namespace with parameters, topics, services and a log.
 
-Protocols, which the simulation implements on its graph; tests use a small fake. Control itself
-knows no graph, no socket and no client.
+These are protocols. The simulation implements them on its graph; tests use a small fake. The control package
+imports no graph, no socket and no client.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from slidectl.errors import Reason
 
 Message = dict[str, Any]
 MessageCallback = Callable[[Message], None]
-"""Takes a message that was checked against its type. Raises MessageRefused when it will not take it."""
+"""Receives a message that was checked against its type. Raises MessageRefused to refuse it."""
 ServiceHandler = Callable[[Message], Message]
 
 
@@ -30,37 +30,37 @@ MISSING: Any = _Missing()
 
 
 class ParameterChange(NamedTuple):
-    """What a request is about to do to a parameter or namespace. MISSING stands for what is not set."""
+    """The change that a request makes to a parameter or namespace. MISSING stands for a value that is not set."""
 
     before: Any
     after: Any
     deletes: bool = False
-    """True when the request deletes; else it sets."""
+    """True when the request deletes, False when it sets."""
     known_only: bool = False
-    """True when a name that nobody reads is an error, not a warning."""
+    """True when an unknown name is an error, not a warning."""
 
 
 ParameterJudge = Callable[[ParameterChange], None]
-"""Raises SlidectlError to refuse a change; then nothing of the request is carried out."""
+"""Raises SlidectlError to refuse a change. No part of the request is then carried out."""
 Reasons = list[Reason]
 """The warnings and errors of one request, as the lines of its answer."""
 
 
 class Publisher(Protocol):
-    """One publisher of one topic. Ask `wanted` before building a message: nobody may be listening."""
+    """One publisher of one topic. Check `wanted` before building a message."""
 
     wanted: bool
-    """True when somebody subscribes, or the topic is latched."""
+    """True when the topic has subscribers, or is latched."""
     sequence: int
-    """`header.seq` of the next message. Who builds none since none is wanted counts it here, so that who listens
-    changes nothing."""
+    """`header.seq` of the next message. A caller that skips an unwanted message increments it, so that the numbers do
+    not depend on subscribers."""
 
     def publish(self, message: Message) -> None:
-        """Hand the message on. The publisher writes `header.seq`; the dict must not be changed afterwards."""
+        """Publish the message. The publisher writes `header.seq`; the dict must not be changed afterwards."""
 
 
 def publish_if_wanted(publisher: Publisher, make: Callable[[], Message]) -> None:
-    """Publish what `make` makes, if somebody wants it; it is counted in any case."""
+    """Publish the message that `make` returns, if it is wanted. It is counted in any case."""
     if publisher.wanted:
         publisher.publish(make())
     else:
@@ -84,11 +84,11 @@ class GoalStatus(IntEnum):
 class GoalHandle(Protocol):
     """One goal of an action server. Results are messages of the action's `Result` type, None for its defaults.
 
-    A change of state that actionlib does not know is an error on the log and changes nothing.
+    A change of state that actionlib does not allow logs an error and has no effect.
     """
 
     goal: Message
-    """As the action's `Goal` type."""
+    """A message of the action's `Goal` type."""
 
     @property
     def status(self) -> GoalStatus:
@@ -98,7 +98,7 @@ class GoalHandle(Protocol):
         """PENDING becomes ACTIVE, RECALLING becomes PREEMPTING."""
 
     def reject(self, result: Message | None = None) -> None:
-        """PENDING and RECALLING become REJECTED, and the result goes out; so it does below."""
+        """PENDING and RECALLING become REJECTED. The result is sent, as in the methods below."""
 
     def cancel(self, result: Message | None = None) -> None:
         """PENDING and RECALLING become RECALLED, ACTIVE and PREEMPTING become PREEMPTED."""
@@ -111,26 +111,26 @@ class GoalHandle(Protocol):
 
     @property
     def wants_feedback(self) -> bool:
-        """Does somebody listen to the feedback?"""
+        """True when the feedback has subscribers."""
 
     def publish_feedback(self, feedback: Message) -> None:
         """Send a message of the action's `Feedback` type."""
 
     def release(self) -> None:
-        """Nobody works on this goal any more: it leaves the list of states after a while, whatever its state."""
+        """End the work on this goal. It leaves the list of states after some time, in any state."""
 
 
 GoalCallback = Callable[[GoalHandle], None]
 
 
 class RepeatingTimer(Protocol):
-    """A callback at simulated times."""
+    """A timer that calls back periodically in simulated time."""
 
     def cancel(self) -> None:
-        """It is not called any more."""
+        """Stop the calls."""
 
     def restart(self) -> None:
-        """Begin anew: the first call comes a period from now."""
+        """Restart: the first call comes one period from now."""
 
 
 class NodeHandle(Protocol):
@@ -138,10 +138,10 @@ class NodeHandle(Protocol):
 
     namespace: str
     guard: AbstractContextManager[None] | None
-    """Surrounds the callbacks that are given to this handle, or to a child of it, from now on."""
+    """Context manager around each callback that is later registered through this handle or a child."""
 
     def child(self, name: str) -> NodeHandle:
-        """The node handle of `namespace/name`. What it advertises ends with its root's `shutdown`."""
+        """The node handle of `namespace/name`. `shutdown` of its root also ends its topics and services."""
 
     def get_param(self, name: str, default: Any = MISSING) -> Any:
         """The parameter as loaded from YAML (a subtree is a dict), else `default`; KeyError when there is none."""
@@ -150,16 +150,16 @@ class NodeHandle(Protocol):
         """True when the parameter or a parameter below it is set."""
 
     def set_param(self, name: str, value: Any) -> None:
-        """Set the parameter; watchers of it are told, this handle's own too."""
+        """Set the parameter. Its watchers are called, also those of this handle."""
 
     def search_param(self, name: str) -> str | None:
         """The absolute name of `name` found in this namespace or the nearest one above it, else None."""
 
     def watch_param(self, name: str, callback: Callable[[], None]) -> None:
-        """Call back whenever the parameter, or one below it, is set or deleted by anybody."""
+        """Call back whenever the parameter, or one below it, is set or deleted."""
 
     def guard_params(self, judge: ParameterJudge) -> None:
-        """Ask `judge` before anybody sets or deletes something in this namespace, below it or above it."""
+        """Call `judge` before each change of this namespace, of a parameter below it, or of a namespace above it."""
 
     def advertise(self, topic: str, type_name: str, latch: bool = False) -> Publisher:
         """Publish `topic` with messages of `pkg/Type`."""
@@ -176,33 +176,33 @@ class NodeHandle(Protocol):
     def advertise_action(self, action: str, type_name: str, on_goal: GoalCallback, on_cancel: GoalCallback) -> None:
         """Serve `action`, whose goals are `pkg/TypeGoal`, by the five topics of actionlib.
 
-        `on_goal` gets each new goal, which is PENDING, and `on_cancel` one that a client wants cancelled.
+        `on_goal` is called with each new goal, which is PENDING; `on_cancel` with a goal that a client cancels.
         """
 
     def call_every(self, period_ns: int, callback: Callable[[], None], enters: bool = True) -> RepeatingTimer:
         """Call back each period of simulated time, counted from now, at the end of a cycle.
 
-        Without `enters` the callback calls `enter` itself before it looks at what cycles work on, if it does.
+        With `enters`, `enter` is called first. Else the callback must call `enter` before it uses state of cycles.
         """
 
     def enter(self) -> None:
-        """Let controllers and handles be as they are in the simulation: machine code keeps them elsewhere."""
+        """Copy the state that compiled code holds back to the controllers and handles."""
 
     def log(self, severity: str, text: str) -> None:
         """One line on /rosout; severity is `debug`, `info`, `warn`, `error` or `fatal`.
 
-        From `warn` on it is also a reason in the answer to the request that is being carried out.
+        From `warn` on, the line is also a reason in the answer to the present request.
         """
 
     @property
     def reasons(self) -> Reasons | None:
-        """The reasons of the request that is being carried out; None outside of any. A line may be added to them."""
+        """The reasons of the present request; None outside of a request. Reasons may be appended."""
 
     def answering(self, reasons: Reasons | None) -> AbstractContextManager[None]:
-        """Inside, what is logged belongs to the request with these reasons: for work that a request left for later."""
+        """Context in which log lines belong to the request with these reasons. For work that the request deferred."""
 
     def now_ns(self) -> int:
         """Simulated time in nanoseconds, that of the last cycle."""
 
     def shutdown(self) -> None:
-        """Take back all that was advertised, subscribed and watched through this handle and its children."""
+        """End all topics, services, subscriptions and watches of this handle and its children."""

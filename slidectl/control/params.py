@@ -1,8 +1,8 @@
-"""Parameters of controllers: their types, the reading of them, what a controller declares, and changes judged by that.
+"""Parameters of controllers: types, readers, declarations, and the check of changes against the declarations.
 
-They are read by the rules of roscpp: a value of the wrong type counts as not set. Unlike roscpp this says so: a value
-that is passed over is a warning on the log. Who looks at a file before anything runs reads the declarations; a test
-holds them against what is read. Nothing here sets a parameter.
+Readers follow roscpp: a value of the wrong type counts as not set. Unlike roscpp, they log a warning for such a value.
+Checks of a file before a run use the declarations; a test compares these with the parameters that are read. Nothing
+here sets a parameter.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ T = TypeVar("T")
 
 
 class BadParameter(Refused):
-    """A parameter that is needed is not set, or is of another type."""
+    """A required parameter is not set, or has another type."""
 
     def __init__(self, node: NodeHandle, name: str, wanted: str) -> None:
         where = names.join(node.namespace, name)
@@ -33,7 +33,7 @@ class BadParameter(Refused):
 
 
 def as_number(value: Any) -> float | None:
-    """An int or a float as a float. A YAML boolean or a string is no number."""
+    """An int or a float as a float; None for other types, also for a boolean or a string."""
     return None if isinstance(value, bool) else _as_float(value)
 
 
@@ -56,17 +56,17 @@ def as_integer(value: Any) -> int | None:
 
 
 def as_boolean(value: Any) -> bool | None:
-    """Only a true YAML boolean: 1, 0 and "true" are none."""
+    """A YAML boolean; None for other values, also for 1, 0 and "true"."""
     return value if isinstance(value, bool) else None
 
 
 def as_texts(value: Any) -> list[str] | None:
-    """A list of nothing but strings."""
+    """A list of strings; None for other values."""
     return list(value) if isinstance(value, list) and all(isinstance(item, str) for item in value) else None
 
 
 def as_numbers(value: Any) -> list[float] | None:
-    """A list of numbers; booleans count as 0 and 1 here."""
+    """A list of numbers, in which booleans count as 0 and 1; None for other values."""
     if not isinstance(value, list):
         return None
     numbers = [_as_float(item) for item in value]
@@ -74,7 +74,7 @@ def as_numbers(value: Any) -> list[float] | None:
 
 
 class Kind(NamedTuple, Generic[T]):
-    """A type of parameters: how messages name it, and what makes a value of it (None when it is none)."""
+    """A type of parameters: its name in messages, and a converter that returns None for a value of another type."""
 
     words: str
     convert: Callable[[Any], T | None]
@@ -136,7 +136,7 @@ def needed_texts(node: NodeHandle, name: str) -> list[str]:
 
 
 def read(node: NodeHandle, name: str, kind: Kind[T]) -> T | None:
-    """The parameter as that kind, None when it is not one; a value that is passed over is a warning."""
+    """The parameter as that kind. None when it is not set or of another type, which logs a warning."""
     value = node.get_param(name, None)
     if value is None:
         return None
@@ -156,7 +156,7 @@ def needed(node: NodeHandle, name: str, kind: Kind[T]) -> T:
 
 
 def described(value: Any) -> str:
-    """The value with its type; a number that YAML took for text gets the reason."""
+    """The value with its type, for messages. For a number that YAML reads as text, the reason is added."""
     if not isinstance(value, str):
         return f"{value!r}"
     try:
@@ -175,24 +175,24 @@ class Parameter:
     """One parameter of a controller."""
 
     name: str
-    """Below the controller's name: `pid/p`; `extra_joints[]/name` in each entry of a list; in `gains/<joint>/p` any
-    name may stand for `<joint>`."""
+    """The name below the controller's, such as `pid/p`. `extra_joints[]/name` is in each entry of a list; `<joint>` in
+    `gains/<joint>/p` stands for any name."""
     kind: Kind[Any]
     meaning: str
     unit: str = ""
     default: Any = None
-    """What counts when it is not set; None: nothing does, or it is required."""
+    """The value used when it is not set; None: no default, or required."""
     required: bool = False
     names_joints: bool = False
-    """Its value is the name of a joint of the robot, or a list of such."""
+    """True: the value is the name of a joint of the robot, or a list of such names."""
     live: bool = False
-    """A loaded controller follows it; else it counts when the controller is loaded again."""
+    """True: a loaded controller follows changes. False: a change takes effect when the controller is loaded again."""
     unless_positive: str = ""
-    """What becomes of a number that is not above 0; empty: such a number is like any other."""
+    """The effect of a number that is not above 0; empty: no special effect."""
 
 
 def value_of(node: NodeHandle, parameter: Parameter) -> Any:
-    """The declared parameter, its default when it is not set. Raises BadParameter: it is required and not set."""
+    """The value of the parameter, or its default. Raises BadParameter when it is required and not set."""
     if parameter.required:
         return needed(node, parameter.name, parameter.kind)
     found = read(node, parameter.name, parameter.kind)
@@ -200,7 +200,7 @@ def value_of(node: NodeHandle, parameter: Parameter) -> Any:
 
 
 def within(prefix: str, parameters: Iterable[Parameter]) -> tuple[Parameter, ...]:
-    """The same parameters below a name."""
+    """The parameters with `prefix/` before their names."""
     return tuple(replace(parameter, name=f"{prefix}/{parameter.name}") for parameter in parameters)
 
 
@@ -208,7 +208,7 @@ def check_values(node: NodeHandle, declared: Iterable[Parameter], change: Parame
     """The declared parameters in the namespace of `node` that a change sets to another value.
 
     Raises:
-        Refused: one of them would be a value of another type, or a namespace; then the reader has no use for it.
+        Refused: the change gives one of them a value of another type, or makes it a namespace.
     """
     if change.deletes or change.after is MISSING:
         return []
@@ -239,14 +239,14 @@ def _no_namespace(full: str, value: Any) -> Refused:
 
 
 def _fits(path: list[str], place: list[str]) -> bool:
-    """True for the names of a declared place; `<joint>` in it stands for any name."""
+    """True when the path has the names of the declared place, in which `<joint>` stands for any name."""
     return len(path) == len(place) and all(
         one == other.removesuffix("[]") or other.startswith("<") for one, other in zip(path, place, strict=True)
     )
 
 
 def _changed(change: ParameterChange) -> Iterator[tuple[str, Any]]:
-    """Name below the namespace, and value, of every parameter that the change sets to something else."""
+    """Name below the namespace and new value of every parameter that the change gives another value."""
     before = dict(leaves(change.before))
     for name, value in leaves(change.after):
         if name not in before or type(before[name]) is not type(value) or before[name] != value:
@@ -254,14 +254,14 @@ def _changed(change: ParameterChange) -> Iterator[tuple[str, Any]]:
 
 
 def judge(node: NodeHandle, own: tuple[Parameter, ...], change: ParameterChange) -> None:
-    """Judge a change of the parameters of a loaded controller: names that it does not read, values of a wrong type.
+    """Check a change of the parameters of a loaded controller for unknown names and values of a wrong type.
 
     Args:
         node: the controller's own node handle.
-        own: what it reads; when that is nothing, nobody knows which names are wrong.
+        own: the controller's declared parameters. When empty, unknown names cause no warning.
 
     Raises:
-        Refused.
+        Refused: a value of a wrong type. UnknownName: an unknown name, with `change.known_only`.
     """
     declared = (TYPE, UPDATE_BUDGET, *own)
     late = [parameter for parameter in check_values(node, declared, change) if not parameter.live]
@@ -297,6 +297,6 @@ UPDATE_BUDGET = Parameter(
     live=True,
     unless_positive="updates may take any time",
 )
-"""What the manager reads of every controller."""
+"""The parameter that the manager reads for every controller."""
 JOINT = Parameter("joint", TEXT, "the joint that it drives", required=True, names_joints=True)
 JOINTS = Parameter("joints", TEXTS, "the joints that it drives, in this order", required=True, names_joints=True)

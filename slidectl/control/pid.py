@@ -1,7 +1,7 @@
-"""The PID law of control_toolbox 1.19 (ROS 1), to the bit: what it computes and what it remembers.
+"""The PID law of control_toolbox 1.19 (ROS 1), to the bit: its equation and its state.
 
-`pid_law` is the equation, `next_command` one step with its memory; `Pid` keeps gains and state. None of them knows
-parameters, topics or time.
+`pid_law` is the equation, `next_command` one step that updates the state; `Pid` holds gains and state. None of them
+uses parameters, topics or clocks.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ def pid_law(
     i_max: float,
     antiwindup: bool,
 ) -> tuple[float, float]:
-    """(command, integral of the error), `dt` seconds on. command = p error + i integral + d error_dot.
+    """(command, integral of the error) after `dt` seconds. command = p error + i integral + d error_dot.
 
-    With anti-windup the integral itself is bounded, without it only its contribution. Bounds the wrong way
-    round yield the upper one.
+    With anti-windup the integral itself is bounded, without it only its contribution. When the lower bound is above
+    the upper one, the upper one counts.
     """
     i_error += dt * error
     if antiwindup and i != 0.0:
@@ -62,7 +62,7 @@ def pid_law(
 
 @law
 def next_command_from(pid: Pid, error: float, error_dot: float, period_s: float) -> float:
-    """The command of `pid` for this error and its derivative. 0.0 when one is not finite or the period is 0."""
+    """The command of `pid` for this error and its derivative. 0.0 when one of them is not finite or the period is 0."""
     pid.p_error = error
     pid.d_error = error_dot
     if period_s == 0.0 or not isfinite(error) or not isfinite(error_dot):
@@ -84,9 +84,9 @@ def next_command_from(pid: Pid, error: float, error_dot: float, period_s: float)
 
 @law
 def next_command(pid: Pid, error: float, period_s: float) -> float:
-    """The command of `pid` for this error, its derivative taken from the last one.
+    """The command of `pid` for this error. The derivative is computed from the last error.
 
-    0.0 with no change of the state when the period is 0 or the error is not finite.
+    0.0, without a change of the state, when the period is 0 or the error is not finite.
     """
     if period_s == 0.0 or not isfinite(error):
         return 0.0
@@ -101,7 +101,7 @@ def next_command(pid: Pid, error: float, period_s: float) -> float:
 
 
 class Pid:
-    """Gains and state of one loop.
+    """Gains and state of one control loop.
 
     Errors are in units of the controlled quantity, periods in seconds.
     """
@@ -137,7 +137,7 @@ class Pid:
         antiwindup: bool = False,
     ) -> None:
         self.observer: Callable[[float], None] | None = None
-        """Called with the period after each command that was computed, to publish the state."""
+        """Called with the period, in s, after each computed command, to publish the state."""
         self.set_gains(Gains(p, i, d, i_max, i_min, antiwindup))
         self.reset()
 
@@ -151,31 +151,31 @@ class Pid:
         self.p, self.i, self.d, self.i_max, self.i_min, self.antiwindup = gains
 
     def reset(self) -> None:
-        """Forget the past. The last error counts as a valid 0, so the next command has d * error / dt in it."""
+        """Reset the state. The last error becomes a valid 0, so the next command contains d * error / dt."""
         self.p_error = self.p_error_last = self.i_error = self.d_error = self.command = 0.0
         self.p_error_last_is_valid = True
 
     def reset_to(self, d_error: float, i_error: float) -> None:
-        """Start from this derivative, used as it is by the next command, and this integral of the error."""
+        """Set the derivative of the error, which the next command uses unchanged, and the integral of the error."""
         self.reset()
         self.d_error = d_error
         self.i_error = i_error
         self.p_error_last_is_valid = False
 
     def compute_command(self, error: float, period_s: float) -> float:
-        """`next_command`, told to the observer."""
+        """`next_command`, followed by a call of the observer."""
         command = next_command(self, error, period_s)
         if self.observer is not None:
             self.tell(error, period_s)
         return command
 
     def tell(self, error: float, period_s: float) -> None:
-        """Tell the observer of the command for this error, if one was computed."""
+        """Call the observer, if a command was computed for this error."""
         if self.observer is not None and period_s != 0.0 and isfinite(error) and isfinite(self.d_error):
             self.observer(period_s)
 
     def terms(self) -> tuple[float, float, float]:
-        """The parts that the last command was made of, of p, i and d."""
+        """The proportional, integral and derivative terms of the last command."""
         i_term = self.i * self.i_error
         if not self.antiwindup:
             i_term = min(max(i_term, self.i_min), self.i_max)

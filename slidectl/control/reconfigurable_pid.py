@@ -1,8 +1,8 @@
-"""A PID whose gains are parameters: read when it is made, changed by service or parameter while it runs.
+"""A PID whose gains are parameters. They are read at construction, and changed by service or parameter while it runs.
 
-After control_toolbox's init and its dynamic_reconfigure server. Gains change between two cycles; the state of
-the PID is never touched here. The parameters always say what the PID has: a change that it cannot follow is refused,
-and what it takes in another form (a clamp's sign) is written back.
+After control_toolbox's init and its dynamic_reconfigure server. Gains change between two cycles; the PID's state
+does not change here. The parameters always equal the gains: a change that the PID cannot use is refused, and a value
+that it normalizes (the sign of a clamp) is written back.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ GAINS = (
     Parameter("antiwindup", BOOLEAN, "bounds the integral itself, not only its term", default=False, live=True),
     Parameter("publish_state", BOOLEAN, "publishes control_msgs/PidState", default=False),
 )
-"""What a namespace of gains may hold, as control_toolbox reads it."""
+"""The parameters of a namespace of gains, as control_toolbox reads them."""
 
 
 class ReconfigurablePid:
-    """`pid` with the gains of the namespace of `node`, which it keeps in step with the parameters there."""
+    """A PID, `pid`, whose gains stay equal to the parameters in the namespace of `node`."""
 
     def __init__(self, node: NodeHandle) -> None:
-        """Read the gains, write them back, and offer them to be changed.
+        """Read the gains, write them back, and advertise the reconfigure service.
 
         Raises:
-            BadParameter: there is no `p`. Refused: a gain that is no number.
+            BadParameter: `p` is not set. Refused: a gain is not a number.
         """
         self._node = node
         self._writing = False
@@ -52,13 +52,13 @@ class ReconfigurablePid:
         )
         i_clamp = params.number(node, "i_clamp")
         self.set_gains(gains)
-        # What the file says, though it be hidden by the other two: the same file again changes nothing.
+        # The value as set, even if i_clamp_min and i_clamp_max override it: setting it again then changes nothing.
         self._i_clamp = None if i_clamp is None else abs(i_clamp)
         node.guard_params(self._judge)
         node.watch_param(node.namespace, self._parameters_changed)
 
     def set_gains(self, gains: Gains) -> None:
-        """Use these gains from the next cycle on, write them to the parameters and tell the subscribers."""
+        """Use these gains from the next cycle on, write them to the parameters and publish them."""
         old = self.pid.gains
         self.pid.set_gains(gains)
         for name in ("p", "i", "d"):
@@ -73,7 +73,7 @@ class ReconfigurablePid:
         self._server.publish()
 
     def _write_back(self, gains: Gains) -> None:
-        """The six, and i_clamp where it is set, which is the upper bound as in the controller's state."""
+        """Write the six gain parameters and, if set, i_clamp, which is the upper bound as in the controller's state."""
         values = to_parameters(gains)
         if self._node.has_param("i_clamp"):
             values["i_clamp"] = self._i_clamp = gains.i_max
@@ -87,7 +87,7 @@ class ReconfigurablePid:
             self._writing = False
 
     def _judge(self, change: ParameterChange) -> None:
-        """Refuse what the PID could not follow."""
+        """Refuse a change of the parameters that the PID cannot use."""
         if self._writing:
             return
         check_values(self._node, GAINS, change)
@@ -100,7 +100,7 @@ class ReconfigurablePid:
             )
 
     def _parameters_changed(self) -> None:
-        """Somebody set or deleted parameters. What is missing leaves its gain as it is, and is written back."""
+        """Use the changed parameters. A gain whose parameter is missing keeps its value, which is written back."""
         if self._writing:
             return
         gains = self._wanted()
@@ -110,9 +110,10 @@ class ReconfigurablePid:
             self._write_back(gains)
 
     def _wanted(self) -> Gains:
-        """The gains that the parameters give now; an i_clamp that is new counts for both bounds.
+        """The gains that the parameters give now. A changed i_clamp sets both bounds.
 
-        i_clamp_min and i_clamp_max are always set by now, so a rule as at the start would never let i_clamp count.
+        At construction i_clamp_min and i_clamp_max take precedence. By the same rule i_clamp would never count here,
+        since both are always set by now.
         """
         old = self.pid.gains
         gains = gains_from_parameters(self._node, old)
@@ -123,10 +124,10 @@ class ReconfigurablePid:
 
 
 def gains_from_parameters(node: NodeHandle, base: Gains | None = None) -> Gains:
-    """The gains that the parameters of this namespace give; `base` stands in for those that are missing.
+    """The gains that the parameters of this namespace give. Missing ones are taken from `base`.
 
     Raises:
-        BadParameter: no `p`, and no `base`. Refused: a gain that is no number.
+        BadParameter: neither `p` nor `base`. Refused: a gain is not a number.
     """
     p = params.number(node, "p") if base is not None else params.needed_number(node, "p")
     base = base or Gains()
@@ -153,7 +154,7 @@ def _first(value: float | None, otherwise: float) -> float:
 
 
 def _checked(node: NodeHandle, gains: Gains) -> Gains:
-    """An infinite clamp is none; every other gain must be finite."""
+    """The gains. Raises Refused for nan, and for an infinite p, i or d; an infinite clamp means no clamp."""
     for name, value in gains._asdict().items():
         if isnan(value) or (name in ("p", "i", "d") and not isfinite(value)):
             raise Refused(f"{node.namespace}: gain {name} must be a number, not {value}")
@@ -200,9 +201,9 @@ OPTIONS = (
     Option("i_clamp_max", "Largest integral term", 10.0, 0.0, 100000.0),
     Option("antiwindup", "Bound the integral itself, not only its contribution", False),
 )
-"""The gains as dynamic_reconfigure has them."""
+"""The gains as options of dynamic_reconfigure."""
 _FIELDS = {option.name: option.name.replace("i_clamp", "i") for option in OPTIONS}
-"""Their names in Gains."""
+"""The name in Gains of each option."""
 
 
 def to_parameters(gains: Gains) -> Values:
@@ -211,6 +212,6 @@ def to_parameters(gains: Gains) -> Values:
 
 
 def gains_of(values: Values) -> Gains:
-    """The gains that six parameters hold."""
+    """The gains of the six parameters."""
     found: dict[str, Any] = {_FIELDS[name]: value for name, value in values.items()}
     return Gains(**found)

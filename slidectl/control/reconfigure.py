@@ -1,7 +1,7 @@
 """Values that clients change by dynamic_reconfigure: the service and the two latched topics of one namespace.
 
-Whoever offers them says what they are and what is to happen. Ranges hold for what comes in so, not for what a
-file says.
+The owner of the values defines them and the effect of a change. Ranges apply to requests of this service, not to the
+values of parameter files.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ class Option(NamedTuple):
 
     @property
     def is_flag(self) -> bool:
-        """Not a number."""
+        """True for a flag, False for a number."""
         return isinstance(self.default, bool)
 
 
 class ReconfigureServer:
-    """Offers values in the namespace of a node handle."""
+    """Serves values in the namespace of a node handle."""
 
     def __init__(
         self,
@@ -42,7 +42,7 @@ class ReconfigureServer:
         values: Callable[[], Values],
         change: Callable[[Values], None],
     ) -> None:
-        """`values` gives the present ones, `change` takes all of them; it may raise SlidectlError to refuse."""
+        """`values` returns the present values. `change` sets all values, and raises SlidectlError to refuse."""
         self._options = {option.name: option for option in options}
         self._values = values
         self._change = change
@@ -52,7 +52,7 @@ class ReconfigureServer:
         self._updates = node.advertise("parameter_updates", "dynamic_reconfigure/Config", latch=True)
 
     def publish(self) -> None:
-        """Tell the subscribers of the present values."""
+        """Publish the present values."""
         self._updates.publish(_config(self._values()))
 
     def _reconfigure(self, request: Message) -> Message:
@@ -60,7 +60,7 @@ class ReconfigureServer:
         return {"config": _config(self._values())}
 
     def _merged(self, config: Message) -> Values:
-        """The present values with what a Config message changes, all of them brought into their ranges.
+        """The present values with the changes of a Config message, all clipped to their ranges.
 
         Raises:
             UnknownName: no such value. Refused: nan, or a value of another type.
@@ -103,7 +103,7 @@ class ReconfigureServer:
 
 
 def _config(values: Values) -> Message:
-    """As dynamic_reconfigure/Config."""
+    """The values as dynamic_reconfigure/Config."""
     return {
         "bools": [{"name": name, "value": value} for name, value in values.items() if isinstance(value, bool)],
         "ints": [],

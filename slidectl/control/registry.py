@@ -1,7 +1,7 @@
-"""Controllers by type name: the decorator that registers a class, and what makes instances.
+"""Controllers by type name: the decorator that registers a class, and the functions that create instances.
 
-Every module of `controllers/` is imported when types are first asked for; that is all it takes to add a family. Users'
-classes come from files, from modules, and from installed packages by their entry points.
+Every module of `controllers/` is imported at the first query of types, so a new family needs only a new module. Users'
+classes come from files, from modules, and from the entry points of installed packages.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ C = TypeVar("C", bound=type[ControllerBase])
 
 BASE_CLASS = "controller_interface::ControllerBase"
 ENTRY_POINTS = "slidectl.controllers"
-"""The group in which an installed package names its controllers: a type, and `module:Class`."""
+"""The entry point group in which an installed package names its controllers: a type, and `module:Class`."""
 _known: dict[str, ControllerClass] = {}
 _registered: set[str] = set()
-"""Modules that were added: their classes are known, and a further simulation of this process adds them again."""
+"""Modules that were added. A further simulation in this process may add them again without an error."""
 
 
 class UnknownType(UnknownName):
@@ -42,7 +42,7 @@ class UnknownType(UnknownName):
 
 
 def controller(*type_names: str) -> Callable[[C], C]:
-    """Class decorator: register the class under these types. A type that is taken goes to the newer class."""
+    """Class decorator: register the class under these types. It replaces a class that has the type."""
 
     def register(cls: C) -> C:
         if user_classes.is_of_a_user(cls):
@@ -64,7 +64,7 @@ def find(type_name: str) -> ControllerClass:
     """The class of that type.
 
     Raises:
-        UnknownType. BadFile: an installed package names it, and its code fails.
+        UnknownType: no class has this type. BadFile: the code of the installed package that names it fails.
     """
     _import_shipped()
     cls = _known.get(type_name)
@@ -83,7 +83,7 @@ def create(type_name: str) -> ControllerBase:
 
 
 def compiled_forms() -> dict[ControllerClass, Compiled]:
-    """Our classes that declare how they run compiled, with that declaration, by name: the same order in any process."""
+    """The shipped classes with a compiled form of their own. The order is by name, the same in any process."""
     return {cls: form for cls in _import_shipped() if (form := vars(cls).get("compiled")) is not None}
 
 
@@ -123,10 +123,10 @@ def add_module(name: str) -> list[str]:
 
 
 def renewed(cls: ControllerClass) -> ControllerClass:
-    """The class as its edited file has it: the file is imported anew, and all types of the class mean the new one.
+    """Import the class's edited file anew. All types of the class then mean the new class, which is returned.
 
     Raises:
-        Refused: it is no user's class, or not in a file. Else as `add_file`; then the types mean what they did.
+        Refused: the class is not a user's, or not from a file. Else as `add_file`. The types are then unchanged.
     """
     if not user_classes.is_of_a_user(cls):
         raise Refused("it is a controller of slidectl itself; only those of users are reloaded")
@@ -142,7 +142,7 @@ def renewed(cls: ControllerClass) -> ControllerClass:
 
 
 def put_back(cls: ControllerClass) -> None:
-    """All types of classes of that module and name mean this class."""
+    """Register this class under all types of a class with the same module and name."""
     for type_name, registered in _known.items():
         if (registered.__module__, registered.__name__) == (cls.__module__, cls.__name__):
             _known[type_name] = cls
@@ -160,7 +160,7 @@ def _type_in(module: ModuleType, class_name: str) -> str:
 
 @contextmanager
 def _all_or_nothing() -> Iterator[dict[str, ControllerClass]]:
-    """Inside a module is imported and registered; types mean what they did when that fails. Gives a copy of them."""
+    """Context in which a module is imported and registered. An exception restores the types. Yields a copy of them."""
     _import_shipped()
     before = dict(_known)
     try:
@@ -173,7 +173,7 @@ def _all_or_nothing() -> Iterator[dict[str, ControllerClass]]:
 
 @cache
 def _entry_points() -> dict[str, EntryPoint]:
-    """Types that installed packages name. Looked up when a type is not known, since reading the metadata takes long."""
+    """Types that installed packages name. Read only when a type is unknown, since reading the metadata takes long."""
     from importlib.metadata import entry_points
 
     return {point.name: point for point in entry_points(group=ENTRY_POINTS)}
@@ -181,7 +181,7 @@ def _entry_points() -> dict[str, EntryPoint]:
 
 @cache
 def _import_shipped() -> tuple[ControllerClass, ...]:
-    """Register our own controllers. Returns their classes and the bases of these, whatever their types mean later."""
+    """Register the shipped controllers. Returns their classes and base classes."""
     package = import_module("slidectl.control.controllers")
     for module in iter_modules(package.__path__):
         import_module(f"{package.__name__}.{module.name}")

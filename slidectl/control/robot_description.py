@@ -1,6 +1,6 @@
-"""The robot, and the joint, that a controller drives, as the description on the parameter server has them.
+"""The robot and the joints that a controller drives, from the description on the parameter server.
 
-Reads and parses, nothing else.
+This module only reads and parses.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ PARAMETER = "robot_description"
 
 
 def joint_of_model(node: NodeHandle, name: str) -> Joint:
-    """The joint `name` of the robot whose description is nearest above `node`.
+    """The joint `name` of the robot whose description is in the namespace of `node`, or in the nearest one above it.
 
     Raises:
         Refused: there is no description, or it is no text. BadFile: it is no URDF. UnknownName: no such joint.
@@ -47,7 +47,7 @@ def robot_of_model(node: NodeHandle, where: str = PARAMETER) -> Robot:
 
 
 def find_joint(robot: Robot, name: str, where: str = PARAMETER) -> Joint:
-    """The joint of that name. Raises UnknownName, which says that the robot is described in `where`."""
+    """The joint of that name. Raises UnknownName, whose text names the parameter `where`."""
     if name not in robot.joints:
         raise UnknownName("joint", name, list(robot.joints), f"in {where}")
     return robot.joints[name]
@@ -55,5 +55,5 @@ def find_joint(robot: Robot, name: str, where: str = PARAMETER) -> Joint:
 
 @lru_cache(maxsize=8)
 def _robot(xml: str) -> Robot:
-    """Every controller of a robot asks for the same text. Where its meshes are is not in the text, nor asked for."""
+    """Parse the text, with a cache: all controllers of a robot pass the same text. Mesh files are not read."""
     return parse_tree(xml_tree.read(xml, PARAMETER), UnreadMeshes(), Report())

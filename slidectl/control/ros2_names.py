@@ -1,6 +1,6 @@
-"""Types of controllers as users of ROS 2 write them: what each is here, and what to write where none is the same.
+"""Controller types of ROS 2: the equivalent type here, or the advice what to write when there is none.
 
-One table; the manager, checks and the documentation read it. It knows no controller classes.
+The manager, checks and the documentation use this table. It refers to no controller classes.
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ class Ros2Type(NamedTuple):
     """One type of ROS 2."""
 
     here: Mapping[tuple[str, ...], str] | str
-    """Its name here; or its names by the interfaces that it commands."""
+    """The type here; or the types here by the interfaces that the controller commands."""
     note: str = ""
-    """What is still different."""
+    """The remaining differences."""
     interfaces: str = ""
     """The parameter that names the interfaces."""
     renamed: Mapping[str, str] = {}
-    """Parameters that have another name here; `*` stands for any name."""
+    """New name of each parameter that is named differently here; `*` stands for any name."""
     defaults: Mapping[str, Any] = {}
-    """Parameters that need not be set in ROS 2."""
+    """Values of parameters that are optional in ROS 2 and required here."""
     told_by: tuple[str, ...] = ()
-    """The type has the same name here: parameters that only ROS 2 has."""
+    """For a type with the same name here: parameters that only ROS 2 has. One of them identifies the ROS 2 type."""
 
 
 NAMES: dict[str, Ros2Type] = {
@@ -82,7 +82,7 @@ NAMES: dict[str, Ros2Type] = {
         defaults=_RATE,
     ),
 }
-"""What means the same."""
+"""Types of ROS 2 with an equivalent here."""
 
 OTHERS: dict[str, tuple[str, tuple[str, ...]]] = {
     "ackermann_steering_controller/AckermannSteeringController": (
@@ -109,29 +109,30 @@ OTHERS: dict[str, tuple[str, tuple[str, ...]]] = {
         (),
     ),
 }
-"""What means something else: what to write here. Types of the same name here are told by the parameters behind it."""
+"""Types of ROS 2 without an equivalent: the advice what to write here, and, for a type with the same name here,
+parameters that identify the ROS 2 type."""
 
 
 class Counterpart(NamedTuple):
-    """What a controller of ROS 2 is here."""
+    """The equivalent here of a controller of ROS 2."""
 
     type: str
     remark: str
     values: Mapping[str, Any]
-    """Parameters to set: new names, and defaults that ROS 2 has."""
+    """Parameters to set: renamed ones, and defaults of ROS 2."""
     understood: Mapping[str, str]
-    """Parameters of ROS 2 that have done their part, with what became of each."""
+    """Parameters of ROS 2 that were used, with a text about the use of each."""
 
 
 class NoCounterpart(Refused):
-    """A type of ROS 2 that means something else here, or of which the parameters do not say enough."""
+    """A type of ROS 2 without an equivalent here, or whose parameters do not determine the equivalent."""
 
 
 def counterpart(type_name: str, parameters: Mapping[str, Any]) -> Counterpart | None:
-    """What a type with these parameters, nested or by full names, is here; None: it is not one of ROS 2 alone.
+    """The equivalent of a type with these parameters, nested or by full names; None: not a type of ROS 2 only.
 
     Raises:
-        NoCounterpart: nothing here means the same; the hint says what to write.
+        NoCounterpart: there is no equivalent; the hint says what to write.
     """
     values = dict(leaves(parameters))
     if type_name in OTHERS:
@@ -160,7 +161,7 @@ def counterpart(type_name: str, parameters: Mapping[str, Any]) -> Counterpart | 
 
 
 def _chosen(type_name: str, found: Ros2Type, values: Mapping[str, Any]) -> str:
-    """The name by the interfaces that the parameters ask for. Raises NoCounterpart."""
+    """The type here for the interfaces that the parameters ask for. Raises NoCounterpart."""
     assert not isinstance(found.here, str)
     asked = values.get(found.interfaces)
     given = {asked} if isinstance(asked, str) else set(map(str, asked)) if isinstance(asked, list) else set()

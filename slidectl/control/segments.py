@@ -1,8 +1,8 @@
 """Segments of trajectories: the motions of one joint between two points, as rows of numbers.
 
 A segment is a line, or a cubic or quintic polynomial of time. Many are made at once, with numpy, in the order of
-operations of upstream's quintic_spline_segment.h: the results are the same to the bit. numpy is imported where they are
-made: who reads the parameters of controllers does not wait for it.
+operations of upstream's quintic_spline_segment.h, so the results are equal to the bit. numpy is imported inside the
+functions, since other users of the controller modules do not need it and its import takes long.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ SIZE = 16
     START, DURATION, END, FROM_START, C0, C1, C2, C3, C4, C5,
     GOAL, PATH_POSITION, PATH_VELOCITY, END_POSITION, END_VELOCITY, END_TIME,
 ) = range(SIZE)  # fmt: skip
-"""What is where in a row: times in s, START and END of the controller's uptime, and FROM_START that of the first point
-in its message, 0 where the segment begins in a motion of before; the coefficients; the number of the goal that it is
-part of, 0 for none; and the tolerances of that goal, of which 0 checks nothing."""
+"""The columns of a row. Times in s: START and END in the controller's uptime, FROM_START the time of the first point in
+its message, 0 when the segment begins in an earlier motion. C0 to C5: the coefficients. GOAL: the number of the goal
+that it is part of, 0 for none. The others: the tolerances of that goal; 0 checks nothing."""
 TOLERANCES = slice(PATH_POSITION, SIZE)
 
 
@@ -51,7 +51,7 @@ def evaluate(segment: Any, x: float) -> tuple[float, float, float]:
 
 @law
 def sample(segment: Any, time_s: float) -> tuple[float, float, float]:
-    """Position, velocity and acceleration; outside of the segment those of its ends, at rest."""
+    """Position, velocity and acceleration; outside of the segment the position of its nearer end, at rest."""
     x = time_s - segment[START]
     if 0.0 <= x <= segment[DURATION]:
         return evaluate(segment, x)
@@ -65,23 +65,24 @@ def find(rows: Rows, time_s: float) -> int:
 
 
 def sample_at(rows: Rows, time_s: float) -> tuple[float, float, float]:
-    """Of a joint's segments: position, velocity and acceleration."""
+    """Position, velocity and acceleration of a joint, by its segments."""
     return sample(rows[find(rows, time_s)].tolist(), time_s)
 
 
 def states(values: Sequence[Sequence[float]]) -> Rows:
-    """Position, velocity and acceleration of each joint, as `between` takes them: 3 x joints."""
+    """The states for `between`, 3 x joints, from position, velocity and acceleration of each joint."""
     import numpy as np
 
     return np.array(values).T
 
 
 def between(start_s: ArrayLike, start: ArrayLike, end_s: ArrayLike, end: ArrayLike) -> Rows:
-    """Segments from these times and states to those. States are rows of positions, velocities and accelerations; nan
-    is what nobody says. No goals, no tolerances.
+    """Segments from start times and states to end times and states, without goals and tolerances.
+
+    States are 3 x segments: positions, velocities and accelerations; nan stands for a value that is not given.
 
     Raises:
-        Refused: one ends before it starts.
+        Refused: a segment ends before it starts.
     """
     import numpy as np
 
@@ -96,7 +97,7 @@ def between(start_s: ArrayLike, start: ArrayLike, end_s: ArrayLike, end: ArrayLi
 
 
 def splines(start: Rows, end: Rows, t: Rows) -> Rows:
-    """The polynomials of the least order that meet what both ends say: six coefficients each."""
+    """The polynomials of the least order that match the values given at both ends: n x 6 coefficients."""
     import numpy as np
 
     (p0, v0, a0), (p1, v1, a1) = start, end
@@ -131,10 +132,10 @@ def splines(start: Rows, end: Rows, t: Rows) -> Rows:
 
 
 def through(begin_s: float, begins: Rows, first_s: float, times_s: Rows, ends: Rows, from_start_s: Rows) -> list[Rows]:
-    """The segments of each joint from a state through the points of a trajectory; the first is reached at `first_s`.
+    """The segments of each joint from a state through the points of a trajectory. `first_s`: time of the first point.
 
-    `begins` has the states of 3 x joints, `ends` those at the points; `times_s` and `from_start_s` are their times by
-    the uptime and by the message. Raises Refused as `between`.
+    `begins` holds the first states, 3 x joints; `ends` the states at the points, 3 x points x joints. `times_s` and
+    `from_start_s` are the times of the points in uptime and in the message. Raises Refused as `between`.
     """
     import numpy as np
 
@@ -148,21 +149,21 @@ def through(begin_s: float, begins: Rows, first_s: float, times_s: Rows, ends: R
 
 
 def following(kept: Rows, new: Rows) -> Rows:
-    """A joint's segments, one behind the other."""
+    """A joint's kept segments, followed by the new ones."""
     import numpy as np
 
     return np.concatenate([kept, new])
 
 
 def joined(trajectory: list[Rows]) -> memoryview:
-    """The segments of all joints in one block, joint by joint."""
+    """The segments of all joints in one block of numbers, joint by joint."""
     import numpy as np
 
     return np.concatenate(trajectory).reshape(-1).data
 
 
 def seconds(times_ns: list[int], start_ns: int = 0) -> Rows:
-    """Each time after the start in s, as `to_seconds` has it."""
+    """The sum of each time and the start, in s, rounded as by `to_seconds`."""
     import numpy as np
 
     whole, rest = np.divmod(np.array(times_ns) + start_ns, NANOSECONDS)
@@ -176,8 +177,8 @@ def states_of(points: list[Message], joints: int) -> Rows:
     """Positions, velocities and accelerations of trajectory_msgs/JointTrajectoryPoint: an array of 3 x points x joints.
 
     Raises:
-        Refused: the sizes of a point's lists differ, or a number is not finite. Upstream takes nan, reads past the end
-            of lists that are too short, and ignores positions that are too many.
+        Refused: the sizes of a point's lists differ, or a number is not finite. Upstream accepts nan, reads past the
+        end of lists that are too short, and ignores surplus positions.
     """
     import numpy as np
 

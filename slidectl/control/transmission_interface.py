@@ -1,4 +1,4 @@
-"""What a transmission makes of positions, velocities and efforts, in both directions, and its making from URDF.
+"""Transmissions: they convert positions, velocities and efforts between actuators and joints. They are made from URDF.
 
 The maths of transmission_interface, to the bit. Values are sequences, one per actuator or joint.
 """
@@ -23,43 +23,43 @@ class Transmission(ABC):
     """Base of all transmissions. `reduction` is dimensionless, offsets in m or rad, values in SI units."""
 
     size: ClassVar[int]
-    """How many actuators it has, and how many joints."""
+    """The number of actuators, which is also the number of joints."""
 
     @abstractmethod
     def joint_effort(self, actuator: Values) -> list[float]:
-        """Joint efforts of these actuator efforts; torque sensors map alike."""
+        """Joint efforts for these actuator efforts."""
 
     @abstractmethod
     def joint_velocity(self, actuator: Values) -> list[float]:
-        """Joint velocities of these actuator velocities."""
+        """Joint velocities for these actuator velocities."""
 
     @abstractmethod
     def joint_position(self, actuator: Values) -> list[float]:
-        """Joint positions of these actuator positions."""
+        """Joint positions for these actuator positions."""
 
     def joint_absolute_position(self, actuator: Values) -> list[float]:
-        """Joint positions of what absolute encoders on the actuators read."""
+        """Joint positions for the readings of absolute encoders on the actuators."""
         return self.joint_position(actuator)
 
     def joint_torque_sensor(self, actuator: Values) -> list[float]:
-        """Joint torques of what torque sensors on the actuators read."""
+        """Joint torques for the readings of torque sensors on the actuators. They convert like efforts."""
         return self.joint_effort(actuator)
 
     @abstractmethod
     def actuator_effort(self, joint: Values) -> list[float]:
-        """Actuator efforts of these joint efforts."""
+        """Actuator efforts for these joint efforts."""
 
     @abstractmethod
     def actuator_velocity(self, joint: Values) -> list[float]:
-        """Actuator velocities of these joint velocities."""
+        """Actuator velocities for these joint velocities."""
 
     @abstractmethod
     def actuator_position(self, joint: Values) -> list[float]:
-        """Actuator positions of these joint positions."""
+        """Actuator positions for these joint positions."""
 
 
 class SimpleTransmission(Transmission):
-    """One actuator, one joint; a negative reduction turns the direction round."""
+    """One actuator and one joint. A negative reduction reverses the direction."""
 
     size = 1
 
@@ -89,7 +89,7 @@ class SimpleTransmission(Transmission):
 
 
 class _TwoDofTransmission(Transmission):
-    """Two actuators and two joints, with a reduction on either side."""
+    """Two actuators and two joints, each with a reduction."""
 
     size = 2
 
@@ -99,7 +99,7 @@ class _TwoDofTransmission(Transmission):
         joint_reduction: Values = (1.0, 1.0),
         joint_offset: Values = (0.0, 0.0),
     ) -> None:
-        """Raises BadReductions unless each has two entries and no reduction is 0."""
+        """Raises BadReductions unless each sequence has two entries and no reduction is 0."""
         for what, values in (
             ("actuator reduction", actuator_reduction),
             ("joint reduction", joint_reduction),
@@ -119,7 +119,7 @@ class _TwoDofTransmission(Transmission):
 
 
 class DifferentialTransmission(_TwoDofTransmission):
-    """Two actuators that together turn one joint by their sum and the other by their difference."""
+    """Two actuators. Their sum moves the first joint, their difference the second."""
 
     def __init__(
         self,
@@ -128,7 +128,7 @@ class DifferentialTransmission(_TwoDofTransmission):
         joint_offset: Values = (0.0, 0.0),
         ignore_absolute_encoders: bool = False,
     ) -> None:
-        """With `ignore_absolute_encoders` the encoders sit on the joints, each read by the other's actuator."""
+        """`ignore_absolute_encoders`: the absolute encoders are on the joints; the other actuator reads each."""
         super().__init__(actuator_reduction, joint_reduction, joint_offset)
         self._ignore_absolute_encoders = ignore_absolute_encoders
 
@@ -218,12 +218,12 @@ _KINDS: dict[str, type[SimpleTransmission | _TwoDofTransmission]] = {
     _PREFIX + kind.__name__: kind for kind in (SimpleTransmission, DifferentialTransmission, FourBarLinkageTransmission)
 }
 MOST_FELT = 1e9
-"""kg·m², or kg. Far below the largest number that the physics takes."""
+"""The largest entry of `rotor_inertia`, in kg·m² or kg. The physics accepts much larger numbers."""
 P = TypeVar("P", TransmissionJoint, TransmissionActuator)
 
 
 class LoadedTransmission(NamedTuple):
-    """The maths of a transmission, with its joints and actuators in the order in which that takes values."""
+    """A transmission, with its joints and actuators in the order of the values of `maths`."""
 
     maths: Transmission
     joints: tuple[TransmissionJoint, ...]
@@ -231,13 +231,13 @@ class LoadedTransmission(NamedTuple):
 
     @property
     def ratios(self) -> list[list[float]]:
-        """The velocities of the actuators by the joint that has one of 1 alone."""
+        """The actuators' velocities when one joint has velocity 1 and the others 0: joints x actuators."""
         size = range(len(self.joints))
         return [self.maths.actuator_velocity([float(row == column) for row in size]) for column in size]
 
     @property
     def rotor_inertia(self) -> list[list[float]]:
-        """What the actuators' rotors add to the mass matrix of the joints."""
+        """The part of the joints' mass matrix that the actuators' rotors add. joints x joints, kg·m² or kg."""
         inertias = [actuator.rotor_inertia for actuator in self.actuators]
         return [
             [sum(i * a * b for i, a, b in zip(inertias, first, second, strict=True)) for second in self.ratios]
@@ -246,12 +246,12 @@ class LoadedTransmission(NamedTuple):
 
 
 def load(info: TransmissionInfo, robot: Robot) -> LoadedTransmission:
-    """What the loaders of ros_control make of a transmission.
+    """Load a transmission as the loaders of ros_control do.
 
     Raises:
-        Refused: no such type; too few or too many joints or actuators; a role that is missing, unknown or there twice;
-        an actuator without reduction; a reduction of 0; joints with other interfaces than the first; rotors that are
-        too heavy, or that couple joints of which neither is above the other, which the physics cannot do.
+        Refused: no such type; too few or too many joints or actuators; a role that is missing, unknown or repeated; an
+        actuator without reduction; a reduction of 0; joints with different interfaces; rotors that are too heavy, or
+        that couple two joints of which neither is an ancestor of the other, which MuJoCo does not support.
     """
     kind = _KINDS.get(info.type)
     if kind is None:

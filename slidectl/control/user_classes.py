@@ -1,7 +1,7 @@
-"""Classes of controllers that users write: read from a file or a module, and judged before anything is made of them.
+"""Controller classes that users write: imported from a file or a module, and checked before an instance is made.
 
-Errors name the user's file and line. It knows no manager and registers nothing. `limit` surrounds the users' code
-where it would hold up everybody else; who runs in a process that others wait for sets it.
+Errors name the user's file and line. This module registers nothing. Users' code runs within the context manager
+`limit`, so that it cannot block the process; a process with waiting clients sets it.
 """
 
 from __future__ import annotations
@@ -39,16 +39,16 @@ _HOOKS: dict[str, tuple[str, ...]] = {
     "init_in_root": ("interface", "root", "node"),
     "__init__": (),
 }
-"""What the hooks are called with, besides `self`."""
+"""The arguments of each hook, besides `self`."""
 _RAISES_INTERRUPT = signal.default_int_handler
 
 
 class CodeTimeout(BaseException):
-    """Users' code was ended by `limit`. Not an Exception: `except Exception` in that code must not keep it."""
+    """`limit` ended users' code. Not an Exception, so that `except Exception` in that code does not catch it."""
 
 
 limit: AbstractContextManager[None] = nullcontext()
-"""Surrounds users' code and raises CodeTimeout in it. The daemon sets it, since its clients wait meanwhile."""
+"""Context manager that raises CodeTimeout in users' code. The daemon sets it, since its clients wait meanwhile."""
 
 
 def is_of_a_user(cls: type) -> bool:
@@ -57,40 +57,40 @@ def is_of_a_user(cls: type) -> bool:
 
 
 def is_fault(failure: BaseException) -> bool:
-    """Is it a fault of users' code, `sys.exit()` in it as well? Ctrl-C is none, where it ends the process."""
+    """True for a fault of users' code, also for `sys.exit()` in it. False for Ctrl-C when it ends the process."""
     return not isinstance(failure, KeyboardInterrupt) or signal.getsignal(signal.SIGINT) is not _RAISES_INTERRUPT
 
 
 class WrittenCommands:
-    """The commands that a user's controller writes. The hardware takes finite floats alone, and does not look."""
+    """The commands that a user's controller writes. They must be finite floats; the hardware does not check them."""
 
     def __init__(self, commands: Sequence[tuple[JointHandle, str]], file: str | None) -> None:
-        """Handles, each with the name of an attribute that is a command, and the file of the class."""
+        """`commands`: each a handle and the name of an attribute that is a command. `file`: the file of the class."""
         self._commands = commands
         self._file = file
         self._kept = [0.0] * len(commands)
 
     def keep(self) -> None:
-        """Remember the commands, before the controller writes others."""
+        """Save the commands before the controller writes new ones."""
         for place, (handle, attribute) in enumerate(self._commands):
             command = getattr(handle, attribute)
             if type(command) is float and isfinite(command):
                 self._kept[place] = command
 
     def repair(self) -> str:
-        """Put the command that was kept where another one is no finite number. What is wrong; empty when nothing is.
+        """Replace each command that is not a finite number by the saved one. Returns the error text; empty: no error.
 
-        Infinity is a number where a limit of the joint cuts it.
+        Infinity is allowed when a limit of the joint clips it.
         """
         wrong = ""
         for place, (handle, attribute) in enumerate(self._commands):
             command = getattr(handle, attribute)
             try:
                 if isfinite(min(max(command, handle.lowest), handle.highest) if attribute == "command" else command):
-                    if type(command) is not float:  # of numpy, or a whole number
+                    if type(command) is not float:  # a numpy scalar or an int
                         setattr(handle, attribute, float(command))
                     continue
-            except Exception:  # of whatever class the command is
+            except Exception:  # the command may be of any class
                 pass
             setattr(handle, attribute, self._kept[place])
             what = f"the {attribute.replace('_', ' ')} of joint {handle.name!r}"
@@ -99,9 +99,9 @@ class WrittenCommands:
 
 
 class HookGuard(AbstractContextManager[None]):
-    """Inside, a hook of a user's class runs, in each cycle perhaps. Whatever it raises becomes an Exception.
+    """Context of a hook of a user's class; may be entered in each cycle. What the hook raises becomes an Exception.
 
-    With `commands` it raises Refused too when one of these is no number afterwards.
+    With `commands`, it also raises Refused when one of them is not a finite number afterwards.
     """
 
     def __init__(self, commands: WrittenCommands | None = None) -> None:
@@ -126,13 +126,13 @@ class HookGuard(AbstractContextManager[None]):
 
 
 def watched(cls: ControllerClass, commands: WrittenCommands | None = None) -> AbstractContextManager[None]:
-    """What surrounds the hooks of the class: HookGuard, if it is a user's."""
+    """The context for the hooks of the class: a HookGuard if the class is a user's."""
     return HookGuard(commands) if is_of_a_user(cls) else nullcontext()
 
 
 @contextmanager
 def watched_for(what: str, name: str) -> Iterator[None]:
-    """Inside, code of a user may run that `what` names. Raises Refused, with its file and line, when that fails."""
+    """Context for users' code. Raises Refused, with `what`, `name`, file and line, when the code fails."""
     try:
         with limit:
             yield
@@ -147,13 +147,13 @@ def watched_for(what: str, name: str) -> Iterator[None]:
 
 
 def watched_hardware(hardware: object) -> AbstractContextManager[None]:
-    """What surrounds a hook of a robot's hardware outside of `read` and `write`: `watched_for`, if it is a user's."""
+    """The context for hooks of a robot's hardware except `read` and `write`: `watched_for` if the class is a user's."""
     cls = type(hardware)
     return watched_for("hardware", cls.__name__) if is_of_a_user(cls) else nullcontext()
 
 
 def raised(failure: BaseException) -> str:
-    """What code of a user raised: its class, its text and the place."""
+    """The exception of users' code as one line: class, text, file and line."""
     place = place_of(failure)
     return f"{type(failure).__name__}: {failure}{f' ({place[0]}:{place[1]})' if place else ''}".replace("\n", " ")
 
@@ -164,7 +164,7 @@ def _too_long(failure: CodeTimeout) -> Refused:
 
 
 def place_of(failure: BaseException) -> tuple[str, int] | None:
-    """File and line in which it was raised: of the users' code, when that called what raised it; None: unknown."""
+    """File and line of the innermost frame of users' code, else of the innermost frame; None: unknown."""
     frames = [(frame.filename, frame.lineno or 0) for frame in traceback.extract_tb(failure.__traceback__)]
     outside = [frame for frame in frames if not _is_library(frame[0])]
     return next(reversed(outside or frames), None)
@@ -178,10 +178,10 @@ def _is_library(file: str) -> bool:
 
 
 def run_file(file: str, name: str = "") -> ModuleType:
-    """The module that the file is now, imported anew each time. What stands in its folder can be imported by it.
+    """Import the file anew and return its module. Its code can import modules of its folder.
 
-    Without a name it is called by its path, since two files may have one stem. The bytes are compiled here and not by
-    Python's importer: that one trusts a cache by size and whole seconds, and a file may be edited twice in a second.
+    Without `name`, the module's name is the path, since two files may have the same stem. The bytes are compiled here,
+    not by Python's importer: its cache compares size and whole seconds, and a file may be edited twice in a second.
 
     Raises:
         BadFile: there is no such file, or its code fails (file, line). Refused: it took too long.
@@ -220,7 +220,7 @@ def run_file(file: str, name: str = "") -> ModuleType:
 
 
 def _source(path: Path) -> tuple[str, str]:
-    """The text of a file, in which bytes that are no UTF-8 are surrogates; and why there is none."""
+    """(the text of a file, with bytes that are not UTF-8 as surrogates; the error, empty if there is none)."""
     try:
         return path.read_bytes().decode("utf-8", "surrogateescape"), ""
     except FileNotFoundError:
@@ -230,7 +230,7 @@ def _source(path: Path) -> tuple[str, str]:
 
 
 def import_named(name: str) -> ModuleType:
-    """The module of that dotted name, or what `run_file` makes of a name that ends with `.py`.
+    """The module of that dotted name, or `run_file` of a name that ends with `.py`.
 
     Raises:
         BadFile: it cannot be found, or its code fails. Refused: it took too long.
@@ -244,7 +244,7 @@ def import_named(name: str) -> ModuleType:
 
 @contextmanager
 def _importing(what: str) -> Iterator[None]:
-    """Turn what users' code raises at its import into an error with file and line. SystemExit would end the process."""
+    """Turn exceptions of an import of users' code, SystemExit too, into errors with file and line."""
     try:
         yield
     except CodeTimeout as failure:
@@ -264,7 +264,7 @@ def _importing(what: str) -> Iterator[None]:
 
 
 def classes_of(module: ModuleType) -> dict[str, ControllerClass]:
-    """The controllers that a module defines, by name, without those that begin with `_` or are bases for others."""
+    """The controllers that a module defines, by name, except names that begin with `_` and classes without `update`."""
     return {
         name: value
         for name, value in vars(module).items()
@@ -277,10 +277,11 @@ def classes_of(module: ModuleType) -> dict[str, ControllerClass]:
 
 
 def chosen_class(module: ModuleType, class_name: str) -> ControllerClass:
-    """The class of that name; with an empty one the only controller that the module defines.
+    """The class of that name. An empty name means the only controller of the module.
 
     Raises:
-        UnknownName: there is no such class. UsageError: which one is not clear. BadFile: it is no controller.
+        UnknownName: there is no such class. UsageError: the name is empty and the module does not have exactly one
+        controller. BadFile: it is not a controller.
     """
     file = str(module.__file__)
     known = classes_of(module)
@@ -298,7 +299,7 @@ def chosen_class(module: ModuleType, class_name: str) -> ControllerClass:
 
 
 def check_class(cls: object, name: str, file: str | None = None) -> None:
-    """Raise BadFile when it is no controller, or when a hook of it cannot be called as it will be."""
+    """Raise BadFile when it is not a controller, or when a hook does not accept the arguments of `_HOOKS`."""
     import inspect
 
     if not isinstance(cls, type) or not issubclass(cls, ControllerBase):
@@ -328,7 +329,7 @@ def check_class(cls: object, name: str, file: str | None = None) -> None:
 
 
 def made(cls: ControllerClass) -> ControllerBase:
-    """An instance. Raises BadFile: its `__init__` leaves out what a controller needs."""
+    """A new instance. Raises BadFile when its `__init__` does not call that of the base."""
     with watched(cls):
         controller = cls()
     if not hasattr(controller, "state"):
@@ -342,11 +343,11 @@ def file_of(cls: type) -> str | None:
 
 
 def _line(written: type | FunctionType) -> int | None:
-    """Where a class or a function begins; None when its source is not there."""
+    """The line where a class or a function begins; None when its source is not available."""
     import inspect
     import linecache
 
-    linecache.checkcache()  # the file was edited, perhaps
+    linecache.checkcache()  # the file may have been edited
     try:
         return inspect.getsourcelines(written)[1]
     except (OSError, TypeError):

@@ -1,6 +1,6 @@
-"""Modules that users' code imports from files of its own: noted with their text, for a journal, and given in a replay.
+"""Modules that users' code imports from users' files. Their source is recorded for a journal and reused in a replay.
 
-Modules of Python, of slidectl and of installed packages are none of them, but those of a package that a user has named.
+Modules of Python, slidectl and installed packages do not count, except those of a package that a user has named.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class UserModule(NamedTuple):
     name: str
     path: str
     source: str
-    """Bytes that are no UTF-8 are surrogates."""
+    """Bytes that are not UTF-8 are decoded as surrogates."""
     is_package: bool
 
 
@@ -32,18 +32,18 @@ _OF_PYTHON = tuple(folder + os.sep for folder in _FOLDERS)
 _INSTALLED = ("/site-packages/", "/dist-packages/")
 
 imported: dict[str, UserModule] = {}
-"""All of this process, by name."""
+"""The users' modules that this process has imported, by name."""
 listeners: list[Callable[[UserModule], None]] = []
-"""Are told of each."""
+"""Functions that are called with each imported module."""
 given: dict[str, UserModule] = {}
-"""Are imported instead of what stands in files."""
+"""Modules, by name, that are imported instead of the present content of their files."""
 _files: set[str] = set()
-"""Names of the modules that were made of users' files."""
+"""Names of the modules of users' files."""
 _packages: set[str] = set()
 
 
 def watch(name: str, is_file: bool) -> None:
-    """The module of a file, or that of a package with all of the package, is a user's. It is about to run."""
+    """Treat a module, or with `is_file` false its whole package, as a user's. Call this before the module runs."""
     if is_file:
         _files.add(name)
     elif _top(name) != _top(__name__):
@@ -53,7 +53,7 @@ def watch(name: str, is_file: bool) -> None:
 
 
 def give(modules: Iterable[UserModule]) -> None:
-    """These are `given` from now on, and what has been imported so far is forgotten."""
+    """Replace `given`, and discard the users' modules imported so far."""
     given.clear()
     given.update((module.name, module) for module in modules)
     for name in (*imported, *given):
@@ -95,7 +95,7 @@ _FINDER = _Finder()
 
 
 def _importer() -> str:
-    """The module whose code imports now."""
+    """The name of the module whose code is importing now."""
     frame: FrameType | None = sys._getframe(2)
     while frame is not None and _top(name := str(frame.f_globals.get("__name__"))) == "importlib":
         frame = frame.f_back
@@ -103,7 +103,7 @@ def _importer() -> str:
 
 
 def _read(spec: ModuleSpec) -> UserModule | None:
-    """None for one that is not a user's, or not in Python. A package without a file has no text."""
+    """The module with its source; None if it is not a user's, or not Python. A package without a file has no source."""
     folders = spec.submodule_search_locations
     path = str(spec.origin) if spec.has_location else f"{next(iter(folders or ()), '')}/__init__.py"
     is_installed = path.startswith(_OF_PYTHON) or any(place in path for place in _INSTALLED)
@@ -113,13 +113,13 @@ def _read(spec: ModuleSpec) -> UserModule | None:
         return None if folders is None else UserModule(spec.name, path, "", True)
     try:
         source = Path(path).read_bytes().decode("utf-8", "surrogateescape")
-    except OSError:  # whoever imports it is told
+    except OSError:  # the import statement will raise the error
         return None
     return UserModule(spec.name, path, source, folders is not None)
 
 
 class _Loader(SourceFileLoader):
-    """Of the text, and not of a cache of Python's, which goes by size and whole seconds."""
+    """Loads from the recorded source, not from Python's cache, which compares only size and whole seconds."""
 
     def __init__(self, module: UserModule) -> None:
         super().__init__(module.name, module.path)

@@ -1,6 +1,6 @@
 """Physics: robots in a MuJoCo world, and the hardware that controllers see of them.
 
-Knows no topics, no clients and no wall time.
+It uses no topics, no clients and no wall time.
 """
 
 import os
@@ -8,9 +8,9 @@ import os
 from slidectl.errors import Refused
 
 try:
-    import mujoco  # noqa: F401 - with OpenGL, as MUJOCO_GL says
+    import mujoco  # noqa: F401 - loads OpenGL too, as MUJOCO_GL says
 except Exception as error:
-    if os.environ.get("MUJOCO_GL", "disable") == "disable":  # which the daemon sets itself
+    if os.environ.get("MUJOCO_GL", "disable") == "disable":  # the daemon sets this value itself
         raise
     raise Refused(f"MuJoCo cannot be used with MUJOCO_GL={os.environ['MUJOCO_GL']}: {error}", "unset it") from None
 

@@ -1,6 +1,6 @@
-"""One robot in the world: where its links, joints and state live in MuJoCo's arrays, and copying that state.
+"""One robot in the world: the indices of its links, joints and state in MuJoCo's arrays, and changes of that state.
 
-A Body outlives rebuilds of the model; `bind` finds its places again. It steps nothing.
+A Body stays valid over rebuilds of the model: `bind` finds its indices again. It makes no steps.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ Array = np.ndarray[Any, np.dtype[Any]]
 
 @dataclass(frozen=True, slots=True)
 class LinkPlace:
-    """Where a link is: MuJoCo's id of the body that it is part of, and the link's constant pose in it."""
+    """Place of a link: MuJoCo's id of the body that it is part of, and the link's constant pose in that body."""
 
     body: int
     frame: Pose
     arm: Vector | None
-    """From the body's centre of mass to the link's, in the body's axes, m; None when they are one."""
+    """Vector from the body's centre of mass to the link's, in the body's axes, m; None when it is zero."""
 
 
 @dataclass(frozen=True, slots=True)
 class JointPlace:
-    """A joint with one position: its indices into qpos and into qvel and the forces."""
+    """Place of a joint with one position: its index into qpos, and its index into qvel and the forces."""
 
     joint: Joint
     qpos: int
@@ -43,7 +43,7 @@ class JointPlace:
 class Weights(NamedTuple):
     """Inverse weights of a robot's bodies, dofs and tendons, by which MuJoCo scales its constraints.
 
-    They are taken from the robot compiled alone: compiled among others they come out a rounding error apart.
+    They are taken from the robot compiled alone: compiled with others they differ by rounding errors.
     """
 
     bodies: Array
@@ -52,22 +52,22 @@ class Weights(NamedTuple):
 
 
 class Body:
-    """A robot that was attached under `name`."""
+    """A robot that is attached under `name`."""
 
     def __init__(self, name: str, robot: Robot, pose: Pose, hulls: Hulls | None = None) -> None:
         self.name = name
         self.robot = robot
         self.spawn_pose = pose
         self.hulls: Hulls = hulls if hulls is not None else {}
-        """Of its meshes, kept because the world may be built anew when the files are others, or gone."""
+        """Hulls of its meshes. They are kept for a rebuild, since the files may change or be deleted."""
         self.links: dict[str, LinkPlace] = {}
-        """All links by name, those on fixed joints too."""
+        """All links by name, also those on fixed joints."""
         self.joints: dict[str, JointPlace] = {}
-        """Revolute, continuous and prismatic joints by name, in the order of the file; another dict when they moved."""
+        """Revolute, continuous and prismatic joints by name, in the file's order. Changed indices make a new dict."""
         self.start: dict[str, float] = {}
-        """Where joints begin that do not begin at 0, rad or m."""
+        """Initial positions of joints that do not start at 0, rad or m."""
         self.lasting_motors: dict[str, float] = {}
-        """Joints that motors hold as long as it is in the world, with the most effort of each, N or N·m."""
+        """Joints that motors hold as long as the robot is in the world, with the largest effort of each, N or N·m."""
         self.weights: Weights | None = None
         """Set once, when the robot is attached."""
         self._lumps = lumps(robot)
@@ -106,25 +106,25 @@ class Body:
         return self._slices[kind]
 
     def link(self, link: str) -> LinkPlace:
-        """Where the link is. Raises UnknownName."""
+        """The place of the link. Raises UnknownName."""
         try:
             return self.links[link]
         except KeyError:
             raise UnknownName("link", link, list(self.links), f"on robot {self.name!r}") from None
 
     def place(self, joint: str) -> JointPlace:
-        """Where the joint's state lives. Raises UnknownName; fixed, planar and floating joints have no one position."""
+        """The place of the joint. Raises UnknownName, also for fixed, planar and floating joints."""
         try:
             return self.joints[joint]
         except KeyError:
             raise UnknownName("moving joint", joint, list(self.joints), f"on robot {self.name!r}") from None
 
     def on_rebound(self, callback: Callable[[], None]) -> None:
-        """Call back after every rebuild of the model: the data is another one, and `joints` if places changed."""
+        """Call back after every rebuild of the model. The data is then a new one, and `joints` if indices changed."""
         self._rebound.append(callback)
 
     def bind(self, model: Any, data: Any) -> None:
-        """Find the robot's places in a freshly compiled model."""
+        """Find the robot's indices in a newly compiled model."""
         self._model, self._data = model, data
         body, joint = mujoco.mjtObj.mjOBJ_BODY, mujoco.mjtObj.mjOBJ_JOINT
         ids = [mujoco.mj_name2id(model, body, f"{self.name}/{lump.head}") for lump in self._lumps]
@@ -150,7 +150,7 @@ class Body:
             weights[:] = own
 
     def follow(self, model: Any, data: Any) -> None:
-        """Go on in a model in which others came or went behind this robot only: its places are the same."""
+        """Use a new model that differs only in robots after this one, so that its indices are the same."""
         self._model, self._data = model, data
 
     def _weights_of(self, model: Any) -> tuple[Array, Array, Array]:
@@ -159,17 +159,17 @@ class Body:
         return bodies, dofs, tendons
 
     def weight_of(self, place: JointPlace) -> float:
-        """Inverse weight of a joint's dof."""
+        """The inverse weight of a joint's dof."""
         assert self.weights is not None
         return float(self.weights.dofs[place.dof - self.root_dof])
 
     def announce(self) -> None:
-        """Tell those who hold indices or views that `bind` has moved them."""
+        """Call the callbacks of `on_rebound`, since indices and views may have changed."""
         for callback in self._rebound:
             callback()
 
     def put_at_spawn(self) -> None:
-        """The state right after attaching: at the pose of the spawn, joints where they start, at rest, no forces."""
+        """Restore the state right after attaching: spawn pose, initial joint positions, at rest, no forces."""
         data, model, part = self._data, self._model, self._slices
         data.qpos[part["qpos"]] = model.qpos0[part["qpos"]]
         for array in (data.qvel, data.qacc_warmstart, data.qfrc_applied):
@@ -180,7 +180,7 @@ class Body:
         self.put_joints(self.start)
 
     def put_joints(self, positions: Mapping[str, float]) -> None:
-        """Put joints there. Those that follow others, and are not among them, follow. Raises UnknownName."""
+        """Set joint positions. Mimic joints that are not among them follow their leaders. Raises UnknownName."""
         for name, position in positions.items():
             self._data.qpos[self.place(name).qpos] = position
         for name, place in self.joints.items():
@@ -188,7 +188,7 @@ class Body:
                 self._data.qpos[place.qpos] = self._mimicked(place.joint)
 
     def _mimicked(self, joint: Joint) -> float:
-        """Where a mimic joint belongs; mimics of mimics are followed."""
+        """The position of a mimic joint by its leader, also through several mimic joints."""
         position, factor = 0.0, 1.0
         for _ in range(len(self.joints)):
             if joint.mimic is None:
@@ -198,7 +198,7 @@ class Body:
         return position + factor * float(self._data.qpos[self.joints[joint.name].qpos])
 
     def put_root(self, pose: Pose) -> None:
-        """Put the root link there; velocities stay."""
+        """Set the pose of the root link. Velocities stay."""
         position, attitude = pose[0], wxyz(pose[1])
         if self.robot.is_fixed_to_world:
             self._model.body_pos[self.root_id], self._model.body_quat[self.root_id] = position, attitude
@@ -208,7 +208,8 @@ class Body:
 
 
 def _slices(model: Any, root: int, bodies: int) -> dict[str, slice]:
-    """A robot's bodies are consecutive (MuJoCo numbers depth first), and so are their joints, dofs and positions."""
+    """The robot's slices, by kind. MuJoCo numbers depth first, so a robot's bodies, joints, dofs and positions are each
+    consecutive."""
     ends = [root, root + bodies]
     joints = np.searchsorted(model.jnt_bodyid, ends)
     starts = np.append(model.jnt_qposadr, model.nq)

@@ -1,8 +1,8 @@
-"""A robot on paper becomes bodies, joints and geoms of a MuJoCo specification, named `ROBOT/LINK` and `ROBOT/JOINT`.
+"""Builds the bodies, joints and geoms of a robot in a MuJoCo specification, named `ROBOT/LINK` and `ROBOT/JOINT`.
 
-Links on fixed joints are part of their parent's body, which has the name of its first link. First the errors, then
-which links are one body, its inertia, its collision shapes, and last the robot. Builds only; it compiles no world and
-knows no state. Units and frames are URDF's: the child's frame is the joint's.
+Links on fixed joints are part of their parent's body, which has the name of its first link. The order here: errors,
+links that form one body, its inertia, its collision shapes, the robot. This module compiles no world and has no state.
+Units and frames are those of URDF: the child's frame is the joint's.
 """
 
 from __future__ import annotations
@@ -44,24 +44,24 @@ from slidectl.rotations import ORIGIN, Pose, Quaternion, Vector, compose, from_r
 Array = np.ndarray[Any, np.dtype[Any]]
 
 UNDAMPED = 1e-200
-"""Damping of a joint that has none, N·s/m or N·m·s/rad. It vanishes in every sum, but with any damping at all MuJoCo's
-Euler solves once more with the damped inertia: so every robot takes that path, whatever its neighbours have."""
+"""Damping of a joint that has none, N·s/m or N·m·s/rad. It is too small to change a sum. But with any damping in the
+world, MuJoCo's Euler solves again with the damped inertia; so all robots do that, independent of the others."""
 
 NARROWEST_RANGE = 1e-6
-"""m or rad. MuJoCo wants the lower limit below the upper; a joint locked by equal limits gets this much."""
+"""m or rad. MuJoCo requires the lower limit below the upper one; a joint locked by equal limits gets this range."""
 
 _HINGE = mujoco.mjtJoint.mjJNT_HINGE
 _SLIDE = mujoco.mjtJoint.mjJNT_SLIDE
 _BALL = mujoco.mjtJoint.mjJNT_BALL
 
 SCALAR_TYPES = {"revolute": _HINGE, "continuous": _HINGE, "prismatic": _SLIDE}
-"""The joints that have one position, with MuJoCo's type."""
+"""The joint types with one position, with MuJoCo's type."""
 
 GAZEBO_FRICTION = 1.0
-"""Gazebo's mu of a surface that says nothing, and MuJoCo's sliding friction too."""
+"""Gazebo's default mu of a surface, equal to MuJoCo's default sliding friction."""
 
 LARGEST_FRICTION = 1e6
-"""What every larger coefficient counts as, `Inf` included: nothing slides at it, and its square is an exact number."""
+"""Upper bound of coefficients, also for `Inf`: nothing slides at it, and its square is an exact number."""
 
 
 class BadPart(SlidectlError):
@@ -76,20 +76,20 @@ class BadPart(SlidectlError):
 
 
 def place(file: str | None, line: int | None) -> str:
-    """` (file:line)`, or what is known of it; empty when nothing is."""
+    """` (file:line)`, or the known part of it; empty when nothing is known."""
     if line is None:
         return "" if file is None else f" ({file})"
     return f" (line {line})" if file is None else f" ({file}:{line})"
 
 
 class BadInertia(BadPart):
-    """A link that cannot be simulated as it is weighed."""
+    """A link whose mass or inertia cannot be simulated."""
 
     kind = "link"
 
 
 class BadShape(BadPart):
-    """A collision shape that MuJoCo cannot take."""
+    """A collision shape that MuJoCo cannot simulate."""
 
     kind = "link"
 
@@ -104,42 +104,42 @@ class BadJoint(BadPart):
 
 
 class BadTransmission(BadPart, Refused):
-    """A transmission that simulated hardware cannot do."""
+    """A transmission that simulated hardware does not support."""
 
     kind = "transmission"
 
 
 @dataclass(slots=True)
 class Lump:
-    """Links that are one body. Its frame is that of its first link, the head."""
+    """Links that form one body. Its frame is that of its first link, the head."""
 
     head: str
     joint: Joint | None
-    """Between the head and its parent; None at the root."""
+    """The joint between the head and its parent; None at the root."""
     moves: bool
-    """False for what is fixed to the world."""
+    """False when it is fixed to the world."""
     frames: dict[str, Pose]
-    """By link, each behind its parent: its constant pose in the head's frame."""
+    """The constant pose of each link in the head's frame. A link comes after its parent."""
     has_gravity: bool | None = None
-    """None until a link of the lump weighs something."""
+    """None while no link of the lump has a mass."""
 
     def takes(self, link: Link) -> bool:
-        """Whether the link can be part of this body. MuJoCo knows gravity by body, not by link."""
+        """True when the link can be part of this body. MuJoCo switches gravity by body, not by link."""
         has_gravity = _has_gravity(link)
         return not self.moves or None in (has_gravity, self.has_gravity) or has_gravity == self.has_gravity
 
     def add(self, link: Link, pose: Pose) -> None:
-        """Make the link, with its pose in the head's frame, part of this body."""
+        """Add a link with its pose in the head's frame."""
         self.frames[link.name] = pose
         if self.has_gravity is None:
             self.has_gravity = _has_gravity(link)
 
 
 def lumps(robot: Robot) -> list[Lump]:
-    """The bodies of a robot, the root's first and each behind its parent.
+    """The bodies of a robot, first that of the root, each after its parent.
 
-    Links that a fixed joint holds are one body, unless both weigh something and only one of them feels gravity, or what
-    goes through the joint is measured.
+    Links that a fixed joint connects form one body, unless both have a mass and only one has gravity, or a sensor
+    measures the force in the joint.
     """
     measured = {sensor.joint for sensor in robot.sensors if isinstance(sensor, ForceTorque)}
     moves = {link: body.moves for body in rigid_bodies(robot.root, robot.joints) for link in body.links}
@@ -166,12 +166,12 @@ def _has_gravity(link: Link) -> bool | None:
 
 
 def put_inertia(body: Any, robot: str, links: Sequence[tuple[Link, Pose]]) -> None:
-    """Give the MjsBody the mass, centre of mass and inertia of its links, each with its frame in the body.
+    """Set the mass, centre of mass and inertia of an MjsBody from its links, each with its frame in the body.
 
-    A link without `<inertial>` weighs nothing.
+    A link without `<inertial>` has no mass.
 
     Raises:
-        BadInertia: mass not positive, or moments that no body can have.
+        BadInertia: the mass is not positive, or the moments are physically impossible.
     """
     body.explicitinertial = True
     body.mass = 0.0
@@ -197,7 +197,7 @@ def put_inertia(body: Any, robot: str, links: Sequence[tuple[Link, Pose]]) -> No
 
 
 def _checked(robot: str, link: Link) -> Inertial | None:
-    """What the link weighs. Raises BadInertia."""
+    """The inertial of the link, checked. Raises BadInertia."""
     if link.inertial is None:
         return None
     mass = link.inertial.mass
@@ -223,21 +223,21 @@ def _tensor(inertial: Inertial) -> Array:
 
 
 def _turned(inertial: Inertial, attitude: Quaternion) -> Array:
-    """The tensor about the body's axes: R I Rᵀ with R of its attitude in the body."""
+    """The tensor in the body's axes: R I Rᵀ, where R is the attitude in the body."""
     turn = np.array(matrix(attitude))
     return np.asarray(turn @ _within_triangle_tensor(_tensor(inertial)) @ turn.T)
 
 
 def _row(tensor: Array) -> list[float]:
-    """MuJoCo's order, xx yy zz xy xz yz."""
+    """The tensor in MuJoCo's order, xx yy zz xy xz yz."""
     return [float(tensor[i, j]) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
 
 
 def _within_triangle(ixx: float, iyy: float, izz: float) -> list[float]:
-    """The three moments, the largest cut to the sum of the others when it exceeds it by digits lost in the file."""
+    """The three moments. The largest is clipped to the sum of the others, as the file may have rounded it up."""
     moments = [ixx, iyy, izz]
     largest = max(range(3), key=moments.__getitem__)
-    # MuJoCo compares with the sum of the two, without any margin; the difference may be rounded to more than that.
+    # MuJoCo compares with the sum of the two without margin; the rounded difference may be larger than that sum.
     rest = sum(moments[:largest] + moments[largest + 1 :])
     moments[largest] = min(moments[largest], sum(moments) - moments[largest], rest)
     return moments
@@ -252,16 +252,16 @@ def _within_triangle_tensor(tensor: Array) -> Array:
 
 
 def _is_on_the_edge(tensor: Array) -> bool:
-    """Whether MuJoCo, which finds the principal moments of a tensor itself, may refuse it for its rounding: the body is
-    flat, or thin as a needle. Its moments are off by no more than 1e-12 of the largest or of 1 kg·m²."""
+    """True when MuJoCo, which computes the principal moments of a tensor itself, may refuse it by rounding errors: the
+    body is flat or very thin. These errors are at most 1e-12 of the largest moment or of 1 kg·m²."""
     small, middle, large = np.linalg.eigvalsh(tensor)
     return bool(small + middle - large < 1e-6 * large + 1e-11 or small < 1e-6 * large + 1e-13)
 
 
 def _is_taken(tensor: Array) -> bool:
-    """Whether MuJoCo takes the tensor of a body on the edge: asked of MuJoCo itself, whose rounding nobody can tell.
+    """True when MuJoCo accepts the tensor of such a body. This compiles it, as the rounding is not predictable.
 
-    What it takes is left to it, so that a robot which could be spawned before moves as it did, to the last bit.
+    Accepted tensors are passed unchanged, so that these robots move as in earlier versions, to the bit.
     """
     spec = mujoco.MjSpec()
     body = spec.worldbody.add_body(mass=1.0, explicitinertial=True, ipos=(0.0, 0.0, 0.0), fullinertia=_row(tensor))
@@ -274,7 +274,7 @@ def _is_taken(tensor: Array) -> bool:
 
 
 def _principal(tensor: Array) -> tuple[list[float], tuple[float, float, float, float]]:
-    """Principal moments that keep the triangle rule to the last bit, and MuJoCo's quaternion of their axes."""
+    """Principal moments that satisfy the triangle inequality to the bit, and the quaternion w x y z of their axes."""
     moments, axes = np.linalg.eigh(tensor)
     if np.linalg.det(axes) < 0.0:
         axes[:, 2] = -axes[:, 2]
@@ -286,9 +286,9 @@ def _principal(tensor: Array) -> tuple[list[float], tuple[float, float, float, f
 
 
 def put_shapes(spec: Any, body: Any, robot: str, link: Link, frame: Pose, bits: tuple[int, int], hulls: Hulls) -> None:
-    """Add one geom per collision of the link, with these bits (contype, conaffinity) of what it may touch.
+    """Add one geom per collision of the link, with these collision bits (contype, conaffinity).
 
-    `frame` is the link's in the body, `hulls` has what its meshes collide as.
+    `frame` is the link's pose in the body, `hulls` has the hulls of its meshes.
 
     Raises:
         BadShape: a size that is not positive, or a mesh that could not be read.
@@ -305,7 +305,7 @@ def put_shapes(spec: Any, body: Any, robot: str, link: Link, frame: Pose, bits: 
 
 
 def mesh_names(robot: Robot, name: str) -> list[str]:
-    """The meshes that `put_shapes` adds to the specification itself, for a robot of this name."""
+    """The names of the meshes that `put_shapes` adds to the specification for a robot of this name."""
     shapes = ((link, number, shape) for link in robot.links.values() for number, shape in enumerate(link.collisions))
     return [_geom_name(name, link, number) for link, number, shape in shapes if isinstance(shape.geometry, Mesh)]
 
@@ -315,17 +315,17 @@ def _geom_name(robot: str, link: Link, number: int) -> str:
 
 
 def put_friction(geom: Any, mu: float) -> None:
-    """Between two geoms the smaller coefficient counts, as in Gazebo.
+    """Set the friction and the priority of a geom so that of two geoms the smaller coefficient counts, as in Gazebo.
 
-    MuJoCo takes the larger one, unless one geom has priority: so the lower the friction, the higher the priority. The
-    bits of positive single-precision numbers, read as integers, are in the order of the numbers.
+    MuJoCo takes the larger one, unless one geom has priority. So a lower friction gets a higher priority. The bits of
+    positive single-precision numbers, read as integers, have the order of the numbers.
     """
     geom.friction[0] = mu = min(mu, LARGEST_FRICTION)
     geom.priority = -struct.unpack("<i", struct.pack("<f", mu))[0]
 
 
 def sliding_friction(surface: Surface) -> float:
-    """The one coefficient that MuJoCo has for both directions: mu1, else mu2, else Gazebo's default."""
+    """The coefficient, which MuJoCo uses for both directions: mu1, else mu2, else Gazebo's default."""
     for mu in (surface.mu1, surface.mu2):
         if mu is not None:
             return mu
@@ -333,7 +333,7 @@ def sliding_friction(surface: Surface) -> float:
 
 
 def _primitive(robot: str, link: Link, shape: Shape) -> tuple[Any, list[float]]:
-    """MuJoCo's type, and its size: half lengths, and radius before half length."""
+    """MuJoCo's geom type and size: half lengths, or radius and half length. Raises BadShape."""
     geometry = shape.geometry
     if isinstance(geometry, Box):
         kind, size = mujoco.mjtGeom.mjGEOM_BOX, [edge / 2 for edge in geometry.size]
@@ -350,10 +350,10 @@ def _primitive(robot: str, link: Link, shape: Shape) -> tuple[Any, list[float]]:
 
 
 def _put_mesh(spec: Any, geom: Any, robot: str, link: Link, shape: Shape, hulls: Hulls) -> None:
-    """A mesh collides as its convex hull, which is a file in the specification's memory.
+    """Set a geom to the convex hull of a mesh. The hull is a file in the specification's memory. Raises BadShape.
 
-    Of a file MuJoCo keeps what it has computed for the next compilation, of vertices in the specification it does not;
-    the file's name says its content, so equal meshes are one.
+    MuJoCo caches its results for files, but not for vertices in the specification. The file's name is a hash of its
+    content, so equal meshes share it.
     """
     source = shape.geometry
     assert isinstance(source, Mesh)
@@ -385,12 +385,12 @@ class RobotBuilder:
             for written in joint.hardware_interfaces
             if interfaces.find(written) is not interfaces.EFFORT
         }
-        """Joints that may get one."""
+        """Names of the joints that may get a motor."""
         self._made: dict[str, Any] = {}
-        """What the joints with one position have become."""
+        """The MjsJoint of each joint with one position."""
 
     def build(self, pose: Pose) -> None:
-        """Add everything, the root at `pose`: welded there when the root link is called `world`, free otherwise.
+        """Add the robot with its root at `pose`: fixed there when the root link is called `world`, free otherwise.
 
         Raises:
             BadInertia, BadJoint, BadShape: naming the robot and the link or joint.
@@ -423,7 +423,7 @@ class RobotBuilder:
         return root
 
     def _child(self, parent: Any, frame: Pose, joint: Joint) -> Any:
-        """The body that a joint moves; `frame` is the parent link's in the parent's body."""
+        """Add the body that a joint moves. `frame` is the parent link's pose in the parent's body."""
         position, attitude = compose(frame, (joint.origin.xyz, from_rpy(joint.origin.rpy)))
         body = parent.add_body(name=self._named(joint.child), pos=position, quat=wxyz(attitude))
         if joint.type in SCALAR_TYPES:
@@ -452,14 +452,14 @@ class RobotBuilder:
             made.range = limits
 
     def _planar(self, body: Any, joint: Joint) -> None:
-        """Two slides in the plane and a turn about its normal."""
+        """Add two slide joints in the plane and a hinge about its normal."""
         normal = self._axis(joint)
         along, across = perpendicular(normal)
         for part, kind, axis in (("x", _SLIDE, along), ("y", _SLIDE, across), ("yaw", _HINGE, normal)):
             self._resist(body.add_joint(name=f"{self._named(joint.name)}/{part}", type=kind, axis=axis), joint)
 
     def _floating(self, body: Any, joint: Joint) -> None:
-        """Three slides and a ball: a free joint may only hang on the world itself."""
+        """Add three slide joints and a ball joint, since MuJoCo allows a free joint only on the world."""
         axes = (("x", (1, 0, 0)), ("y", (0, 1, 0)), ("z", (0, 0, 1)))
         for part, axis in axes:
             self._resist(body.add_joint(name=f"{self._named(joint.name)}/{part}", type=_SLIDE, axis=axis), joint)
@@ -477,12 +477,12 @@ class RobotBuilder:
         set_damping(made, joint.damping or UNDAMPED)
         if joint.name not in self._motors:
             made.frictionloss = joint.friction
-        elif joint.friction > 0.0:  # a motor needs the joint's own; see motors.py
+        elif joint.friction > 0.0:  # a motor uses the joint's own frictionloss; see motors.py
             tendon = self.spec.add_tendon(name=made.name, frictionloss=joint.friction)
             tendon.wrap_joint(made.name, 1.0)
 
     def _mimic(self, joint: Joint) -> None:
-        """position = offset + multiplier * leader's position, as a constraint on the two."""
+        """Add a constraint for a mimic joint: position = offset + multiplier * leader's position."""
         if joint.mimic is None or joint.type not in SCALAR_TYPES:
             return
         leader = self.robot.joints.get(joint.mimic.joint)
@@ -494,13 +494,13 @@ class RobotBuilder:
         tie.data[:5] = [joint.mimic.offset, joint.mimic.multiplier, 0.0, 0.0, 0.0]
 
     def _rotors(self, info: TransmissionInfo) -> None:
-        """The inertia of the actuators' rotors, as the joints feel it: reduction squared times that of the rotor.
+        """Add the inertia of the actuators' rotors at the joints: reduction squared times the rotor's inertia.
 
-        Where two joints share rotors it couples them, which a tendon does for each rotor that has the rotor's velocity.
+        Rotors that two joints share couple them. A tendon for each rotor, with the rotor's velocity, does this.
         """
         transmission = loaded(self.robot, self.name, info)
         if any(joint.name not in self._made for joint in transmission.joints):
-            return  # the hardware says which joint is not there
+            return  # the hardware raises the error about the missing joint
         made = [self._made[joint.name] for joint in transmission.joints]
         felt = transmission.rotor_inertia
         if len(made) == 1 or felt[0][1] == 0.0:
@@ -516,7 +516,7 @@ class RobotBuilder:
 
 
 def loaded(robot: Robot, name: str, info: TransmissionInfo) -> LoadedTransmission:
-    """What the loaders of ros_control make of a transmission. Raises BadTransmission, with the reason of theirs."""
+    """Load a transmission as the loaders of ros_control do. Raises BadTransmission with their reason."""
     try:
         return load(info, robot)
     except SlidectlError as error:
@@ -524,12 +524,12 @@ def loaded(robot: Robot, name: str, info: TransmissionInfo) -> LoadedTransmissio
 
 
 def set_damping(made: Any, damping: float) -> None:
-    """Linear damping of an MjsJoint: a number, or the first coefficient of a polynomial in newer versions of MuJoCo."""
+    """Set the linear damping of an MjsJoint: a number, or in newer MuJoCo the first coefficient of a polynomial."""
     made.damping = damping if isinstance(made.damping, float) else [damping, 0.0, 0.0]
 
 
 def range_of(joint: Joint) -> tuple[float, float] | None:
-    """Lower and upper limit that stop the joint (only revolute and prismatic ones have any), or None."""
+    """Lower and upper limit of the joint's motion, m or rad; None when the joint has no limits."""
     if joint.limit is None or joint.type not in ("revolute", "prismatic"):
         return None
     lower, upper = sorted((joint.limit.lower, joint.limit.upper))
@@ -541,7 +541,7 @@ def range_of(joint: Joint) -> tuple[float, float] | None:
 
 
 def check_moving_masses(robot: Robot, name: str) -> None:
-    """Raises BadInertia for a link that moves and has too little inertia, its own or that of links welded to it."""
+    """Raises BadInertia for a moving body of which all links have too little mass or inertia."""
     for body in rigid_bodies(robot.root, robot.joints):
         weighing = [inertial for link in body.links if (inertial := robot.links[link].inertial) is not None]
         if not body.moves or any(can_move(inertial.mass, inertial.inertia) for inertial in weighing):

@@ -1,7 +1,7 @@
-"""Changes of a robot's joints and masses that can be taken back: a stuck joint, another friction, a payload.
+"""Reversible changes of a robot's joints and masses: a stuck joint, another friction, a payload.
 
-Each is put on with `hold`, again before every step, since the model may have been rebuilt; `release` leaves no trace.
-`check` raises Refused where it would do nothing.
+`hold` applies a change. It is called before every step, since the model may have been rebuilt. `release` reverts the
+change completely. `check` raises Refused when the change would have no effect.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 class StuckJoint:
-    """A joint that stays where it is: a motor without bound holds it, whatever its drive asks for."""
+    """Holds a joint at its position by a motor without bound, which overrides its drive."""
 
     def __init__(self, world: World, body: Body, hardware: MujocoRobotHW, joint: str) -> None:
         self._world = world
@@ -31,20 +31,20 @@ class StuckJoint:
         self._hardware = hardware
         self._joint = joint
         self._position: float | None = None
-        """Where it is stuck; None while it is not."""
+        """The position at which it is stuck, m or rad; None while it is not."""
         self._lasting: float | None = None
         self._dynamics: list[Any] = []
 
     def check(self) -> None:
-        """It can always be."""
+        """Never raises: any joint can be stuck."""
 
     @property
     def is_held(self) -> bool:
-        """Is it put on?"""
+        """True while the change is applied."""
         return self._position is not None
 
     def hold(self) -> None:
-        """Before the step, after everybody has said what the joint is to do."""
+        """Apply the change. Call this before each step, after all commands to the joint."""
         place, world = self._body.place(self._joint), self._world
         if self._position is None:
             self._position = world.data.qpos[place.qpos]
@@ -56,7 +56,7 @@ class StuckJoint:
         views.qpos[place.qpos], views.qvel[place.dof], views.velocities[place.dof] = self._position, 0.0, 0.0
 
     def release(self) -> None:
-        """The joint moves again."""
+        """Let the joint move again."""
         if self._position is None:
             return
         self._position = None
@@ -70,7 +70,7 @@ class StuckJoint:
                     array[self._body.place(self._joint).dof] = value
 
     def effort(self) -> float | None:
-        """N or N·m of the hardware, without what holds the joint; None while the joint is not stuck."""
+        """The hardware's effort, N or N·m, without that of the holding motor; None while the joint is not stuck."""
         return None if self._position is None else self._world.views.forces[self._body.place(self._joint).dof]
 
     def _arrays(self) -> tuple[Any, Any]:
@@ -78,7 +78,7 @@ class StuckJoint:
 
 
 class JointFriction:
-    """Another dry friction (N or N·m), another damping (N·s/m or N·m·s/rad), or both; None: as it is."""
+    """Replaces the dry friction (N or N·m), the damping (N·s/m or N·m·s/rad), or both, of a joint; None: unchanged."""
 
     def __init__(self, world: World, body: Body, joint: str, friction: float | None, damping: float | None) -> None:
         self._world = world
@@ -96,11 +96,11 @@ class JointFriction:
 
     @property
     def is_held(self) -> bool:
-        """Is it put on?"""
+        """True while the change is applied."""
         return self._before is not None
 
     def hold(self) -> None:
-        """Before each step."""
+        """Apply the change. Call this before each step."""
         dof = self._body.place(self._joint).dof
         asked = [(array, value) for array, value in zip(self._arrays(), self._asked, strict=True) if value is not None]
         if any(array[dof] != value for array, value in asked):
@@ -112,7 +112,7 @@ class JointFriction:
                     array[dof] = value
 
     def release(self) -> None:
-        """As the model has it."""
+        """Restore the values of the model."""
         if self._before is not None:
             with self._world.changing_friction():
                 for array, value in zip(self._arrays(), self._before, strict=True):
@@ -127,7 +127,7 @@ _OF_MASS = ("body_mass", "body_ipos", "body_iquat", "body_inertia", "body_gravco
 
 
 class Payload:
-    """A point mass (kg) at a place of a link (m, in the link's frame)."""
+    """Adds a point mass (kg) at a point of a link (m, in the link's frame)."""
 
     def __init__(self, world: World, body: Body, link: str, mass: float, at: Vector) -> None:
         self._world = world
@@ -136,20 +136,20 @@ class Payload:
         self._mass = mass
         self._at = at
         self._model: Any = None
-        """The one that holds the payload."""
+        """The model that has the payload."""
         self._before: dict[str, Any] = {}
         self._links: list[tuple[str, LinkPlace, LinkPlace]] = []
-        """Of all links of the body: where they are without it, and with it."""
+        """For the links of the body: name, and place without and with the payload."""
 
     def check(self) -> None:
-        """Raises Refused: the robot is one free link."""
+        """Raises Refused: the robot is a single free link."""
         model = self._world.model
         if model.body_simple[self.body] and model.body_dofnum[self.body] > 1:
             raise Refused(f"{self._body.name!r} is one free link, {self._link}: MuJoCo takes its mass as constant")
 
     @property
     def is_held(self) -> bool:
-        """Is it put on, in this model or in one before?"""
+        """True while it is applied, in this model or in an earlier one."""
         return bool(self._before)
 
     @property
@@ -158,7 +158,7 @@ class Payload:
         return self._body.link(self._link).body
 
     def hold(self) -> None:
-        """Before each step."""
+        """Apply the change. Call this before each step."""
         model, body = self._world.model, self.body
         if self._model is model:
             return
@@ -178,19 +178,22 @@ class Payload:
         mujoco.mju_eig3(values, vectors, attitude, inertia.ravel())
         model.body_mass[body], model.body_ipos[body] = whole, together
         model.body_iquat[body], model.body_inertia[body] = attitude, values
-        model.body_gravcomp[body] *= mass / whole  # a link without gravity carries a payload that has some
+        model.body_gravcomp[body] *= mass / whole  # gravity acts on the payload only
         model.body_sameframe[body] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
         self._tell(model, body, is_simple=False)
         x, y, z = (centre - together).tolist()
         self._put_links_back()
-        for name, link in self._body.links.items():  # wrenches act on the centres of the links' own masses
+        for (
+            name,
+            link,
+        ) in self._body.links.items():  # wrenches act at the centres of mass of the links without the payload
             if link.body == body:
                 arm = add(link.arm or (0.0, 0.0, 0.0), (x, y, z))
                 self._links.append((name, link, replace(link, arm=arm)))
         self._body.links.update({name: place for name, _, place in self._links})
 
     def release(self) -> None:
-        """The link has its own mass again."""
+        """Restore the mass of the link."""
         model, body = self._world.model, self.body
         if self._model is model:
             for name, value in self._before.items():
@@ -200,7 +203,7 @@ class Payload:
         self._model, self._before = None, {}
 
     def _put_links_back(self) -> None:
-        """Those that no rebuild of the model has found anew."""
+        """Restore the places of the links, except those that a rebuild has replaced."""
         for name, link, place in self._links:
             if self._body.links.get(name) is place:
                 self._body.links[name] = link
@@ -208,9 +211,10 @@ class Payload:
 
     @staticmethod
     def _tell(model: Any, body: int, is_simple: bool) -> None:
-        """Let MuJoCo's sums be those of the masses, and let it compute the inertia of the body's joint itself.
+        """Update MuJoCo's sums of the masses, and its flags for bodies with constant inertia.
 
-        It takes that of a body alone on one joint as constant, by runs of such dofs.
+        MuJoCo takes the inertia of a simple body, alone on its joint, as constant. `dof_simplenum` counts runs of such
+        dofs.
         """
         model.body_subtreemass[:] = model.body_mass
         for below in range(model.nbody - 1, 0, -1):

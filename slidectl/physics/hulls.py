@@ -1,7 +1,7 @@
-"""Meshes made ready to collide: read from their files, and reduced to their convex hulls.
+"""Meshes for collision: read from their files, and reduced to their convex hulls.
 
-It takes time and memory that the file's author chooses, so a driver does it in another process. What comes out is
-small, and the file is not needed any more. `Hulls` of a robot go with it into the world.
+Time and memory depend on the file, so a driver does this in another process. The result is small, and the file is not
+needed afterwards. The `Hulls` of a robot are passed to the world with it.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from slidectl.physics import mujoco_library
 from slidectl.rotations import Vector
 
 MOST_VERTICES = 1000
-"""Of a hull. MuJoCo adds points one by one, the farthest first, and stops there: of a ball's hull, 0.2 % of the radius
-is missing. One of 10 000 takes it 0.3 s to prepare, in which the world would stand still."""
+"""Largest number of vertices of a hull. MuJoCo adds points one by one, the farthest first, and stops at this number: a
+ball's hull lacks 0.2 % of the radius. A hull of 10 000 takes 0.3 s to prepare, during which the world would stop."""
 
 
 class MeshSource(NamedTuple):
-    """A mesh file as a robot uses it."""
+    """A mesh file, with the scale at which a robot uses it."""
 
     path: str
     scale: Vector
@@ -35,34 +35,34 @@ class Hull(NamedTuple):
     """A convex hull, in m."""
 
     name: str
-    """Says the content, with the suffix of its kind."""
+    """The hash of the content, with the suffix of the file type."""
     stl: bytes
     """The surface as the content of a binary STL file."""
 
 
 Hulls = Mapping[MeshSource, Hull | BadMesh]
-"""What became of each mesh of a robot."""
+"""The hull of each mesh of a robot, or the error."""
 
 
 def source_of(mesh: Mesh) -> MeshSource:
-    """The file and the scale of a mesh that was found."""
+    """The file and the scale of a mesh. Its file must have been found."""
     assert mesh.path is not None
     return MeshSource(mesh.path, mesh.scale)
 
 
 def sources(robot: Robot) -> list[MeshSource]:
-    """The meshes of a robot that collide, each once, in the order of the file."""
+    """The collision meshes of a robot, each once, in the order of the file."""
     shapes = (shape.geometry for link in robot.links.values() for shape in link.collisions)
     return list(dict.fromkeys(source_of(mesh) for mesh in shapes if isinstance(mesh, Mesh) and mesh.path is not None))
 
 
 def read_all(robot: Robot) -> Hulls:
-    """The hulls of a robot's meshes, read now and here."""
+    """Read the hulls of a robot's meshes, in this process."""
     return {source: read(source) for source in sources(robot)}
 
 
 def read(source: MeshSource) -> Hull | BadMesh:
-    """The hull of one mesh file, or why there is none."""
+    """Read the hull of one mesh file. Returns the error if there is none."""
     try:
         return _hull(source)
     except BadMesh as error:
@@ -72,7 +72,7 @@ def read(source: MeshSource) -> Hull | BadMesh:
 
 
 def prepare(hull: Hull) -> None:
-    """Let MuJoCo compute what it needs of a hull, which it keeps: then the compilation of a world is quick."""
+    """Let MuJoCo compute and cache its data of a hull, so that the compilation of a world is fast."""
     try:
         spec = _alone()
         spec.assets[hull.name] = hull.stl
@@ -80,7 +80,7 @@ def prepare(hull: Hull) -> None:
         with mujoco_library.warnings_kept():
             spec.compile()
     except (ValueError, mujoco.FatalError):
-        return  # the world's compilation says it, with the robot's name
+        return  # the compilation of the world raises the error, with the robot's name
 
 
 def _hull(source: MeshSource) -> Hull:
@@ -97,7 +97,7 @@ def _hull(source: MeshSource) -> Hull:
     except (ValueError, mujoco.FatalError) as error:
         trouble = str(error).removeprefix("Error: ").split("\n", 1)[0]
         raise BadMesh(f"MuJoCo makes no hull of the mesh: {trouble}", source.path) from None
-    # The graph: counts of vertices and faces, where each vertex's edges begin, its number, the edges, the faces.
+    # The graph: numbers of vertices and faces; start of the edges of each vertex; indices of vertices; edges; faces.
     count, faces = int(graph[0]), int(graph[1])
     begin = 2 + 2 * count + count + 3 * faces
     corners = graph[begin : begin + 3 * faces].reshape(-1, 3)
@@ -106,7 +106,7 @@ def _hull(source: MeshSource) -> Hull:
 
 
 def _stl(triangles: np.ndarray[Any, np.dtype[np.float64]]) -> bytes:
-    """n x 3 x 3 corners of a convex surface, turned to be seen from outside."""
+    """A binary STL file of n x 3 x 3 corners of a convex surface. Each triangle is oriented outwards."""
     inside = triangles.reshape(-1, 3).mean(axis=0)
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     inward = np.einsum("ij,ij->i", normals, triangles[:, 0] - inside) < 0

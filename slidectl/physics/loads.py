@@ -1,7 +1,7 @@
-"""All that acts in a step besides what the robots' hardware pushes: forces from outside, and motors.
+"""Forces in a step besides those of the robots' hardware: external forces, and motors.
 
-Forces from outside are put on before the step and taken off after it, so that qfrc_applied belongs to the hardware
-alone. Nothing here knows clocks or services.
+External forces are added before the step and removed after it, so that qfrc_applied belongs to the hardware only.
+This module uses no clocks and no services.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def _bound(value: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class JointForce:
-    """N or N·m on one joint, cut like every effort by the limits of the joint.
+    """An external effort, N or N·m, on one joint, clipped like every effort by the limits of the joint.
 
     It acts from `start_ns` up to and including `start_ns + duration_ns`; a negative duration never ends.
     """
@@ -74,7 +74,7 @@ class JointForce:
 
 @dataclass(frozen=True, slots=True)
 class Wrench:
-    """Force (N) and torque (N·m), in the world's axes, on the centre of mass of one link, as long as a JointForce."""
+    """Force (N) and torque (N·m), in the world's axes, at the centre of mass of one link. Times as in JointForce."""
 
     body: Body
     link: str
@@ -83,7 +83,7 @@ class Wrench:
     start_ns: int
     duration_ns: int
     source: str = ""
-    """Who put it on, for those who take it back."""
+    """Name of its origin, by which it can be removed."""
 
 
 def _is_over(force: JointForce | Wrench, now_ns: int) -> bool:
@@ -91,42 +91,42 @@ def _is_over(force: JointForce | Wrench, now_ns: int) -> bool:
 
 
 class Loads:
-    """Forces from outside that are not over, motors, and the efforts on joints that they came to in the last step."""
+    """External forces that have not ended, motors, and the efforts of both on joints in the last step."""
 
     def __init__(self) -> None:
         self.joint_forces: list[JointForce] = []
         self.wrenches: list[Wrench] = []
         self.motors = Motors()
         self.efforts: Array = np.zeros(0)
-        """N or N·m by dof. Another array when the model was rebuilt."""
+        """N or N·m by dof. A rebuild of the model makes a new array."""
         self.has_efforts = False
-        """False while all of them are 0."""
+        """False while all efforts are 0."""
         self._acted: tuple[float, Array | None] = (-1.0, None)
-        """MuJoCo's time after the last step with forces from outside, and what they came to on bodies."""
+        """MuJoCo's time after the last step with external forces, and their wrenches on bodies."""
 
     @property
     def has_forces(self) -> bool:
-        """True when a force from outside acts, or waits."""
+        """True when an external force acts, or will act."""
         return bool(self.joint_forces or self.wrenches)
 
     @property
     def is_empty(self) -> bool:
-        """True when steps need nothing of this."""
+        """True when there are no external forces and no motors."""
         return not self.has_forces and self.motors.is_empty
 
     def keep(self, keep: Callable[[JointForce | Wrench], bool]) -> None:
-        """Forget all forces from outside but those that `keep` says yes to."""
+        """Remove all external forces for which `keep` returns False."""
         self.joint_forces = [force for force in self.joint_forces if keep(force)]
         self.wrenches = [wrench for wrench in self.wrenches if keep(wrench)]
 
     def forget(self, body: Body) -> None:
-        """Drop all that acts on a robot which leaves. `bind` is to follow."""
+        """Remove all forces and motors of a robot that is detached. Call `bind` afterwards."""
         self.keep(lambda force: force.body is not body)
         self.motors.drop(body)
         self.efforts = np.delete(self.efforts, body.dofs)
 
     def bind(self, model: Any, data: Any) -> None:
-        """Go on with this model, which all robots are bound to."""
+        """Use this model. All robots are bound to it already."""
         self._acted = -1.0, None
         self.has_efforts |= not self.motors.is_empty
         if len(self.efforts) < model.nv:
@@ -134,7 +134,7 @@ class Loads:
         self.motors.bind(model, data)
 
     def snapshot(self) -> dict[str, Any]:
-        """All this as plain data and arrays of numbers, for `restore`; robots by their names."""
+        """The state as plain data and arrays of numbers, with robots by name, for `restore`."""
         time, wrenches = self._acted
         forces = [[one.body.name, one.joint, one.effort, one.start_ns, one.duration_ns] for one in self.joint_forces]
         pushes = [
@@ -154,29 +154,29 @@ class Loads:
         }
 
     def restore(self, state: dict[str, Any], bodies: Mapping[str, Body]) -> None:
-        """As it was. `bind` is to follow, then `restore_last_step` if a step is to be looked at."""
+        """Restore the state. Call `bind` afterwards, then `restore_last_step` if results of that step are needed."""
         self.joint_forces = [JointForce(bodies[name], *rest) for name, *rest in state["joint_forces"]]
         self.wrenches = [Wrench(bodies[name], *rest) for name, *rest in state["wrenches"]]
         self.motors.put(({bodies[name]: joints for name, joints in state["motors"].items()}, state["velocities"]))
         self.efforts = state["efforts"].copy()
 
     def restore_last_step(self, state: dict[str, Any]) -> None:
-        """What the last step came to, which `bind` forgets."""
+        """Restore the results of the last step, which `bind` discards."""
         self.has_efforts = state["has_efforts"]
         self._acted = state["acted"], state["acted_wrenches"]
 
     def clear_efforts(self) -> None:
-        """Nothing acts any more, or nothing yet."""
+        """Set all efforts to 0."""
         self.efforts[:] = 0.0
         self.has_efforts = not self.motors.is_empty
 
     def wrenches_of_step(self, data: Any) -> Array | None:
-        """The forces and torques on bodies from outside in the last step, as xfrc_applied; None: there were none."""
+        """The external wrenches on bodies in the last step, as xfrc_applied; None: there were none."""
         time, forces = self._acted
         return forces if time == data.time else None
 
     def step(self, model: Any, data: Any, now_ns: int) -> None:
-        """One step with everything that acts at `now_ns`; what the hardware applies is put back exactly afterwards."""
+        """Make a step with all forces that act at `now_ns`, then restore the hardware's forces exactly."""
         self.has_efforts = True
         if not self.has_forces:
             self.motors.step(model, data, self.efforts)
@@ -195,7 +195,7 @@ class Loads:
             data.qfrc_applied[:], data.xfrc_applied[:] = hardware, link_forces
 
     def _apply_forces(self, model: Any, data: Any, now_ns: int, efforts: Array) -> None:
-        """Add what holds at `now_ns` to qfrc_applied, xfrc_applied and, by dof, `efforts`; forget what is over."""
+        """Add the forces of `now_ns` to qfrc_applied, xfrc_applied and, by dof, `efforts`. Remove ended ones."""
         self.keep(lambda force: not _is_over(force, now_ns))
         for force in self.joint_forces:
             if now_ns >= force.start_ns:
@@ -205,7 +205,7 @@ class Loads:
                 efforts[place.dof] += effort
         acting = [(wrench, wrench.body.links[wrench.link]) for wrench in self.wrenches if now_ns >= wrench.start_ns]
         if any(link.arm is not None for _, link in acting):
-            mujoco.mj_kinematics(model, data)  # the attitudes of now; the step computes them again
+            mujoco.mj_kinematics(model, data)  # the present attitudes; the step computes them again
         for wrench, link in acting:
             torque = wrench.torque
             if link.arm is not None:

@@ -1,14 +1,14 @@
 """Joint motors: constraints that bring joints to given velocities within a step, with no more than a given effort.
 
-MuJoCo's dry friction of a joint is a constraint with a largest force, which brings the joint to rest. A motor is one
-whose reference acceleration is set between the two halves of a step: to what leads to the velocity. So MuJoCo's solver
-finds motors, contacts and joint stops at once, as ODE does for Gazebo's joint motors.
+MuJoCo's dry friction of a joint is a constraint with a largest force, which brings the joint to rest. A motor is such a
+constraint whose reference acceleration is set between the two halves of a step to the one that leads to the desired
+velocity. So MuJoCo's solver solves motors, contacts and joint stops together, as ODE does for Gazebo's joint motors.
 
-A step is solved with motors without bounds first, which takes the solver one iteration. Those that exceed their bound
-get it, those that need it no longer lose it, and the step is solved again.
+A step is first solved without bounds of the motors, which takes the solver one iteration. Then the bound is set for
+motors that exceed it, and removed for motors that stay below it, and the step is solved again.
 
-The solver knows nothing of the implicit damping of the step: while a damped joint changes its velocity, the effort is
-that of explicit damping. The velocity is reached nevertheless.
+The solver does not include the implicit damping of the step: while a damped joint changes its velocity, the effort is
+that for explicit damping. The velocity is reached nevertheless.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ from slidectl.physics import mujoco_library
 from slidectl.physics.body import Array, Body
 
 UNBOUNDED = 1e15
-"""N or N·m. With a larger bound, rounding would show in the solver."""
+"""The bound of a motor without bound, N or N·m. A larger one causes rounding errors in the solver."""
 
 SOFTNESS = 1e-5
-"""Of a motor without a bound, relative to the softest that MuJoCo's own parameters allow. One at its bound may have no
-less than that: the solver would miss the narrow range of velocities in which its force is less than the bound."""
+"""Softness of a motor without bound, relative to the softest that MuJoCo's parameters allow. A motor at its bound keeps
+the latter: else the solver misses the narrow range of velocities in which the force is below the bound."""
 
 RELEASES = 3
-"""In so many solutions of a step a motor may lose its bound again; then the number of those that have one only grows,
-so that the solutions end."""
+"""The number of solutions of a step in which bounds may be removed. Later the number of bounds only grows, so that the
+iteration ends."""
 
 HEADER, MOTOR = 9, 5
 COUNT, STEP_S, REFERENCES, FORCES, STEP1, ACTUATION, ACCELERATION, CONSTRAINT, EULER = range(HEADER)
 DOF, QPOS, ROW, BOUND, WEIGHT = range(MOTOR)
-"""What is where in a table of motors for code that runs without the interpreter: first a header, then each motor.
+"""Places in a table of motors for compiled code: first a header, then each motor.
 
 The header: the number of motors, the time step (s), the addresses of the variables `efc_aref` and `efc_force`, and of
 the stages of a step. A motor: indices into qvel, qpos and the constraints, its bound, and the inverse weight of its
-dof. Whole numbers are exact in it: addresses have 48 bits.
+dof. Doubles hold these integers exactly: addresses have 48 bits.
 """
 _STAGES = ("mj_step1", "mj_fwdActuation", "mj_fwdAcceleration", "mj_fwdConstraint", "mj_Euler")
 
@@ -53,7 +53,7 @@ MotorsState = tuple[dict[Body, dict[str, float]], Array]
 class Motors:
     """The motors of all robots in one world.
 
-    `velocities` has what each is to reach, by dof (m/s or rad/s).
+    `velocities` has their desired velocities, by dof (m/s or rad/s).
     """
 
     def __init__(self) -> None:
@@ -64,7 +64,7 @@ class Motors:
         """Indices into qpos, and into MuJoCo's arrays over all constraints."""
         self._bounds_of_dofs = self._weights = self.velocities
         self.table: Array = np.zeros(HEADER)
-        """For code that runs without the interpreter."""
+        """The table for compiled code, see HEADER and MOTOR."""
 
     @property
     def is_empty(self) -> bool:
@@ -72,27 +72,27 @@ class Motors:
         return not self._bounds
 
     def has(self, body: Body) -> bool:
-        """Whether the robot has any."""
+        """True when the robot has motors."""
         return body in self._bounds
 
     def put_of(self, body: Body, most_efforts: dict[str, float]) -> None:
-        """Hold these joints of the robot from now on. A motor without any effort is none. `bind` is to follow."""
+        """Set the motors of the robot. Joints with an effort of 0 get none. Call `bind` afterwards."""
         self._bounds.pop(body, None)
         bounds = {joint: min(effort, UNBOUNDED) for joint, effort in most_efforts.items() if effort > 0.0}
         if bounds:
             self._bounds[body] = bounds
 
     def of(self, body: Body) -> dict[str, float]:
-        """The robot's motors: joints with the most effort of each."""
+        """The robot's motors: the largest effort, N or N·m, by joint."""
         return dict(self._bounds.get(body, {}))
 
     def release(self, model: Any) -> None:
-        """Let the solver hold no joint of this model. `bind` is to follow."""
+        """Remove all motors from this model. Call `bind` afterwards."""
         model.dof_frictionloss[self._dofs] = 0.0
         model.dof_invweight0[self._dofs] = self._weights
 
     def drop(self, body: Body) -> None:
-        """The robot leaves; its places are those that it had. `bind` is to follow, with a model without it."""
+        """Remove the motors of a robot, which has its old indices. Call `bind` afterwards, with a model without it."""
         self._bounds.pop(body, None)
         self.velocities = np.delete(self.velocities, body.dofs)
 
@@ -101,12 +101,12 @@ class Motors:
         return {body: dict(bounds) for body, bounds in self._bounds.items()}, self.velocities.copy()
 
     def put(self, captured: MotorsState) -> None:
-        """Have these motors, and no others. `bind` is to follow."""
+        """Replace all motors. Call `bind` afterwards."""
         bounds, velocities = captured
         self._bounds, self.velocities = {body: dict(joints) for body, joints in bounds.items()}, velocities.copy()
 
     def bind(self, model: Any, data: Any) -> None:
-        """Go on with this model, which all robots are bound to. Robots that are new have velocities of 0."""
+        """Use this model. All robots are bound to it already. New robots get velocities of 0."""
         if len(self.velocities) < model.nv:
             self.velocities = np.append(self.velocities, np.zeros(model.nv - len(self.velocities)))
         motors = sorted(
@@ -136,16 +136,16 @@ class Motors:
 
     @property
     def is_compilable(self) -> bool:
-        """True when all is known that code without the interpreter needs."""
+        """True when compiled code can run motors: the variables of MjData were found."""
         return all(mujoco_library.constraint_variables())
 
     def _set_bounds(self, model: Any, bounded: Array) -> None:
-        """Let the solver keep to the bounds of these motors, and of no others."""
+        """Set the bounds of these motors in the solver, and remove those of the others."""
         model.dof_frictionloss[self._dofs] = np.where(bounded, self._bounds_of_dofs, UNBOUNDED)
         model.dof_invweight0[self._dofs] = np.where(bounded, self._weights, SOFTNESS * self._weights)
 
     def step(self, model: Any, data: Any, efforts: Array) -> None:
-        """Advance by one time step. `efforts` gets those of the motors (N or N·m), by dof."""
+        """Advance by one time step. Writes the motors' efforts (N or N·m) to `efforts`, by dof."""
         dofs, rows, bounds, step = self._dofs, self._rows, self._bounds_of_dofs, model.opt.timestep
         wanted = self.velocities[dofs]
         accelerations = (wanted - data.qvel[dofs]) / step
@@ -169,7 +169,7 @@ class Motors:
             self._set_bounds(model, bounded)
         mujoco.mj_Euler(model, data)
         efforts[dofs] = forces
-        # The constraints leave a rounding error of the velocities, which would add up in the positions.
+        # The constraints leave rounding errors in the velocities, which would add up in the positions.
         free = sizes < bounds
         data.qpos[self._coordinates[free]] += step * (wanted - data.qvel[dofs])[free]
         data.qvel[dofs[free]] = wanted[free]

@@ -1,7 +1,7 @@
-"""What is done once to the MuJoCo library of this process: its clock removed, its warnings collected.
+"""Setup of the MuJoCo library, once per process: remove its clock and collect its warnings.
 
-MuJoCo writes warnings to the console and to MUJOCO_LOG.TXT unless a handler takes them. Nothing here knows a
-world or a robot.
+Without a handler, MuJoCo writes warnings to the console and to MUJOCO_LOG.TXT. This module uses no world and no
+robot.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pathlib import Path
 import mujoco
 
 EngineError = mujoco.FatalError
-"""Raised by a step that MuJoCo cannot do at all (contacts without number, say)."""
+"""Raised by a step that MuJoCo cannot compute, for example with too many contacts."""
 
 VERSION: str = mujoco.__version__
 MOST_WARNINGS = 100
@@ -27,7 +27,7 @@ _warnings: deque[str] = deque(maxlen=MOST_WARNINGS)
 
 
 def take_warnings() -> list[str]:
-    """The warnings of MuJoCo since the last call, oldest first; at most `MOST_WARNINGS` are kept."""
+    """Take the warnings of MuJoCo since the last call, oldest first; at most `MOST_WARNINGS` are kept."""
     taken = list(_warnings)
     _warnings.clear()
     return taken
@@ -35,7 +35,7 @@ def take_warnings() -> list[str]:
 
 @contextmanager
 def warnings_kept() -> Iterator[None]:
-    """Collect what the Python layer of MuJoCo says through `warnings` (its compiler does) with the other warnings."""
+    """Context that also collects warnings of MuJoCo's Python layer, such as those of its compiler."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         yield
@@ -54,11 +54,11 @@ def _library() -> ctypes.CDLL | None:
 
 
 def prepare() -> None:
-    """Make the library quiet and quick. Doing it twice does no harm."""
+    """Collect the warnings and remove the clock. Calling it twice has no further effect."""
     mujoco.set_mju_user_warning(_keep_warning)
     library = _library()
     if library is not None:
-        # The wheel's clock is read some twenty times a step, and `set_mjcb_time(None)` leaves it in.
+        # MuJoCo's Python package sets a clock that each step reads about twenty times; `set_mjcb_time(None)` keeps it.
         ctypes.c_void_p.in_dll(library, "mjcb_time").value = None
 
 
@@ -68,21 +68,21 @@ def struct_address(struct: mujoco.MjModel | mujoco.MjData) -> int:
 
 
 def address_of(function: str) -> int:
-    """Where a function of MuJoCo's is, for code that calls it without Python; 0 when the library is not found."""
+    """The address of a MuJoCo function, for compiled code; 0 when the library is not found."""
     library = _library()
     return ctypes.cast(getattr(library, function), ctypes.c_void_p).value or 0 if library is not None else 0
 
 
 _PAGE, _MOST_OF_DATA = 4096, 1 << 20
-"""Bytes: of memory that is there as a whole or not at all, and of MjData that is looked through."""
+"""Bytes: size of a memory page, which is mapped as a whole or not at all, and largest part of MjData to search."""
 
 
 @cache
 def constraint_variables() -> tuple[int, int]:
-    """How far from the beginning of MjData its variables for `efc_aref` and `efc_force` are, in bytes; 0: not found.
+    """The offsets in MjData of the variables `efc_aref` and `efc_force`, in bytes; 0: not found.
 
-    MuJoCo's Python layer does not tell. Two MjData that have these arrays, in different places, are looked through for
-    the addresses, page by page: so nothing is read that is not theirs.
+    MuJoCo's Python layer does not give them. This searches two MjData, whose arrays have different addresses, for these
+    addresses. It searches page by page, so it stops before memory that is not mapped.
     """
     spec = mujoco.MjSpec()
     body = spec.worldbody.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0), explicitinertial=True)
@@ -98,7 +98,7 @@ def constraint_variables() -> tuple[int, int]:
 
 
 def _find(address: int, begin: int) -> int:
-    """Where the address is in memory, counted from `begin`; 0 when it is nowhere near."""
+    """The offset from `begin` at which memory holds `address`; 0: not found within `_MOST_OF_DATA`."""
     place, wanted = begin, address.to_bytes(8, sys.byteorder)
     while place < begin + _MOST_OF_DATA:
         end = (place // _PAGE + 1) * _PAGE
@@ -110,6 +110,6 @@ def _find(address: int, begin: int) -> int:
 
 
 def error_hook_address() -> int:
-    """Where MuJoCo's variable `mju_user_error` is: what it points to is called with the text of a fatal error."""
+    """The address of MuJoCo's variable `mju_user_error`, the pointer to its handler of fatal errors; 0: no library."""
     library = _library()
     return ctypes.addressof(ctypes.c_void_p.in_dll(library, "mju_user_error")) if library is not None else 0

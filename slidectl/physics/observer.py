@@ -1,7 +1,7 @@
-"""Poses and twists of links, computed beside the running state.
+"""Poses and twists of links, computed in a copy of the state.
 
-It works on an MjData of its own, so that looking never touches what the next step depends on (warm starts above
-all). It changes nothing in the world.
+It uses its own MjData, so that queries never change data on which the next step depends, such as warm starts. It
+changes nothing in the world.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Twist = tuple[Vector, Vector]
 
 
 class Observer:
-    """Kinematics of the present state, computed when first asked for after a change."""
+    """Kinematics of the present state, computed at the first query after a change."""
 
     def __init__(self, model: Any, data: Any) -> None:
         self._model = model
@@ -29,16 +29,16 @@ class Observer:
         self.invalidate()
 
     def invalidate(self) -> None:
-        """Say that the state was changed by other means than a step."""
+        """Discard the kinematics, because the state was changed by other means than a step."""
         self._poses_at = self._twists_at = float("nan")
 
     def pose(self, link: LinkPlace) -> Pose:
-        """Place of the link's frame in the world: position (m), attitude x y z w."""
+        """Pose of the link's frame in the world: position (m), attitude x y z w."""
         self._refresh_poses()
         return compose(self._body_pose(link.body), link.frame)
 
     def twist(self, link: LinkPlace) -> Twist:
-        """Velocity of the origin of the link's frame, and of its turning, in the world's axes."""
+        """Linear velocity of the origin of the link's frame and angular velocity, in the world's axes."""
         self._refresh_twists()
         kind = mujoco.mjtObj.mjOBJ_XBODY
         mujoco.mj_objectVelocity(self._model, self._copy, kind, link.body, self._twist, 0)
@@ -47,7 +47,7 @@ class Observer:
         return add((vx, vy, vz), cross((wx, wy, wz), arm)), (wx, wy, wz)
 
     def geometry(self) -> Any:
-        """The copy, with the places of bodies and geoms of this moment."""
+        """The copy, with the present poses of bodies and geoms."""
         self._refresh_poses()
         return self._copy
 

@@ -1,6 +1,6 @@
-"""A transmission between actuators and joints of a robot: what its actuators cannot give, its joints do not get.
+"""Real transmissions between actuators and joints of a robot. The limits of the actuators limit the joint efforts.
 
-The inertia of its rotors is in the model (builder.py). It knows no commands.
+The inertia of the rotors is in the model (builder.py). This module uses no commands.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from slidectl.physics.builder import loaded
 
 
 class ActuatorState(NamedTuple):
-    """Position in m or rad, velocity per s, effort in N or N·m, on the actuator's side."""
+    """State of an actuator, on its side: position in m or rad, velocity in m/s or rad/s, effort in N or N·m."""
 
     name: str
     position: float
@@ -40,16 +40,16 @@ class RealTransmission:
         self._dofs = [body.place(joint).dof for joint in self.joints]
 
     def most_effort(self, joint: str) -> float:
-        """The largest effort on a joint that all actuators together can give."""
+        """The largest effort on a joint that all actuators can give together, N or N·m."""
         at, size = self.joints.index(joint), len(self._most)
         units = [[float(row == column) for row in range(size)] for column in range(size)]
         gains = [abs(self._maths.joint_effort(unit)[at]) for unit in units]
         return float(sum(gain * most for gain, most in zip(gains, self._most, strict=True) if gain))
 
     def bound(self, forces: memoryview[float]) -> None:
-        """Cut the efforts of the step on the joints to those that the actuators can give, each within its limit.
+        """Clip the joint efforts of the step, by dof, so that each actuator is within its limit.
 
-        What no actuator cuts stays as it is, to the last bit.
+        When no actuator exceeds its limit, the efforts stay the same to the bit.
         """
         asked = self._maths.actuator_effort([forces[dof] for dof in self._dofs])
         given = [max(-most, min(effort, most)) for effort, most in zip(asked, self._most, strict=True)]
@@ -58,7 +58,7 @@ class RealTransmission:
                 forces[dof] = effort
 
     def states(self, handles: Mapping[str, JointStateHandle]) -> Sequence[ActuatorState]:
-        """What encoders and torque sensors on the actuators read, given the joints as they were read last."""
+        """The states of the actuators, computed from the joint states of the last read."""
         joints = [handles[joint] for joint in self.joints]
         positions = self._maths.actuator_position([joint.position for joint in joints])
         velocities = self._maths.actuator_velocity([joint.velocity for joint in joints])

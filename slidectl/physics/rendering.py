@@ -1,8 +1,8 @@
-"""Pictures of the world as cameras on links see it, rendered by MuJoCo in a process of its own.
+"""Pictures of cameras on links, rendered by MuJoCo in a separate process.
 
-A picture takes some milliseconds with a graphics card, and a quarter of a second without: no cycle waits for one. The
-process gets the model once and the places of all shapes with each frame. It needs OpenGL by EGL or OSMesa, and ends
-with the one that has started it. What is rendered are the shapes that collide, in the colours of their links.
+A picture takes some milliseconds with a graphics card, and a quarter of a second without, so no cycle waits for one.
+The process gets the model once and the poses of all shapes with each frame. It needs OpenGL by EGL or OSMesa, and ends
+with its parent. It renders the collision shapes, in the colours of their links.
 """
 
 from __future__ import annotations
@@ -33,30 +33,30 @@ if TYPE_CHECKING:
 INSTALL = "install OpenGL for programs without a screen: apt install libegl1 (with a driver: libgl1-mesa-dri)"
 _LIBRARIES = {"egl": ("libEGL.so.1",), "osmesa": ("libOSMesa.so.8", "libOSMesa.so.6")}
 _ANSWER = struct.Struct("<?I")
-"""Whether a picture follows, or the reason why there is none; and its length."""
+"""Header of an answer: true for a picture, false for an error text; and the length of the content that follows."""
 _PIECE = 1 << 20
 _AMBIENT = 0.4
-"""Of the light that is everywhere; that of Gazebo's worlds."""
+"""Ambient light, as in Gazebo's worlds."""
 
 
 class PictureRequest(NamedTuple):
-    """What a picture is made of."""
+    """The data for one picture."""
 
     model: Any
-    """The world's; on the way to the process in MuJoCo's binary form, or None: the same as before."""
+    """The world's model. When sent to the process: in MuJoCo's binary form, or None if it has not changed."""
     colours: Array
     positions: Array
-    """Of all shapes, m, shape (n, 3)."""
+    """Positions of all shapes, m, shape (n, 3)."""
     matrices: Array
-    """Their attitudes, shape (n, 9)."""
+    """Rotation matrices of all shapes, shape (n, 9)."""
     camera: Camera
     pose: Pose
     seed: int
-    """Of the noise."""
+    """Seed of the noise."""
 
 
 def gl_backend() -> str:
-    """The kind of OpenGL that is there, as MuJoCo calls it; empty for none."""
+    """The installed OpenGL backend, by MuJoCo's name; empty for none."""
     for backend, files in _LIBRARIES.items():
         for file in files:
             with suppress(OSError):
@@ -66,21 +66,21 @@ def gl_backend() -> str:
 
 
 class RenderProcess:
-    """The process, and what it has to do. It is started by the first frame, and renders one at a time."""
+    """The client of the rendering process. The first frame starts the process, which renders one frame at a time."""
 
     def __init__(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None
         self._model: Any = None
-        """That the process has."""
+        """The model that the process has."""
         self._looked_at: Any = None
         self._colours: Array = np.zeros(0)
         self._said = bytearray()
         self._request: IO[bytes] | None = None
-        """Memory that the process reads when a byte comes. A pipe holds 64 KB, and while the process starts nobody
-        reads it: who writes more waits."""
+        """Memory file that the process reads after it receives a byte. A pipe would block: it holds 64 KB, and is not
+        read while the process starts."""
 
     def look(self, world: World, camera: Camera, pose: Pose, seed: int) -> PictureRequest:
-        """What the camera sees now, to be rendered later."""
+        """The request for a picture of the present moment, for `ask`."""
         if self._looked_at is not world.model:
             self._looked_at, self._colours = world.model, _colours(world)
         data = world.present()
@@ -89,7 +89,7 @@ class RenderProcess:
         )
 
     def ask(self, frame: PictureRequest) -> int:
-        """Begin a picture. Returns the descriptor on which it comes. Raises Refused: there is no such process."""
+        """Start a picture. Returns the file descriptor of the answer. Raises Refused: the process cannot be used."""
         if self._process is not None and self._process.poll() is not None:
             self.close()
         try:
@@ -109,7 +109,7 @@ class RenderProcess:
         return process.stdout.fileno()
 
     def take(self) -> str | None:
-        """The pixels, in base64 as messages have them, when all of them have come. Waits for something to come.
+        """Read a part of the answer. Returns the pixels, in base64, when they are complete, else None. Blocks for data.
 
         Raises:
             Refused: there is no picture.
@@ -118,7 +118,7 @@ class RenderProcess:
         assert self._process.stdout is not None
         piece = os.read(self._process.stdout.fileno(), _PIECE)
         self._said += piece
-        if not piece:  # `ask` closes the pipes: somebody may still watch this one
+        if not piece:  # `ask` closes the pipes, since the caller may still poll this one
             self._process.kill()
             self._process.wait()
             raise Refused("the process that renders pictures has ended", INSTALL)
@@ -130,7 +130,7 @@ class RenderProcess:
         content = self._said[_ANSWER.size :].decode("utf-8", "replace")
         self._said.clear()
         if not is_picture:
-            self._model = None  # it may not have taken it
+            self._model = None  # the process may not have the model
             raise Refused(f"no picture: {content}", INSTALL)
         return content
 
@@ -148,7 +148,7 @@ class RenderProcess:
         self._request = self._request or open(os.memfd_create("request"), "wb")  # noqa: SIM115 - kept for the next one
         self._process = subprocess.Popen(
             [sys.executable, "-m", "slidectl.physics.rendering", f"/proc/self/fd/{self._request.fileno()}"],
-            bufsize=0,  # nothing is left to be written when it has ended
+            bufsize=0,  # no unwritten data remains when the process has ended
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
@@ -166,7 +166,7 @@ def _binary(model: Any) -> bytes:
 
 
 def _colours(world: World) -> Array:
-    """Red, green, blue and alpha of each shape, by its link."""
+    """Red, green, blue and alpha of each shape, by its link. Shape (n, 4)."""
     model = world.model
     robots = {world.body(name).root_id: world.body(name) for name in world.names()}
     colours = np.tile(np.array(link_colours.PLAIN), (model.ngeom, 1))
@@ -182,7 +182,7 @@ def _colours(world: World) -> Array:
 
 
 class _SceneRenderer:
-    """What the process has: the model that it renders, and a renderer for each size."""
+    """The state of the rendering process: the model, and a renderer for each size."""
 
     def __init__(self) -> None:
         self._model: Any = None
@@ -198,7 +198,7 @@ class _SceneRenderer:
         size = (camera.height, camera.width)
         if size not in self._renderers:
             screen = self._model.vis.global_
-            screen.offheight, screen.offwidth = size  # the renderer's memory, several times over
+            screen.offheight, screen.offwidth = size  # the size of the renderer's buffers
             self._renderers[size] = mujoco.Renderer(self._model, *size)
         renderer = self._renderers[size]
         renderer.update_scene(data)
@@ -235,7 +235,7 @@ class _SceneRenderer:
 
 
 def main(source: IO[bytes], target: IO[bytes], request: str) -> None:
-    """Render what the file of the request holds for each byte that comes, until there are no more."""
+    """For each byte from `source`, render the request in the file `request`. Ends at the end of `source`."""
     scenes = _SceneRenderer()
     while source.read(1):
         with open(request, "rb") as file:
@@ -249,5 +249,5 @@ def main(source: IO[bytes], target: IO[bytes], request: str) -> None:
 
 
 if __name__ == "__main__":
-    os.nice(10)  # the cycles of the world go before it
+    os.nice(10)  # the cycles of the world have priority
     main(sys.stdin.buffer, sys.stdout.buffer, sys.argv[1])

@@ -1,7 +1,7 @@
 """The hardware of a simulated robot, after gazebo_ros_control's DefaultRobotHWSim: joints read, limited and driven.
 
 First one joint with its limits (initSim, registerJointLimits), then how its command drives it (writeSim), then the
-robot. `read` and `write` are the hot path: plain tuples and memoryviews, nothing allocated. It knows no controllers.
+robot. `read` and `write` are the hot path: plain tuples and memoryviews, no allocations. It uses no controllers.
 """
 
 from __future__ import annotations
@@ -57,11 +57,11 @@ S = TypeVar("S", bound=Sensor)
 
 INITIAL_POSITION = 1.0
 INITIAL_EFFORT = 1.0
-"""What a handle holds before the first read, as in DefaultRobotHWSim; angles are unwrapped from there."""
+"""Values of a handle before the first read, as in DefaultRobotHWSim. Angles are unwrapped from there."""
 
 
 class UnsupportedInterface(BadTransmission):
-    """A transmission asks for an interface that simulated hardware has not."""
+    """A transmission asks for an interface that simulated hardware does not have."""
 
     def __init__(self, robot: str, transmission: TransmissionInfo, joint: TransmissionJoint) -> None:
         asked = joint.hardware_interfaces[0]
@@ -70,7 +70,7 @@ class UnsupportedInterface(BadTransmission):
 
 
 class MissingJoint(BadTransmission):
-    """A transmission drives a joint that the robot has not, or that has no one position."""
+    """A transmission drives a joint that does not exist, or that is fixed, planar or floating."""
 
     def __init__(self, body: Body, transmission: TransmissionInfo, joint: str) -> None:
         super().__init__(
@@ -79,7 +79,7 @@ class MissingJoint(BadTransmission):
 
 
 class HardwareJoint:
-    """A driven joint: its handle, the interface it takes commands by, and its bounds."""
+    """A driven joint: its handle, the interface for its commands, and its bounds."""
 
     __slots__ = ("handle", "interface", "joint", "limit", "lower", "most_effort", "name", "quantity", "upper")
 
@@ -90,12 +90,12 @@ class HardwareJoint:
         self.quantity = interface.declared.quantity
         self.handle = interface.handle_type(joint.name)
         self.lower, self.upper, self.most_effort = -LARGEST, LARGEST, LARGEST
-        """What PID modes and motors need of the limits: m or rad, N or N·m."""
+        """Limits for PIDs and motors: positions in m or rad, effort in N or N·m."""
         self.limit: LimitHandle | None = None
         self.reset()
 
     def reset(self) -> None:
-        """The values that a handle has before the first read."""
+        """Set the values that a handle has before the first read."""
         handle = self.handle
         handle.position, handle.velocity, handle.effort = INITIAL_POSITION, 0.0, INITIAL_EFFORT
         self.command(0.0)
@@ -103,28 +103,28 @@ class HardwareJoint:
             self.limit.reset()
 
     def command(self, command: float) -> None:
-        """This command, and none of velocity or acceleration beside it."""
+        """Set the command, and further commands of velocity or acceleration to 0."""
         self.handle.command = command
         for beside in self.interface.declared.beside:
             setattr(self.handle, beside, 0.0)
 
     def rest(self) -> None:
-        """Begin with the command that moves the joint least."""
+        """Set the resting command, and discard the past of the limits."""
         self.command(self.resting_command())
         if self.limit is not None:
             self.limit.reset()
 
     def resting_command(self) -> float:
-        """The command that moves the joint least: its position, or no velocity, or no effort."""
+        """The command that moves the joint least: its position, or a velocity or effort of 0."""
         return self.handle.position if self.quantity == "position" else 0.0
 
     def register_limits(self, node: NodeHandle) -> None:
-        """Take limits from `<limit>`, then from the parameters `joint_limits/<joint>`, which win field by field.
+        """Read limits from `<limit>`, then from the parameters `joint_limits/<joint>`, which override them by field.
 
-        Soft limits, where there are some, stand in for the saturation. Without any limits there is neither.
+        Soft limits replace the saturation. Without any limits neither is used.
 
         Raises:
-            SlidectlError: the limits lack one that the interface needs.
+            SlidectlError: a limit that the interface requires is missing.
         """
         written = limits_from_joint(self.joint)
         limits = limits_from_parameters(node, self.name, written or NO_LIMITS) or written
@@ -137,19 +137,19 @@ class HardwareJoint:
         soft = soft_limits_from_parameters(node, self.name) or soft_limits_from_joint(self.joint)
         self.limit = limit_handle(self.interface, self.handle, limits, soft)
         self.handle.lowest, self.handle.highest = self.limit.command_bounds()
-        if self.quantity == "effort":  # Gazebo cuts by the URDF, whatever the parameters say
+        if self.quantity == "effort":  # Gazebo also clips efforts by the URDF, independent of the parameters
             most = EffortTruncation.of(self.joint).effort
             self.handle.lowest, self.handle.highest = max(self.handle.lowest, -most), min(self.handle.highest, most)
 
 
 def hardware_joints(body: Body) -> list[HardwareJoint]:
-    """What the transmissions drive, in the order of the file, see `driving`: one for each joint and interface.
+    """The joints that transmissions drive, in the order of the file (see `driving`): one for each joint and interface.
 
-    Of several interfaces of a joint the first counts, with or without its prefix; of a real transmission all of those
-    that simulated hardware has, one at a time.
+    Of several interfaces of a joint only the first counts, with or without its prefix. Of a real transmission all that
+    simulated hardware has count, one at a time.
 
     Raises:
-        UnsupportedInterface, MissingJoint.
+        UnsupportedInterface, MissingJoint: a transmission cannot be simulated.
     """
     joints: list[HardwareJoint] = []
     for transmission, driven in driving(body.robot.transmissions):
@@ -167,16 +167,16 @@ def hardware_joints(body: Body) -> list[HardwareJoint]:
 GAINS = "gazebo_ros_control/pid_gains"
 
 REACH = 1.01
-"""A position command at most this many times the velocity limit away (per step) is moved to, else it is set."""
+"""A position command is reached by a motion if that needs at most this multiple of the velocity limit, else set."""
 
 EFFORT, VELOCITY, LENGTH, REVOLVING, TURNING, VELOCITY_MOTOR, POSITION_MOTOR = range(7)
-"""What a drive makes of a command: an effort; an effort by a PID on the difference of two velocities, lengths, angles
-between limits, or angles on the circle; the velocity of a motor."""
+"""Kinds of drives. EFFORT: the command is the effort. The next four: a PID on the error of a velocity, a length, an
+angle between limits, an angle on the circle. The last two: a motor follows a velocity or a position."""
 
 
 @law
 def drive_error(drive: Drive, joint: JointHandle) -> float:
-    """Command minus what was measured at the last read. For angles the shortest turn, within the limits if any."""
+    """Command minus the last measured value. For angles the shortest turn, within the limits if there are any."""
     if drive.kind == VELOCITY:
         return joint.command - joint.velocity
     if drive.kind == REVOLVING:
@@ -188,7 +188,7 @@ def drive_error(drive: Drive, joint: JointHandle) -> float:
 
 @law
 def drive_effort(drive: Drive, pid: Pid, joint: JointHandle, period_s: float) -> float:
-    """The effort for the joint's command, before the joint's bounds cut it."""
+    """The effort for the joint's command, before it is clipped to the joint's bounds."""
     if drive.kind == EFFORT:
         return joint.command
     return bounded(next_command(pid, drive_error(drive, joint), period_s), -drive.limit, drive.limit)
@@ -196,12 +196,12 @@ def drive_effort(drive: Drive, pid: Pid, joint: JointHandle, period_s: float) ->
 
 @law
 def motor_velocity(drive: Drive, joint: JointHandle, position: float, step_s: float) -> float:
-    """The velocity that a motor is to reach in the step, which begins at this position; nan to set the joint instead.
+    """The desired velocity of a motor in the step, which begins at this position; nan: set the joint's position.
 
-    After the step a position joint is where the command says, whatever acts on it. Gazebo puts it there and lets the
-    links keep their velocities, so gravity makes these grow for ever. Here the joint moves with the velocity that leads
-    there, when its velocity limit allows that in one step; a command farther off, or of a joint without velocity limit,
-    puts it there at rest. Either way a motor without bounds holds it against gravity and contacts.
+    After the step a position joint is at its command, independent of forces. Gazebo sets the position and keeps the
+    velocities of the links, so gravity makes these grow without end. Here the joint moves with the velocity that leads
+    there, if its velocity limit allows that in one step. For a command farther away, or a joint without velocity limit,
+    the position is set, at rest. In both cases a motor without bounds holds it against gravity and contacts.
     """
     if drive.kind == VELOCITY_MOTOR:
         return joint.command
@@ -210,7 +210,7 @@ def motor_velocity(drive: Drive, joint: JointHandle, position: float, step_s: fl
 
 
 class Drive:
-    """What makes something of one joint's command once a step. Limits were enforced before."""
+    """Drives one joint by its command, once per step, after the limits are enforced."""
 
     columns = Columns(fixed="kind lower upper limit fastest", places="pid joint", whole="kind pid joint")
 
@@ -226,13 +226,13 @@ class Drive:
         self._is_motor = kind in (VELOCITY_MOTOR, POSITION_MOTOR)
 
     def bind(self, world: World, place: JointPlace) -> None:
-        """The joint is there from now on."""
+        """Set the world and the indices of the joint."""
         self._world, self._qpos, self._dof = world, place.qpos, place.dof
 
     def apply(self, period_s: float, stopped: bool) -> None:
-        """Drive the joint for the step to come; `period_s` since the last call.
+        """Drive the joint for the coming step. `period_s`: seconds since the last call.
 
-        `stopped` is the emergency stop: no effort, no velocity. The hardware holds the commands of positions then.
+        `stopped` is the emergency stop: no effort, no velocity. The hardware then holds position commands.
         """
         if self._is_motor:
             self._ask_motor(stopped)
@@ -246,11 +246,11 @@ class Drive:
         return pid.compute_command(error, period_s)
 
     def _velocity(self, position: float, step_s: float) -> float:
-        """What a motor is to reach in the step; nan to set the joint instead."""
+        """The desired velocity of a motor in the step; nan to set the joint's position instead."""
         return motor_velocity(self, self.handle, position, step_s)
 
     def _push(self, effort: float) -> None:
-        """Gazebo's SetForce: cut by the joint's limits; several in one step add up."""
+        """Apply an effort like Gazebo's SetForce: clipped to the joint's limits; several in one step add up."""
         qvel, forces = self._world.views.qvel, self._world.views.forces
         forces[self._dof] += self.truncation.cut(effort, qvel[self._dof])
 
@@ -265,11 +265,11 @@ class Drive:
 
 
 class FeedForwardDrive(Drive):
-    """Of commands of a position with its velocity and acceleration: what the joint is to have at the start of the step.
+    """Drive for commands of position, velocity and maybe acceleration: the desired state at the start of the step.
 
-    A motor brings the joint where these lead by the end of the step, within its limits. How fast it may move is said by
-    its velocity limit, without one by the command. With gains the error of the velocity takes the place of the
-    derivative of the error; the acceleration has no effect then, as nobody knows the inertia.
+    A motor moves the joint to the position that these reach at the end of the step, within its limits. The largest
+    velocity is the velocity limit, or without one it follows from the command. With gains, the velocity error replaces
+    the derivative of the error; the acceleration has no effect then, since the inertia is unknown.
     """
 
     handle: PosVelJointHandle
@@ -336,10 +336,10 @@ class DrivenJoint(NamedTuple):
 
 
 class MujocoRobotHW(RobotHW):
-    """Joint states, and commands of the joints that have a transmission, by the interfaces that these ask for.
+    """Joint states, and commands of the joints that have a transmission, through the interfaces that it asks for.
 
-    All interfaces exist always, even empty. `node` is the robot's: limits are looked for at
-    `joint_limits/<joint>` and gains at `gazebo_ros_control/pid_gains/<joint>` in it.
+    All interfaces exist always, even empty. `node` is the robot's: limits are read from `joint_limits/<joint>` and
+    gains from `gazebo_ros_control/pid_gains/<joint>` in it.
 
     Raises:
         UnsupportedInterface, MissingJoint: a transmission cannot be simulated. BadLimits: limits that no handle takes.
@@ -356,7 +356,7 @@ class MujocoRobotHW(RobotHW):
         first = {joint.name: joint for joint in reversed(self._offered)}
         are_real = any(transmission.is_real for transmission in robot.transmissions)
         self._joints = [joint for joint in self._offered if not are_real or first[joint.name] is joint]
-        """Those that are driven now: by one interface at a time."""
+        """The joints that are driven now, each through one interface."""
         node = node if node.namespace == namespace else node.child(namespace)
         self._register(node)
         self._transmissions = tuple(RealTransmission(body, info) for info in robot.transmissions if info.is_real)
@@ -367,36 +367,36 @@ class MujocoRobotHW(RobotHW):
         self._estop = False
         self.engage()
         body.on_rebound(self._bind)
-        # CPython makes an object's dict when somebody asks for it, and from then on its attributes are slower to reach:
-        # `read` and `write` by a third. So our own class is never asked.
+        # CPython creates an object's dict at the first call of `vars`, and its attributes are then slower: `read` and
+        # `write` take a third longer. So `vars` is never called on our own class.
         self._inherited = frozenset(vars(self)) | {"_inherited"} if is_of_a_user(type(self)) else None
-        """Names of attributes that a user's class has from here; None for our own class."""
+        """Names of the attributes that a user's class inherits; None for our own class."""
         self.init(node)
 
     def init(self, node: NodeHandle) -> None:
-        """For classes of users: once, when the robot is spawned, with its namespace. Parameters, topics, interfaces."""
+        """Hook for users' classes, called once at the spawn: get parameters and topics. `node`: the robot's."""
 
     def joint_state(self, joint: str) -> tuple[float, float, float]:
-        """Position, velocity and effort of the last step of any joint that moves. Raises UnknownName."""
+        """Position, velocity and effort of any moving joint, of the last step. Raises UnknownName."""
         return self._world.joint_state(self._body.name, joint)
 
     def joint_effort(self, joint: str) -> float:
-        """The effort of the hardware on a joint in the coming step. Raises UnknownName."""
+        """The hardware's effort on a joint in the coming step. Raises UnknownName."""
         return self._world.views.forces[self._body.place(joint).dof]
 
     def set_joint_effort(self, joint: str, effort: float) -> None:
-        """Another effort, after `write`; on a joint without transmission it stays. Raises UnknownName."""
+        """Replace the effort after `write`. On a joint without transmission it stays. Raises UnknownName."""
         self._world.views.forces[self._body.place(joint).dof] = effort
 
     def engage(self) -> None:
-        """Drive the joints by the interfaces that count now."""
+        """Set up drives, limits and motors for the present interfaces of the joints."""
         self._enforce = tuple(limit.enforce for limit in self.limits())
         self.drives = tuple(self._drive_of[joint] for joint in self._joints if not self._is_pushed(joint))
-        """What drives the joints that are not simply pushed, in the order in which `write` asks them."""
+        """The drives of the joints that are not pushed, in the order in which `write` applies them."""
         motors = {}
         for drive in self.drives:
             name = drive.joint.name
-            if drive.kind == POSITION_MOTOR:  # positions are held by whatever it takes
+            if drive.kind == POSITION_MOTOR:  # no bound: positions are held with any effort
                 motors[name] = math.inf
             elif drive.kind == VELOCITY_MOTOR:
                 motors[name] = min(drive.limit, self._most.get(name, math.inf))
@@ -409,7 +409,7 @@ class MujocoRobotHW(RobotHW):
     # -- the cycle -------------------------------------------------------------------------------------------------
 
     def read(self, time_ns: int, period_s: float) -> None:  # noqa: ARG002 - the interface of all hardware
-        """Positions, velocities and the efforts of the last step into the handles; angles are unwrapped."""
+        """Copy positions, velocities and the efforts of the last step to the handles. Angles are unwrapped."""
         qpos, qvel, forces = self._qpos, self._qvel, self._forces
         for handle, place, dof in self._sliding:
             handle.position = qpos[place]
@@ -425,7 +425,7 @@ class MujocoRobotHW(RobotHW):
                 handle.effort += efforts[dof]
 
     def write(self, time_ns: int, period_s: float) -> None:  # noqa: ARG002 - the interface of all hardware
-        """Limit the commands, then drive the joints by them."""
+        """Enforce the limits on the commands, then drive the joints."""
         if self._is_special:
             self._hold_positions()
         for enforce in self._enforce:
@@ -440,7 +440,7 @@ class MujocoRobotHW(RobotHW):
 
     @property
     def estop(self) -> bool:
-        """True: efforts are zero, velocities are braked, positions are held. Controllers go on."""
+        """Emergency stop. True: efforts are zero, velocities are braked, positions are held. Controllers still run."""
         return self._estop
 
     @estop.setter
@@ -452,11 +452,11 @@ class MujocoRobotHW(RobotHW):
 
     @property
     def has_compiled_form(self) -> bool:
-        """False for what the interpreter alone does: joints of several interfaces, and actuators with limits."""
+        """False for joints with several interfaces and actuators with limits, which only the interpreter supports."""
         return len(self._offered) == len(self._joints) and not self._limited
 
     def do_switch(self, start: Sequence[ControllerInfo], stop: Sequence[ControllerInfo]) -> None:  # noqa: ARG002
-        """Drive joints of several interfaces by those that the controllers claim, from where they are."""
+        """Switch joints with several interfaces to those that the controllers claim. The joints start at rest."""
         claims = {
             (of.hardware_interface, name) for one in start for of in one.claimed_resources for name in of.resources
         }
@@ -477,25 +477,25 @@ class MujocoRobotHW(RobotHW):
         self.engage()
 
     def interfaces(self) -> dict[str, str]:
-        """By which interface each joint takes commands now."""
+        """The interface of each joint's commands now."""
         return {joint.name: joint.interface.declared.written for joint in self._joints}
 
     def actuator_states(self) -> list[ActuatorState]:
-        """The actuators of all real transmissions, as the joints were read last."""
+        """The states of the actuators of all real transmissions, by the last read."""
         handles = {joint.name: joint.handle for joint in self._joints}
         return [state for transmission in self._transmissions for state in transmission.states(handles)]
 
     def handles(self, joint: str) -> list[JointHandle]:
-        """Those of a joint, one for each interface, first the one that drives it now."""
+        """The handles of a joint, one for each interface. The first is the one that drives it now."""
         now = [one.handle for one in self._joints if one.name == joint]
         return now + [one.handle for one in self._offered if one.name == joint and one not in self._joints]
 
     def commands(self, joint: str) -> list[tuple[JointHandle, str]]:
-        """The handle that drives the joint now, with the name of each attribute that is a command."""
+        """For each command of the joint now: the handle and the name of the attribute."""
         return next(one.interface.commands_of(one.handle) for one in self._joints if one.name == joint)
 
     def driven(self) -> list[DrivenJoint]:
-        """All joints that have a command, and where they are in the world until it is rebuilt."""
+        """All joints that have a command, with their indices, valid until the next rebuild."""
         driven = []
         for joint in self._joints:
             place, bounds = self._body.place(joint.name), EffortTruncation.of(joint.joint)
@@ -510,16 +510,16 @@ class MujocoRobotHW(RobotHW):
         return in_order(joint.limit for joint in self._joints if joint.limit is not None)
 
     def resting_commands(self, claims: Iterable[tuple[str, str]], hold: bool) -> dict[tuple[str, str], float]:
-        """The commands by which joints are let go, or with `hold` keep their places: by interface and joint.
+        """The commands that release joints, or with `hold` keep their positions, by interface and joint.
 
         Raises:
-            Refused: an interface that cannot do that; an effort of 0 holds nothing, a position of 0 is a movement.
+            Refused: the interface cannot do that. An effort of 0 does not hold, a position of 0 is a motion.
         """
         commands = {}
         for kind, name in claims:
             joint = next((one for one in self._joints if (one.interface.type_name, one.name) == (kind, name)), None)
             if joint is None:
-                continue  # another interface of the joint is the one that drives
+                continue  # another interface drives the joint now
             if hold and joint.quantity == "effort":
                 raise Refused(
                     f"{name} is commanded by its effort, and without a controller no effort holds it where it is",
@@ -540,13 +540,13 @@ class MujocoRobotHW(RobotHW):
                 joint.command(commands[claim])
 
     def stay(self, positions: Mapping[str, float]) -> None:
-        """Command the positions of these joints where they take such commands: they were put there."""
+        """Command these positions to the joints that take position commands, since the joints were set there."""
         for joint in self._offered:
             if joint.quantity == "position" and joint.name in positions:
                 joint.command(positions[joint.name])
 
     def reset(self) -> None:
-        """After the world was reset: angles unwrapped anew, commands of the start, limits and gains without a past."""
+        """Reset after a reset of the world: handles, commands, limits and PIDs."""
         for joint in self._offered:
             joint.reset()
         for drive in self._drive_of.values():
@@ -557,7 +557,7 @@ class MujocoRobotHW(RobotHW):
         self.read(0, 0.0)
 
     def save_state(self) -> dict[str, Any]:
-        """What a snapshot saves of it. `own` are the attributes of a user's class."""
+        """The state for a snapshot. `own` are the attributes of a user's class."""
         return {
             "joints": self._offered,
             "drives": list(self._drive_of.values()),
@@ -570,7 +570,7 @@ class MujocoRobotHW(RobotHW):
         }
 
     def load_state(self, state: dict[str, Any]) -> None:
-        """As it was when the state was saved; joints and drives have their numbers already."""
+        """Restore the state. The numbers of joints and drives are already restored."""
         driven = [self._offered[index] for index in state["driven"]]
         has_other_joints, self._joints = driven != self._joints, driven
         self._estop, self._held = state["estop"], state["held"]
@@ -594,7 +594,7 @@ class MujocoRobotHW(RobotHW):
             self.register_interface(interface)
 
     def _sensors(self, kind: type[S], measure: Callable[[World, str, S, int], D]) -> Iterator[SensorHandle[D]]:
-        """Handles of the model's sensors of a kind. What nobody asks for is not measured."""
+        """Handles of the model's sensors of a kind. They measure only when called."""
 
         def handle(sensor: S) -> SensorHandle[D]:
             world, robot = self._world, self._body.name
@@ -603,12 +603,12 @@ class MujocoRobotHW(RobotHW):
         return (handle(sensor) for sensor in self.robot.sensors if isinstance(sensor, kind))
 
     def _is_pushed(self, joint: HardwareJoint) -> bool:
-        """Effort joints, except those that several transmissions drive: their efforts add up."""
+        """True for effort joints, except those that several transmissions drive: these efforts add up."""
         alone = joint not in self._joints or sum(other.name == joint.name for other in self._joints) == 1
         return alone and joint.quantity == "effort"
 
     def _bind(self) -> None:
-        """The model was rebuilt: look at its new data, and find the joints if they have moved."""
+        """Use the data of a rebuilt model, and find the joints again if their indices have changed."""
         self._qpos, self._qvel, self._forces, self._efforts, _ = self._world.views
         for drive in self.drives:
             drive.bind(self._world, self._body.place(drive.joint.name))
@@ -634,7 +634,7 @@ class MujocoRobotHW(RobotHW):
         )
 
     def _drive(self, period_s: float) -> None:
-        """All that is not simply pushed; and in an emergency stop nothing is pushed."""
+        """Apply the drives and the actuator limits. In an emergency stop, clear the efforts of pushed joints."""
         if self._estop:
             for _, dof, _, _ in self._pushed:
                 self._forces[dof] = 0.0
@@ -646,7 +646,7 @@ class MujocoRobotHW(RobotHW):
             transmission.bound(self._forces)
 
     def _hold_positions(self) -> None:
-        """While stopped, position commands are the positions that were read when it began."""
+        """During an emergency stop, command the positions that were read at its beginning."""
         if self._estop and self._held is None:
             self._held = [joint.handle.position for joint in self._joints]
         for joint, position in zip(self._joints, self._held or (), strict=False):

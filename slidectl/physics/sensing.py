@@ -1,7 +1,7 @@
-"""What sensors measure in the present world: distances along rays, motion, contacts, forces in joints, bounding boxes.
+"""Measurements of sensors in the present world: ray distances, motion, contacts, forces in joints, bounding boxes.
 
-It looks and changes nothing that the next step depends on. Vectors are in the world's axes unless they are a sensor's
-own; SI units. Noise follows from the names of robot and sensor and the time: every run gives the same bits.
+It changes nothing on which the next step depends. Vectors are in the world's axes, those of a sensor in its own; SI
+units. Noise depends only on the names of robot and sensor and the time, so it is the same in every run.
 """
 
 from __future__ import annotations
@@ -48,23 +48,23 @@ class Touch(NamedTuple):
     """`ROBOT::LINK`, or the ground's name."""
     position: Vector
     normal: Vector
-    """Into the link."""
+    """Unit vector into the link."""
     force: Vector
-    """On the link, N."""
+    """Force on the link, N."""
     depth: float
-    """m."""
+    """Penetration depth, m."""
 
 
 GROUND = "ground_plane::link"
 
 
 def distances(world: World, pose: Pose, directions: Array, nearest: float, farthest: float) -> Array:
-    """How far it is to the first thing along each ray, m; `inf` where nothing is nearer than `farthest`.
+    """The distance to the first shape along each ray, m, shape (n,); `inf` when there is none up to `farthest`.
 
     Args:
-        pose: of the sensor in the world.
+        pose: pose of the sensor in the world.
         directions: unit vectors in the sensor's frame, shape (n, 3).
-        nearest: m. Rays begin there, as Gazebo's do: what is nearer is not seen.
+        nearest: m. As in Gazebo, rays begin at this distance, and nearer shapes are not seen.
     """
     model, data = world.model, world.present()
     turn = np.zeros(9)
@@ -84,9 +84,9 @@ def distances(world: World, pose: Pose, directions: Array, nearest: float, farth
 
 
 def boxes(world: World, robot: str, frame: Pose) -> Array:
-    """The lowest and the highest corner of the box around each collision shape, in `frame`. Shape (n, 2, 3).
+    """The lowest and the highest corner of the bounding box of each collision shape, in `frame`, m. Shape (n, 2, 3).
 
-    The box of a shape that is turned is the box around its own box. Raises UnknownName.
+    The box of a rotated shape bounds the shape's own box. Raises UnknownName.
     """
     model, data = world.model, world.present()
     geoms = np.flatnonzero(model.body_rootid[model.geom_bodyid] == world.body(robot).root_id)
@@ -111,10 +111,10 @@ def link_acceleration(world: World, robot: str, link: str) -> tuple[Vector, Vect
 
 
 def _accelerations(world: World, robot: str, link: str, origin: Pose) -> tuple[Vector, Vector, Quaternion]:
-    """What an accelerometer at `origin` in the link's frame felt in the last step, the reaction to gravity included;
-    the angular acceleration; and the sensor's attitude at that time. The first two in the world's axes.
+    """Accelerations at `origin` in the link's frame in the last step. Raises UnknownName.
 
-    Raises UnknownName.
+    Returns the linear acceleration as an accelerometer measures it, with the reaction to gravity; the angular
+    acceleration; the sensor's attitude at that time. The first two are in the world's axes.
     """
     model, data, place = world.model, world.data, world.body(robot).link(link)
     world.compute_body_forces()
@@ -132,12 +132,12 @@ def _accelerations(world: World, robot: str, link: str, origin: Pose) -> tuple[V
 
 
 def sensor_pose(world: World, robot: str, sensor: Sensor) -> Pose:
-    """Where a sensor of a link is in the world. Raises UnknownName."""
+    """The pose of a sensor in the world. Raises UnknownName."""
     return compose(world.link_pose(robot, sensor.link), _origin(sensor))
 
 
 def sensor_twist(world: World, robot: str, sensor: Sensor) -> tuple[Vector, Vector]:
-    """Velocity of the sensor's point and of its turning. Raises UnknownName."""
+    """Linear and angular velocity of the sensor's origin. Raises UnknownName."""
     linear, angular = world.link_twist(robot, sensor.link)
     arm = subtract(sensor_pose(world, robot, sensor)[0], world.link_pose(robot, sensor.link)[0])
     return add(linear, cross(angular, arm)), angular
@@ -148,7 +148,7 @@ def _origin(sensor: Sensor) -> Pose:
 
 
 def draws(robot: str, sensor: Sensor, time_ns: int) -> Callable[[], float]:
-    """Draws of the sensor's noise at that time, in the unit of what it measures."""
+    """A function that draws the sensor's noise at that time, in the unit of the measurement."""
     if sensor.noise <= 0.0 and sensor.mean == 0.0:
         return lambda: 0.0
     source = random.Random(f"{robot}/{sensor.name}/{time_ns}")
@@ -161,7 +161,7 @@ def noisy(vector: Vector, draw: Callable[[], float]) -> Vector:
 
 
 def imu(world: World, robot: str, sensor: Imu, time_ns: int) -> ImuData:
-    """What an IMU measures. Raises UnknownName."""
+    """The measurement of an IMU. Raises UnknownName."""
     attitude = sensor_pose(world, robot, sensor)[1]
     draw = draws(robot, sensor, time_ns)
     felt, _, then = _accelerations(world, robot, sensor.link, _origin(sensor))
@@ -181,17 +181,17 @@ def imu(world: World, robot: str, sensor: Imu, time_ns: int) -> ImuData:
 
 
 def force_torque(world: World, robot: str, sensor: ForceTorque, time_ns: int) -> ForceTorqueData:
-    """What went through a joint in the last step: force, and torque about the joint. Raises UnknownName.
+    """The force, and the torque about the joint, that a joint transmitted in the last step. Raises UnknownName.
 
-    As Gazebo has it: what the child link puts on the joint, or the other way round when the sensor says so.
+    As in Gazebo, this is the wrench of the child link on the joint, or the opposite, by the sensor's direction.
     """
     model, data, body = world.model, world.data, world.body(robot).link(sensor.link).body
     world.compute_body_forces()
     anchor = data.xpos[body]
-    # By the parent on the child, about the centre of mass of the whole robot.
+    # The wrench of the parent on the child, about the centre of mass of the whole robot.
     torque, force = data.cfrc_int[body, :3].copy(), data.cfrc_int[body, 3:].copy()
     torque += np.cross(data.subtree_com[model.body_rootid[body]] - anchor, force)
-    # What acts on these bodies from outside the bodies themselves, and MuJoCo leaves out of that.
+    # Subtract the external wrenches and the gravity compensation of the bodies below, which MuJoCo does not include.
     outside = world.loads.wrenches_of_step(data)
     for below in _subtree(model, body):
         push, turn = -model.body_gravcomp[below] * model.body_mass[below] * model.opt.gravity, np.zeros(3)
@@ -210,7 +210,7 @@ def force_torque(world: World, robot: str, sensor: ForceTorque, time_ns: int) ->
 
 
 def _subtree(model: mujoco.MjModel, body: int) -> Iterator[int]:
-    """A body and all below it, which MuJoCo numbers one after the other."""
+    """A body and its descendants, which MuJoCo numbers consecutively."""
     yield body
     for below in range(body + 1, model.nbody):
         if model.body_parentid[below] < body:
@@ -236,7 +236,7 @@ def touches(world: World, robot: str, link: str) -> list[Touch]:
                 continue
             mujoco.mj_contactForce(model, data, index, wrench)
             axes = contact.frame.reshape(3, 3)
-            # The frame's first axis goes from the first geom to the second, and the force is on the second.
+            # The frame's first axis points from the first geom to the second, and the force acts on the second.
             sign = -1.0 if own == 0 else 1.0
             force = sign * (wrench[:3] @ axes)
             position, normal = _vector(contact.pos), _vector(sign * axes[0])
@@ -247,9 +247,9 @@ def touches(world: World, robot: str, link: str) -> list[Touch]:
 
 
 def contacts(world: World) -> Iterator[tuple[Vector, Vector]]:
-    """Points at which something touches, in m, and the forces there in N: on a robot by the ground, or on the second.
+    """The contact points of the last step, m, and the forces there, N, in the world's axes.
 
-    In world axes, of the last step.
+    The force is that of the ground on a robot, or that on the second geom.
     """
     model, data = world.model, world.data
     wrench = np.zeros(6)

@@ -1,12 +1,12 @@
-"""Which links may touch each other (Gazebo's rule, as bits of MuJoCo's geoms), and which do at one moment.
+"""Rules for which links may collide (as in Gazebo, as bits of MuJoCo's geoms), and the present collisions.
 
-Robots touch each other and the ground. Two links of one robot touch only when both say
-`<selfCollide>true</selfCollide>` and no joint connects them; links that fixed joints weld together are one here.
+Robots collide with each other and with the ground. Two links of one robot collide only when both have
+`<selfCollide>true</selfCollide>` and no joint connects them. Links connected by fixed joints count as one.
 
-Two geoms may touch when the contype of one and the conaffinity of the other share a bit. Each robot has a set of
-`CHOSEN` of `BITS` bits as its contype, and all others as its conaffinity. Sets of one size never hold one another, so
-a robot touches every other robot and never itself. The cost is the same for any number of links; pairs of bodies to
-be left out, which MuJoCo also knows, grow with the square and are copied and searched in every change of the world.
+Two geoms may collide when the contype of one and the conaffinity of the other share a bit. Each robot has a set of
+`CHOSEN` of `BITS` bits as its contype, and the other bits as its conaffinity. A set never contains another set of the
+same size, so a robot collides with every other robot and never with itself. The cost does not depend on the number of
+links. MuJoCo's lists of excluded pairs grow with the square, and every change of the world copies and searches them.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from slidectl.description.robot import Robot
 
 BITS = 29
 CHOSEN = 14
-"""There are 77 million sets."""
+"""Bits in a set. There are 77 million sets."""
 
 _EVERY = (1 << BITS) - 1
 _SELF = 1 << BITS
@@ -33,13 +33,13 @@ Bits = tuple[int, int]
 """contype, conaffinity."""
 
 ORDINARY: Bits = (1, 1)
-"""Of a geom until `put_robots` gives it those of its robot. Not 0: a mesh that touches nothing gets no hull."""
+"""The bits of a geom until `put_robots` sets those of its robot. Not 0: MuJoCo makes no hull of a mesh without bits."""
 
 
 def self_colliding(robot: Robot) -> dict[str, Bits]:
-    """What links that collide with links of their own robot need besides `ORDINARY`, by link.
+    """The bits of links that collide with links of their own robot, by link.
 
-    MuJoCo leaves out links that a joint connects, except where the parent is welded to the world: bits do it there.
+    MuJoCo excludes links that a joint connects, except when the parent is fixed to the world; then bits exclude them.
     """
     links = [link.name for link in robot.links.values() if link.surface.self_collide]
     if not links:
@@ -59,10 +59,10 @@ def self_colliding(robot: Robot) -> dict[str, Bits]:
 
 
 def put_robots(model: Any) -> None:
-    """Give the geoms of each robot of a compiled model, and of the world, the bits by which robots touch.
+    """Set the bits of all geoms of a compiled model so that robots collide with each other and with the ground.
 
-    A robot's set follows from its place among the robots alone, so worlds with the same robots are the same. A geom
-    that can touch nothing else in the world keeps none of these bits, so that no step asks for it.
+    A robot's set depends only on its place among the robots, so worlds with the same robots are equal. A geom that can
+    collide with nothing else in the world gets none of these bits, so that steps do not check it.
     """
     roots = np.flatnonzero(model.body_rootid == np.arange(model.nbody))
     sets = np.array([_EVERY, *itertools.islice(_sets(), len(roots) - 1)], dtype=np.int32)
@@ -72,7 +72,7 @@ def put_robots(model: Any) -> None:
         np.bincount(robot, minlength=len(roots)) > 0,
         np.bincount(robot[moves], minlength=len(roots)) > 0,
     )
-    # What moves touches all others, and what is fixed to the world only those that move.
+    # Moving geoms collide with all others, geoms that are fixed to the world only with moving ones.
     partners = np.where(
         moves, colliding_robots.sum() - colliding_robots[robot], moving_robots.sum() - moving_robots[robot]
     )
@@ -97,15 +97,15 @@ def _sets() -> Iterator[int]:
 
 
 def link_of(model: Any, geom: int, robot: str) -> str:
-    """The link of a robot that a geom is a collision shape of."""
+    """The link of a robot to which a geom belongs."""
     name: str = model.geom(geom).name
     return name[len(robot) + 1 :].rpartition("/")[0]
 
 
 def depths(model: Any, data: Any, root: int) -> dict[tuple[int, int], float]:
-    """How deep geoms of the robot with this root body are in others now, m, by the pair (own geom, other geom).
+    """The present penetration depths of a robot's geoms in others, m, by the pair (own geom, other geom).
 
-    It looks at a copy, so that the world goes on as if nobody had looked.
+    `root` is the robot's root body. It is computed in a copy, so that the world does not change.
     """
     copy = mujoco.MjData(model)
     copy.qpos[:] = data.qpos

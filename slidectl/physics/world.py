@@ -1,7 +1,7 @@
-"""The simulated world: robots come and go while it runs; one looks at their state, changes it, and pushes them.
+"""The simulated world: robots are attached and detached while it runs, their state is read and set, forces are applied.
 
-It counts no time (the simulation does) and knows neither controllers nor topics. The state of the robots that stay is
-carried over every rebuild of the model, to the last bit. SI units; quaternions x y z w.
+It counts no time (the simulation does) and uses no controllers and no topics. A rebuild of the model copies the state
+of the remaining robots to the bit. SI units; quaternions x y z w.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ GRAVITY: Vector = (0.0, 0.0, -9.8)
 
 
 HUGE = 1e10
-"""A position or velocity beyond this is nonsense; MuJoCo's own bound."""
+"""A position or velocity beyond this counts as diverged. It is MuJoCo's own bound."""
 
 _OF_DATA = {
     "qpos": "qpos",
@@ -49,10 +49,10 @@ _OF_MODEL = {
     "dof_invweight0": "dof",
     "tendon_invweight0": "tendon",
 }
-"""Arrays by the kind of their rows, as `Body.part` names it. Of the model: where roots were put, and each robot's own
-weights."""
+"""Arrays of MjData and MjModel that a rebuild copies, with the kind of their rows (see `Body.part`). Those of the model
+are the poses of roots and each robot's own weights."""
 _OF_LAST_STEP = ("cacc", "cfrc_int", "xpos", "xquat", "xmat", "xipos", "ximat", "subtree_com", "cvel")
-"""What sensors make their values of: the last step computed it, and the state after that step does not give it back."""
+"""Results of the last step that sensors use. They cannot be computed from the state after the step."""
 _PLACED = ("body_pos", "body_quat")
 
 
@@ -66,7 +66,7 @@ class Diverged(SlidectlError):
 
 
 class Memory(NamedTuple):
-    """Addresses of MjModel and MjData, and of arrays of numbers; and the lengths of qpos and qvel."""
+    """Addresses of MjModel, MjData and arrays of numbers, and the lengths of qpos and qvel, for compiled code."""
 
     model: int
     data: int
@@ -78,10 +78,10 @@ class Memory(NamedTuple):
 
 
 class Views(NamedTuple):
-    """Arrays of the state as memoryviews, for the hot path: indexing one costs a third of what a numpy scalar costs.
+    """Arrays of the state as memoryviews, for the hot path: indexing takes a third of the time that numpy takes.
 
-    `qpos`, `qvel` and `forces` (qfrc_applied) of MuJoCo, `efforts` of the loads and `velocities` of the motors. Others
-    when the model was rebuilt.
+    `qpos`, `qvel` and `forces` (qfrc_applied) of MuJoCo, `efforts` of the loads and `velocities` of the motors. A
+    rebuild of the model makes new ones.
     """
 
     qpos: memoryview[float]
@@ -92,7 +92,7 @@ class Views(NamedTuple):
 
 
 class _State(NamedTuple):
-    """What a world is, for the way back when a robot cannot come or go after all."""
+    """The state of a world, restored when attaching or detaching a robot fails."""
 
     bodies: dict[str, Body]
     model: Any
@@ -102,7 +102,7 @@ class _State(NamedTuple):
 
 @dataclass(frozen=True)
 class Overlap:
-    """A link that is in something else: in a link of another robot, or in the ground."""
+    """A link that penetrates a link of another robot, or the ground."""
 
     link: str
     robot: str | None
@@ -110,14 +110,14 @@ class Overlap:
     other: str | None
     """The other robot's link."""
     depth: float
-    """m."""
+    """Penetration depth, m."""
 
 
 class World:
-    """A ground, a light, gravity, and robots."""
+    """A world with a ground, a light, gravity, and robots."""
 
     step: Callable[[], None]
-    """Advance by one time step. Replaced when the model is rebuilt or forces come and go: see `on_rebuild`."""
+    """Advance by one time step. Replaced when the model is rebuilt or forces come or go: see `on_rebuild`."""
 
     def __init__(self, timestep: float = 0.001, gravity: Vector = GRAVITY, ground: bool = True) -> None:
         mujoco_library.prepare()
@@ -126,7 +126,7 @@ class World:
         self._listeners: list[Callable[[], None]] = []
         self.loads = Loads()
         self.clock: Callable[[], int] = lambda: round(float(self.data.time + self._settings.timestep) * 1e9)
-        """Time in ns of the cycle that is stepped, for forces with a start and an end; the simulation puts its own."""
+        """Time of the cycle in ns, for forces with a start and an end. The simulation sets its own."""
         self._spec: WorldSpec | None = WorldSpec(self._settings)
         self._install(self._spec.compile(), 0.0)
         self._bind_loads()
@@ -134,13 +134,13 @@ class World:
     # -- robots ----------------------------------------------------------------------------------------------------
 
     def attach(self, robot: Robot, name: str, pose: Pose = ORIGIN, hulls_read: Hulls | None = None) -> Body:
-        """Put a robot into the world under `name`, all or nothing; the others go on as if nothing had happened.
+        """Add a robot to the world under `name`, all or nothing. The motion of the others does not change.
 
-        `hulls_read` has what its meshes collide as; without it their files are read now.
+        `hulls_read` has the hulls of its meshes; without it their files are read now.
 
         Raises:
-            Refused: the name is taken, or the pose is not finite. BadInertia, BadJoint, BadShape, BadModel: MuJoCo
-            cannot simulate it.
+            Refused: the name is used, or the pose is not finite. BadInertia, BadJoint, BadShape, BadModel: MuJoCo
+            cannot simulate the robot.
         """
         if name in self._bodies:
             raise Refused(f"a robot named {name!r} is in the world already", "give another name, or delete it first")
@@ -151,15 +151,16 @@ class World:
         body.bind(model, None)
         if self._bodies:
             spec, self._spec = self._spec or WorldSpec(self._settings, self._bodies.values()), None
-            spec.add(body)  # only the new robot is built, the others are in the specification
+            spec.add(body)  # builds only the new robot
             model = spec.compile(name)
         self._rebuild({**self._bodies, name: body}, model, spec)
         return body
 
     @contextmanager
     def attached(self, robot: Robot, name: str, pose: Pose = ORIGIN, hulls_read: Hulls | None = None) -> Iterator[Body]:
-        """The same; the robot stays if the block ends well. Else the world is what it was before, the old model again:
-        nothing is compiled, so the way back cannot fail. No step may be made inside.
+        """As `attach`, but an exception of the block removes the robot. Make no step in the block.
+
+        The removal restores the former model: nothing is compiled, so it cannot fail.
         """
         before = self._state()
         body = self.attach(robot, name, pose, hulls_read)
@@ -170,7 +171,7 @@ class World:
             raise
 
     def detach(self, name: str) -> None:
-        """Take a robot out, with the forces on it, all or nothing. Raises UnknownName."""
+        """Remove a robot and the forces on it, all or nothing. Raises UnknownName."""
         gone = self.body(name)
         bodies = {key: body for key, body in self._bodies.items() if body is not gone}
         spec, self._spec = self._spec, None
@@ -181,7 +182,7 @@ class World:
         self._rebuild(bodies, spec.compile(), spec, gone)
 
     def names(self) -> list[str]:
-        """The robots in the order of their coming."""
+        """The names of the robots, in the order of attaching."""
         return list(self._bodies)
 
     def body(self, name: str) -> Body:
@@ -192,13 +193,13 @@ class World:
             raise UnknownName("model", name, list(self._bodies)) from None
 
     def on_rebuild(self, callback: Callable[[], None]) -> None:
-        """Call back whenever `model`, `data` or `step` were replaced."""
+        """Call back whenever `model`, `data` or `step` is replaced."""
         self._listeners.append(callback)
 
     def _rebuild(self, bodies: dict[str, Body], model: Any, spec: WorldSpec | None, gone: Body | None = None) -> None:
-        """Go on with these robots, whose model it is: those that were there, without `gone`, then a new one.
+        """Replace robots and model. `bodies` are the former ones without `gone`, followed by a new one, if any.
 
-        If anything fails on the way, a listener too, the world is what it was before.
+        If anything fails, a listener too, the former world is restored.
         """
         before = self._state()
         try:
@@ -226,9 +227,9 @@ class World:
         return _State(self._bodies, self.model, self.data, self.loads.snapshot())
 
     def _go_back(self, before: _State) -> None:
-        """Be again what the world was before a robot came or went; no step has been made since.
+        """Restore the world before a robot was attached or detached. No step has been made since.
 
-        The specification holds what came of the change half-way: it is made anew when it is needed.
+        The specification may be half changed, so it is discarded and made anew when it is needed.
         """
         self._spec = None
         self._bodies = before.bodies
@@ -245,7 +246,7 @@ class World:
         self._announce()
 
     def _replace_broken_data(self) -> None:
-        """An EngineError leaves MjData unusable; go on with a new one then."""
+        """Make a new MjData after an EngineError, which leaves MjData unusable."""
         if self.data.pstack:
             self._rebuild(self._bodies, self.model, self._spec)
 
@@ -258,12 +259,12 @@ class World:
         self.model, self.data = model, data
         self._observer = Observer(model, data)
         self._forces_at = math.nan
-        """MuJoCo's time after the step whose accelerations and forces are in `data`, where `restore` has put them."""
+        """MuJoCo's time after the step whose accelerations and forces `restore` has copied to `data`."""
         self._advance = partial(mujoco.mj_step, model, data)
         self.step = self._advance if self.loads.is_empty else self._step_with_loads
 
     def _bind_loads(self) -> None:
-        """Go on with what acts on the robots, which are bound to the model."""
+        """Bind loads and views to the model. The robots are bound already."""
         self.loads.bind(self.model, self.data)
         data, loads = self.data, self.loads
         arrays: list[Any] = [data.qpos, data.qvel, data.qfrc_applied, loads.efforts, loads.motors.velocities]
@@ -279,12 +280,12 @@ class World:
 
     @property
     def steps_alone(self) -> bool:
-        """True while a step needs nothing but MuJoCo, and what is in `memory` of motors."""
+        """True while a step needs only MuJoCo and the data of motors in `memory`."""
         loads = self.loads
         return not loads.has_forces and (loads.motors.is_empty or loads.motors.is_compilable)
 
     def memory(self) -> Memory:
-        """Where the model and its state lie, until the next rebuild."""
+        """The addresses of the model and its state, valid until the next rebuild."""
         model, data = self.model, self.data
         loads, motors = self.loads, self.loads.motors
         state = (data.qpos, data.qvel, data.qfrc_applied, loads.efforts)
@@ -293,7 +294,7 @@ class World:
         return Memory(*addresses, model.nq, model.nv, [array.ctypes.data for array in arrays])
 
     def check(self) -> None:
-        """Raises Diverged when a robot's state is not finite or huge. A few microseconds: meant for once per slice."""
+        """Raises Diverged when a robot's state is not finite or huge. Takes microseconds; call it once per slice."""
         positions, velocities = np.abs(self.data.qpos) < HUGE, np.abs(self.data.qvel) < HUGE
         if positions.all() and velocities.all():
             return
@@ -319,34 +320,34 @@ class World:
 
     @property
     def timestep(self) -> float:
-        """Length of a step, s."""
+        """The length of a step, s."""
         return self._settings.timestep
 
     def set_timestep(self, timestep: float) -> None:
-        """Raises Refused unless it is above 0."""
+        """Set the length of a step, s. Raises Refused unless it is finite and above 0."""
         self._settings.timestep = self.model.opt.timestep = positive(timestep)
         self._bind_loads()
         self._announce()
 
     @property
     def has_ground(self) -> bool:
-        """Whether there is a floor at height 0."""
+        """True when there is a ground at height 0."""
         return self._settings.ground
 
     @property
     def gravity(self) -> Vector:
-        """m/s²."""
+        """The gravity, m/s², in the world's axes."""
         return self._settings.gravity
 
     def set_gravity(self, gravity: Vector) -> None:
-        """Raises Refused unless it is finite."""
+        """Set the gravity, m/s². Raises Refused unless it is finite."""
         self._settings.gravity = finite(gravity)
         self.model.opt.gravity[:] = self._settings.gravity
 
     # -- state -----------------------------------------------------------------------------------------------------
 
     def reset(self) -> None:
-        """All robots back to how they were attached, without forces from outside."""
+        """Restore the state right after attaching for all robots, without external forces."""
         self._replace_broken_data()
         self.loads.motors.velocities[:] = 0.0
         self.loads.clear_efforts()
@@ -357,14 +358,14 @@ class World:
         self._observer.invalidate()
 
     def numbers(self) -> bytes:
-        """All positions, velocities and forces, and what is asked of the joints, as 64-bit floats; see `number_names`.
+        """The arrays of `views` as 64-bit floats; see `number_names`.
 
-        A few microseconds: a journal takes them each simulated second.
+        Takes a few microseconds. A journal records them each simulated second.
         """
         return b"".join(self.views)
 
     def number_names(self) -> list[str]:
-        """What each of `numbers` is, `ROBOT, JOINT: position`, say."""
+        """The name of each of `numbers`, such as `ROBOT, JOINT: position`."""
         nq, nv = self.model.nq, self.model.nv
         names = [""] * (nq + 4 * nv)
         for body in self._bodies.values():
@@ -383,7 +384,7 @@ class World:
         return names
 
     def snapshot(self) -> dict[str, Any]:
-        """The state of this moment as plain data and arrays of numbers, for `restore`."""
+        """The present state as plain data and arrays of numbers, for `restore`."""
         self.compute_body_forces()
         return {
             "robots": list(self._bodies),
@@ -394,7 +395,7 @@ class World:
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Back to the moment of the snapshot, exactly. Raises Refused when other robots are in the world now."""
+        """Restore the state of the snapshot exactly. Raises Refused when the world has other robots now."""
         self._replace_broken_data()
         pairs = [
             (getattr(owner, name), values)
@@ -414,12 +415,12 @@ class World:
         self._observer.invalidate()
 
     def compute_body_forces(self) -> None:
-        """Compute in `data` the accelerations of bodies and the forces between them in the last step."""
+        """Compute the accelerations of bodies and the forces between them in the last step, in `data`."""
         if self._forces_at != self.data.time:
             mujoco.mj_rnePostConstraint(self.model, self.data)  # writes nothing else
 
     def link_pose(self, name: str, link: str) -> Pose:
-        """Place of the link's frame in the world. Raises UnknownName."""
+        """The pose of the link's frame in the world. Raises UnknownName."""
         return self._observer.pose(self.body(name).link(link))
 
     def link_twist(self, name: str, link: str) -> Twist:
@@ -427,7 +428,7 @@ class World:
         return self._observer.twist(self.body(name).link(link))
 
     def present(self) -> Any:
-        """An MjData with the geometry of this moment, to look at; the world's own has that of its last step's start."""
+        """An MjData with the present geometry, to read only. That of `data` is from the start of the last step."""
         return self._observer.geometry()
 
     def joint_state(self, name: str, joint: str) -> tuple[float, float, float]:
@@ -437,7 +438,7 @@ class World:
         return float(self.data.qpos[place.qpos]), float(self.data.qvel[place.dof]), effort
 
     def set_pose(self, name: str, pose: Pose, twist: Twist | None = None) -> None:
-        """Put a robot's root there, and give it the twist (world's axes) if there is one; a fixed robot has none.
+        """Set the pose of a robot's root, and its twist (world's axes) if given. A fixed robot has no twist.
 
         Raises:
             UnknownName: no such robot. Refused: not finite.
@@ -449,7 +450,7 @@ class World:
             self.set_root_twist(name, (finite(twist[0]), finite(twist[1])))
 
     def set_root_twist(self, name: str, twist: Twist) -> None:
-        """Let a root link that is free have this velocity (finite, world's axes). Raises UnknownName."""
+        """Set the velocity (finite, world's axes) of a free root link. Raises UnknownName."""
         # A free joint's velocities are linear in the world's axes and angular in the body's.
         body, turn, local = self.body(name), np.zeros(4), np.zeros(3)
         start = body.root_qpos + 3
@@ -459,7 +460,7 @@ class World:
         self._observer.invalidate()
 
     def set_joint(self, name: str, joint: str, position: float, velocity: float | None = None) -> None:
-        """Put a joint there; its velocity stays unless one is given. Raises UnknownName, Refused (not finite)."""
+        """Set a joint's position; its velocity stays unless one is given. Raises UnknownName, Refused (not finite)."""
         place = self.body(name).place(joint)
         self.data.qpos[place.qpos] = number(position)
         if velocity is not None:
@@ -467,13 +468,13 @@ class World:
         self._observer.invalidate()
 
     def put_joints(self, name: str, positions: Mapping[str, float]) -> None:
-        """Put joints there, at rest, and those that follow them. Raises UnknownName, Refused (not finite)."""
+        """Set joint positions, at rest, with their mimic joints. Raises UnknownName, Refused (not finite)."""
         for joint, position in positions.items():
             self.set_joint(name, joint, position, 0.0)
         self.body(name).put_joints(positions)
 
     def overlaps(self, name: str, least: float) -> list[Overlap]:
-        """Where links of the robot are in others by more than `least` (m), the deepest first. Raises UnknownName."""
+        """Links of the robot that penetrate others by more than `least` (m), the deepest first. Raises UnknownName."""
         body = self.body(name)
         robots = {owner.root_id: owner.name for owner in self._bodies.values()}
         deepest: dict[tuple[str, str | None, str | None], float] = {}
@@ -488,7 +489,7 @@ class World:
     # -- forces from outside ---------------------------------------------------------------------------------------
 
     def add_joint_force(self, name: str, joint: str, effort: float, start_ns: int = 0, duration_ns: int = -1) -> None:
-        """An effort (N or N·m) on a joint from `start_ns` for `duration_ns` of simulated time; negative: until cleared.
+        """Apply an effort (N or N·m) to a joint from `start_ns` for `duration_ns`; negative: until cleared.
 
         Raises:
             UnknownName: no such robot or moving joint. Refused: not finite.
@@ -508,7 +509,7 @@ class World:
         duration_ns: int = -1,
         source: str = "",
     ) -> None:
-        """A force (N) and torque (N·m), world's axes, on a link's centre of mass, as long as `add_joint_force` says.
+        """Apply a force (N) and torque (N·m), world's axes, at a link's centre of mass. Times as in `add_joint_force`.
 
         Raises:
             UnknownName: no such robot or link. Refused: not finite.
@@ -519,12 +520,12 @@ class World:
         self._loads_changed()
 
     def drop_wrenches(self, source: str) -> None:
-        """End those that have this source."""
+        """End the wrenches with this source."""
         self.loads.keep(lambda force: isinstance(force, JointForce) or force.source != source)
         self._loads_changed()
 
     def clear_joint_forces(self, name: str, joint: str) -> None:
-        """End all efforts on a joint that came from outside. Raises UnknownName."""
+        """End all external efforts on a joint. Raises UnknownName."""
         body = self.body(name)
         body.place(joint)
         self.loads.keep(lambda force: isinstance(force, Wrench) or force.body is not body or force.joint != joint)
@@ -538,9 +539,9 @@ class World:
         self._loads_changed()
 
     def set_motors(self, body: Body, most_efforts: dict[str, float]) -> None:
-        """Hold these joints by motors, each with at most this effort (N or N·m), and no others but `lasting_motors`.
+        """Drive these joints and `lasting_motors` by motors, each with at most this effort (N or N·m), and no others.
 
-        `loads.motors.velocities` has what they are to reach.
+        `loads.motors.velocities` has their desired velocities.
         """
         self.loads.motors.release(self.model)
         self.loads.efforts[body.dofs] = 0.0
@@ -550,13 +551,13 @@ class World:
 
     @contextmanager
     def changing_friction(self) -> Iterator[None]:
-        """Inside, somebody changes the friction of joints in the model: afterwards motors find their constraints."""
+        """Context for changes of joint friction in the model. Afterwards motors find their constraints again."""
         yield
         self._bind_loads()
         self._announce()
 
     def add_motors(self, body: Body, most_efforts: dict[str, float]) -> None:
-        """Hold these joints too, as long as the robot is in the world, whatever `set_motors` is told."""
+        """Add motors that stay as long as the robot is in the world; `set_motors` does not remove them."""
         body.lasting_motors |= most_efforts
         self.set_motors(body, self.loads.motors.of(body))
 
@@ -584,7 +585,7 @@ def positive(timestep: float) -> float:
 
 
 def carry_over(model: Any, data: Any, new_model: Any, new_data: Any, gone: Body | None) -> None:
-    """Copy all that the robots' future depends on besides their specification; `gone` is in the old world only."""
+    """Copy all state on which the motion of the robots depends. `gone` is in the old world only."""
     for old, new, arrays in ((data, new_data, _OF_DATA), (model, new_model, _OF_MODEL)):
         for name, kind in arrays.items():
             values = getattr(old, name)

@@ -1,6 +1,6 @@
-"""From robots to a MuJoCo model: the options that every world has, the ground, and errors that name the robot.
+"""Compiles robots to a MuJoCo model, with the options of every world, the ground, and errors that name the robot.
 
-Robots are added to a specification and taken out of it, so that neither costs the building of all others.
+Robots are added to a specification and removed from it without building the others again.
 """
 
 from __future__ import annotations
@@ -25,13 +25,14 @@ GROUND_FRICTION = 100.0
 """The mu of Gazebo's ground plane."""
 
 FRICTION_STIFFNESS = 1000.0
-"""Stiffness of a contact in its plane over that along its normal. A box on a slope of 18 degrees moves 3 mm an hour."""
+"""Ratio of a contact's stiffness in its plane to that along its normal. A box on a slope of 18 degrees then slips 3 mm
+per hour."""
 
 _ELEMENT = re.compile(r"Element name '([^']*)'")
 
 
 class BadModel(SlidectlError):
-    """MuJoCo does not take a robot. The message names the robot and, where MuJoCo says so, its link or joint."""
+    """MuJoCo does not accept a robot. The message names the robot and, if MuJoCo does, its link or joint."""
 
     def __init__(self, robot: str, element: str | None, trouble: str) -> None:
         part = f" ({element})" if element else ""
@@ -40,7 +41,7 @@ class BadModel(SlidectlError):
 
 @dataclass
 class Settings:
-    """What a world is compiled with. `timestep` in s, `gravity` in m/s²."""
+    """Settings of a world's compilation: `timestep` in s, `gravity` in m/s², whether there is a ground."""
 
     timestep: float
     gravity: Vector
@@ -48,7 +49,7 @@ class Settings:
 
 
 class WorldSpec:
-    """The specification of a world with these robots; more can be added. After an error it is of no use."""
+    """The specification of a world with robots. After an error it must not be used further."""
 
     def __init__(self, settings: Settings, bodies: Iterable[Body] = ()) -> None:
         """Raises as `add` does."""
@@ -58,11 +59,11 @@ class WorldSpec:
             self.add(body)
 
     def add(self, body: Body) -> None:
-        """One more robot, behind the others. Raises BadInertia, BadJoint, BadShape."""
+        """Add a robot after the others. Raises BadInertia, BadJoint, BadShape."""
         RobotBuilder(self._spec, body.robot, body.name, body.hulls).build(body.spawn_pose)
 
     def remove(self, body: Body) -> None:
-        """Take a robot out, without a trace. What names its parts (mimic joints) goes with them."""
+        """Remove a robot, with its meshes and the constraints on its joints (mimic joints)."""
         self._spec.delete(self._spec.body(f"{body.name}/{body.robot.root}"))
         for mesh in mesh_names(body.robot, body.name):
             self._spec.delete(self._spec.mesh(mesh))
@@ -71,7 +72,7 @@ class WorldSpec:
             del self._spec.assets[name]
 
     def compile(self, newest: str = "") -> Any:
-        """The MjModel. Raises BadModel about a robot; `newest` is named when MuJoCo does not say which."""
+        """Compile the MjModel. Raises BadModel, which names `newest` when MuJoCo does not name a robot."""
         option = self._spec.option
         option.timestep, option.gravity = self._settings.timestep, self._settings.gravity
         try:
@@ -90,21 +91,21 @@ def _empty(ground: bool) -> Any:
     spec.compiler.degree = False
     spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
-    # A robot must not notice its neighbours: sums over a sparse row are the same wherever the row lies, and the
-    # choice between dense and sparse would otherwise depend on the number of degrees of freedom in the world.
+    # The motion of a robot must not depend on the other robots. Sums over a sparse row are the same at any place of the
+    # row, and the automatic choice between dense and sparse depends on the number of degrees of freedom in the world.
     spec.option.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
-    # The solver starts either from the last accelerations or from free motion, whichever is better for the world as a
-    # whole. Always the latter, then: Newton needs no more than an iteration or two for it.
+    # With warm starts, the solver starts from the last accelerations or from free motion, whichever is better for the
+    # whole world. So always start from free motion, which costs Newton's method one or two iterations at most.
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_WARMSTART
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-    # Pyramids take their normal stiffness from the friction: without any a contact throws the body up, and from 10
-    # upwards it lets it sink. Elliptic cones do neither. The ratio makes friction stiffer than the contact along its
-    # normal, so that what holds by friction does not creep.
+    # With pyramidal cones the normal stiffness depends on the friction: without any, a contact throws the body up,
+    # from 10 on it lets it sink. Elliptic cones do neither. The ratio makes friction stiffer than the
+    # contact along its normal, so that bodies held by friction do not creep.
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.impratio = FRICTION_STIFFNESS
     spec.worldbody.add_light(name="sun", pos=[0, 0, 10], dir=[-0.5, 0.1, -0.9])
     if ground:
-        # At z = 0, with the friction of Gazebo's ground: so in nearly all contacts the robot's counts.
+        # At z = 0, with the friction of Gazebo's ground, so that in nearly all contacts the robot's friction counts.
         plane = spec.worldbody.add_geom(name=GROUND, type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1])
         put_friction(plane, GROUND_FRICTION)
     return spec

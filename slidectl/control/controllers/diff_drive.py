@@ -62,11 +62,11 @@ OPTIONS = (
     Option("publish_rate", "Publish rate of odom.", 50.0, 0.0, 2000.0),
     Option("enable_odom_tf", "Publish odom frame to tf.", True),
 )
-"""What dynamic_reconfigure changes."""
+"""The values that dynamic_reconfigure changes."""
 
 
 class SidesOdometry(Odometry):
-    """Odometry by the ways that the wheels of the two sides have made."""
+    """Odometry from the travelled distances of the wheels on the two sides."""
 
     def __init__(self, window: int) -> None:
         super().__init__(window)
@@ -79,7 +79,7 @@ class SidesOdometry(Odometry):
 
 @law
 def roll(odometry: Any, past: Any, left: float, right: float, separation: float, time_ns: int) -> None:
-    """The two sides have made these ways, in m, since the beginning; `odometry` is a SidesOdometry, or its row."""
+    """Update from the total travelled distances of the sides, in m. `odometry` is a SidesOdometry, or its row."""
     left_change, right_change = left - odometry.left, right - odometry.right
     odometry.left, odometry.right = left, right
     travel(odometry, past, (right_change + left_change) * 0.5, (right_change - left_change) / separation, time_ns)
@@ -87,7 +87,7 @@ def roll(odometry: Any, past: Any, left: float, right: float, separation: float,
 
 @law
 def wheel_velocities(base: Any, linear: float, angular: float) -> tuple[float, float]:
-    """Of the wheels on the left and on the right, rad/s, at these velocities of the base."""
+    """The velocities of the left and the right wheels, rad/s, at these velocities of the base."""
     left = (linear - angular * base.width / 2.0) / base.left_radius
     return left, (linear + angular * base.width / 2.0) / base.right_radius
 
@@ -105,7 +105,7 @@ def side_positions(tables: LawTables) -> tuple[float, float]:
 
 @law
 def drive(base: Any, tables: LawTables, time_ns: int, period_s: float) -> bool:
-    """The update on rows. The numbers are the limits, and behind them the past of the odometry."""
+    """The update on rows. The numbers are the limits, followed by the past velocities of the odometry."""
     base.updated_ns = time_ns
     left, right = side_positions(tables)
     if isnan(left) or isnan(right):
@@ -168,7 +168,7 @@ class DiffDriveController(BaseController, Controller[VelocityJointInterface]):
     # Init.
 
     def init_in_root(self, interface: VelocityJointInterface, root: NodeHandle, node: NodeHandle) -> None:
-        """Raises SlidectlError: a parameter, a joint, or what the description is asked for is missing or wrong."""
+        """Raises SlidectlError: a parameter, a joint, or a required part of the description is missing or wrong."""
         self._node = node
         left, right = (params.needed(node, side, WHEELS) for side in ("left_wheel", "right_wheel"))
         for side, wheels in (("left_wheel", left), ("right_wheel", right)):
@@ -201,7 +201,7 @@ class DiffDriveController(BaseController, Controller[VelocityJointInterface]):
         self._commands = (self.commands,)
 
     def _geometry(self, root: NodeHandle, node: NodeHandle, left: str, right: str) -> tuple[float, float]:
-        """Separation and radius: by the parameters, else by the description in the robot's own namespace."""
+        """Separation and radius, m: from the parameters, else from the description in the robot's namespace."""
         separation, radius = params.number(node, "wheel_separation"), params.number(node, "wheel_radius")
         if separation is None or radius is None:
             robot = robot_of_model(root)
@@ -227,14 +227,14 @@ class DiffDriveController(BaseController, Controller[VelocityJointInterface]):
         return values
 
     def _check_values(self, values: Values) -> None:
-        """Raises Refused: no odometry can be made with them."""
+        """Raises Refused: a multiplier is 0 or not finite, or the rate is not valid."""
         for name in MULTIPLIERS:
             if name in values and (values[name] == 0.0 or not isfinite(values[name])):
                 raise Refused(f"{self._node.namespace}/{name} must be a number other than {values[name]:g}")
         checked_period(self._node, PUBLISH_RATE.name, values.get(PUBLISH_RATE.name, 1.0))
 
     def _take_values(self, values: Values) -> None:
-        """Use these from the next update on."""
+        """Use these values from the next update on."""
         self.topics.period_ns = from_seconds(1.0 / values["publish_rate"])
         self._values = dict(values)
         left, right, separation = (values[name] for name in MULTIPLIERS)
@@ -243,7 +243,7 @@ class DiffDriveController(BaseController, Controller[VelocityJointInterface]):
         self.topics.has_tf = bool(values["enable_odom_tf"])
 
     def _change_values(self, values: Values) -> None:
-        """Use these, write them to the parameters, and tell the subscribers. Raises Refused."""
+        """Use these values, write them to the parameters, and publish them. Raises Refused."""
         self._check_values(values)
         self._take_values(values)
         self._is_writing = True
@@ -256,13 +256,13 @@ class DiffDriveController(BaseController, Controller[VelocityJointInterface]):
         self._server.publish()
 
     def _judge(self, change: ParameterChange) -> None:
-        """Refuse what could not be followed."""
+        """Refuse a change of the parameters to values that cannot be used."""
         after = change.after if isinstance(change.after, dict) and not self._is_writing else {}
         given = {name: as_number(after.get(name)) for name in (*MULTIPLIERS, "publish_rate")}
         self._check_values({name: value for name, value in given.items() if value is not None})
 
     def _parameters_changed(self) -> None:
-        """Somebody set or deleted parameters. What is missing stays as it is."""
+        """Use the changed parameters. A value whose parameter is missing stays."""
         if self._is_writing:
             return
         numbers = {name: params.number(self._node, name) for name in (*MULTIPLIERS, "publish_rate")}
@@ -306,23 +306,23 @@ class DiffDriveController(BaseController, Controller[VelocityJointInterface]):
             self.publish(time_ns, period_s)
 
     def publish(self, time_ns: int, period_s: float) -> None:  # noqa: ARG002
-        """Where the base is."""
+        """Publish the odometry."""
         odometry = self.odometry
         place = odometry.x, odometry.y, odometry.heading
         self.topics.publish(time_ns, place, (odometry.linear, 0.0, odometry.angular))
 
     @property
     def wanted_linear(self) -> float:
-        """Of the last command, in m/s."""
+        """The linear velocity of the last command, m/s."""
         return self.commands.numbers[0]
 
     @property
     def wanted_angular(self) -> float:
-        """Of the last command, in rad/s."""
+        """The angular velocity of the last command, rad/s."""
         return self.commands.numbers[1]
 
     def parts(self) -> Parts | None:
-        """What runs compiled besides this controller; None when it publishes each update, or moves by its commands."""
+        """The parts of the compiled form; None when it publishes in each update, or is open loop."""
         if self._is_open_loop or self._cmd is not None or self._wheel_state is not None:
             return None
         wheels = [Member(None, joint) for joint in self._joints]
@@ -335,11 +335,11 @@ class DiffDriveController(BaseController, Controller[VelocityJointInterface]):
 
 
 class WheelState:
-    """Publishes what all wheels are to do and do, in each cycle: those on the left, then those on the right."""
+    """Publishes desired and actual states of all wheels in each cycle: the left ones, then the right ones."""
 
     def __init__(self, node: NodeHandle, left: list[JointHandle], right: list[JointHandle]) -> None:
         self.time_ns = 0
-        """Of the last update, or the start."""
+        """Time of the last update, or of the start."""
         self._joints = [*left, *right]
         self._left_count = len(left)
         self._positions = [0.0] * len(self._joints)
@@ -348,11 +348,11 @@ class WheelState:
         self._publisher = node.advertise("wheel_joint_controller_state", "control_msgs/JointTrajectoryControllerState")
 
     def update(self, time_ns: int, period_s: float, left: float, right: float) -> None:
-        """The wheels are commanded these velocities, in rad/s."""
+        """Publish the states. `left` and `right` are the commanded velocities, rad/s."""
         count, joints = self._left_count, self._joints
         velocities = [left] * count + [right] * (len(joints) - count)
         self._positions = [p + v * period_s for p, v in zip(self._positions, velocities, strict=True)]
-        # As upstream: the change times the period, where it should be divided by it, and of the first wheels only.
+        # As upstream: the change times the period, instead of divided by it, and for the first wheel of each side only.
         changes = [(new - old) * period_s for new, old in zip((left, right), self._desired, strict=True)]
         self._desired = left, right
         accelerations = [0.0] * len(joints)
@@ -397,7 +397,7 @@ def _or(value: Any, default: Any) -> Any:
 
 
 def _mean_position(joints: list[JointHandle]) -> float:
-    total = 0.0  # not by `sum`, which compensates for rounding in newer versions of Python
+    total = 0.0  # not `sum`: newer versions of Python compensate its rounding
     for joint in joints:
         total += joint.position
     return total / len(joints)

@@ -47,7 +47,7 @@ def update_group(group: Any, tables: LawTables, time_ns: int, period_s: float) -
 
 
 def first_command(interface_type: type[JointCommandInterface], joint: JointHandle) -> float:
-    """What to command until somebody says otherwise: the measured position where commands are positions, else 0."""
+    """The command until the first message: the measured position for a position interface, else 0."""
     return joint.position if issubclass(interface_type, PositionJointInterface) else 0.0
 
 
@@ -67,14 +67,14 @@ class ForwardController(ScalarController):
         self.set_point = first_command(self.interface_type, self._joint)
 
     def set_command(self, value: float) -> None:
-        """Hand this on from the next update on."""
+        """Command this value from the next update on."""
         self.set_point = value
 
     def update(self, time_ns: int, period_s: float) -> None:  # noqa: ARG002
         hand_on(self, self._joint)
 
     def parts(self) -> Parts:
-        """What runs compiled besides this controller."""
+        """The parts of the compiled form."""
         return Parts(joint=self._joint)
 
 
@@ -105,7 +105,7 @@ class ForwardGroupController(GroupController):
     compiled = Compiled(update_group)
 
     def init(self, interface: JointCommandInterface, node: NodeHandle) -> None:
-        """Raises SlidectlError: `joints` is missing or empty, or the robot has not one of them."""
+        """Raises SlidectlError: `joints` is missing or empty, or names an unknown joint."""
         self._get_joints(interface, node)
         self.set_points = array("d", [0.0] * len(self._joints))
         self._listen(node, "std_msgs/Float64MultiArray", self._receive)
@@ -114,11 +114,11 @@ class ForwardGroupController(GroupController):
         self.set_points = array("d", [first_command(self.interface_type, joint) for joint in self._joints])
 
     def set_commands(self, values: list[float]) -> None:
-        """Hand these on from the next update on."""
+        """Command these values from the next update on."""
         self.set_points = array("d", values)
 
     def parts(self) -> Parts:
-        """What runs compiled besides this controller."""
+        """The parts of the compiled form."""
         return Parts(members=[Member(None, joint) for joint in self._joints], numbers=self.set_points)
 
     def check_restored(self) -> None:

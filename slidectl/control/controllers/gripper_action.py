@@ -24,12 +24,12 @@ from slidectl.control.registry import controller
 from slidectl.control.robot_description import joint_of_model
 
 UNDECIDED, REACHED, STALLED = range(3)
-"""What becomes of a goal."""
+"""Verdicts on a goal."""
 
 
 @law
 def judged(gripper: Any, joint: Any, error: float, time_ns: int) -> int:
-    """Has the joint arrived, or does it stand still? It is judged until the tick that sends the result."""
+    """The verdict on the goal: position reached, or joint stalled. Called until the tick that sends the result."""
     if abs(error) < gripper.tolerance:
         return REACHED
     if abs(joint.velocity) > gripper.stall_velocity:
@@ -63,7 +63,7 @@ def grip_by_effort(gripper: Any, tables: LawTables, time_ns: int, period_s: floa
 
 @law
 def clamp_effort(wanted: float, max_effort: float) -> float:
-    """min(most, max(-most, wanted)), with the size of the largest effort."""
+    """min(most, max(-most, wanted)), where most = |max_effort|."""
     most = abs(max_effort)
     least = wanted if wanted > -most else -most
     return least if least < most else most
@@ -85,7 +85,7 @@ STALL_TIMEOUT = Parameter("stall_timeout", NUMBER, "a joint that stands still lo
 
 
 class GripperActionController(ActionController[JointCommandInterface]):
-    """Follows the position of the goal; how is the part of the children."""
+    """Follows the position of the goal. Subclasses define the command."""
 
     parameters: ClassVar[tuple[Parameter, ...]] = (
         JOINT,
@@ -111,27 +111,27 @@ class GripperActionController(ActionController[JointCommandInterface]):
         self.stall_timeout_s: float = params.value_of(node, STALL_TIMEOUT)
         self._get_commands(node)
         self.position = self._joint.position
-        """Where the joint is to be."""
+        """The desired position, m or rad."""
         self.max_effort: float = self._default_effort
         self.command = 0.0
-        """The effort of the last update: of position joints, the largest one of the goal."""
+        """The effort of the last update; for position joints, the largest effort of the goal."""
         self.moved_ns = 0
-        # One result for all goals, as upstream: an ended goal has the values of the tick that sends it.
+        # One result object for all goals, as upstream: a result has the values at the tick that sends it.
         self._result: Message = {"position": self.position, "effort": 0.0, "stalled": False, "reached_goal": False}
         self._serve(node, "gripper_cmd", "control_msgs/GripperCommand", monitor_period_ns)
 
     def _get_commands(self, node: NodeHandle) -> None:
-        """Get what the commands need besides the joint."""
+        """Read further parameters that the commands need."""
 
     def _start_commands(self) -> None:
-        """The first command, at the start."""
+        """Set the first command, at the start."""
 
     def _command(self, error: float, period_s: float) -> float:
-        """Command the joint, which is off by `error`. Returns the effort that results tell."""
+        """Command the joint for this position error. Returns the effort for the results."""
         raise NotImplementedError
 
     def starting(self, time_ns: int) -> None:
-        """Stay where the joint is."""
+        """Hold the measured position."""
         self._hold()
         self._start_commands()
         self.moved_ns = time_ns
@@ -146,11 +146,11 @@ class GripperActionController(ActionController[JointCommandInterface]):
 
     @property
     def is_judged(self) -> bool:
-        """Is there a goal that is still to be decided, or was and has no result yet?"""
+        """True while there is an active goal: it is undecided, or its result is not sent yet."""
         return self._goal is not None and self._goal.is_active
 
     def parts(self) -> Parts:
-        """What runs compiled besides this controller."""
+        """The parts of the compiled form."""
         return Parts(joint=self._joint, pid=self._pid)
 
     def _decide(self, goal: MonitoredGoal, status: GoalStatus) -> None:
@@ -175,7 +175,7 @@ class GripperActionController(ActionController[JointCommandInterface]):
             self.moved_ns = self._node.now_ns()
 
     def _hold(self) -> None:
-        """Stay at the measured position, with the effort for no goal."""
+        """Hold the measured position, with the default effort."""
         self.position = self._joint.position
         self.max_effort = self._default_effort
 

@@ -29,15 +29,15 @@ from slidectl.control.robot_description import joint_of_model
 from slidectl.description.robot import Joint
 
 SLIDES, REVOLVES, TURNS = 0, 1, 2
-"""How the difference of two positions is taken: of lengths, of angles with limits, on the circle."""
+"""How two positions are subtracted: as lengths, as angles with limits, as angles on the circle."""
 
 
 _GOAL = "set_point lower upper turns"
-"""The columns of a goal that no law changes."""
+"""The columns of a goal that laws do not change."""
 
 
 class PositionGoal:
-    """Where one joint of a group is to be, and how its positions are subtracted."""
+    """Set point of one joint of a group, and how its positions are subtracted."""
 
     __slots__ = ("error", "lower", "set_point", "turns", "upper")
 
@@ -54,7 +54,7 @@ def range_of(joint: Joint) -> tuple[float, float, int]:
 
 
 def within_limits(goal: JointPositionController | PositionGoal, position: float) -> float:
-    """The position, brought within the limits of the joint."""
+    """The position, clipped to the limits of the joint."""
     return goal.upper if position > goal.upper else goal.lower if position < goal.lower else position
 
 
@@ -87,7 +87,7 @@ def update_positions(group: Any, tables: LawTables, time_ns: int, period_s: floa
 
 
 class JointPositionController(PidController):
-    """command = pid(set point - position), the difference taken on the circle for a joint that turns."""
+    """command = pid(set point - position). For a continuous joint the difference is taken on the circle."""
 
     compiled = Compiled(
         update_position,
@@ -109,20 +109,20 @@ class JointPositionController(PidController):
         self._listen(node, "std_msgs/Float64", self._receive)
 
     def starting(self, time_ns: int) -> None:  # noqa: ARG002
-        """Stay where the joint is."""
+        """Hold the measured position."""
         self.set_command(self._joint.position)
         self._pid.reset()
 
     def bounds(self) -> tuple[float, float]:
-        """Those of the joint's position; what the hardware makes of the effort or velocity is another matter."""
+        """The position limits of the joint. The hardware limits the effort or velocity separately."""
         return self.lower, self.upper
 
     def set_command(self, value: float) -> None:
-        """Go to this position (m or rad), brought within the limits."""
+        """Go to this position (m or rad), clipped to the limits."""
         self.set_point = within_limits(self, value)
 
     def publish(self, time_ns: int, period_s: float) -> None:
-        """The state after an update."""
+        """Publish the state after an update."""
         joint = self._joint
         self._tell_state(time_ns, period_s, value=joint.position, value_dot=joint.velocity)
 
@@ -157,22 +157,22 @@ class EffortJointGroupPositionController(GroupController):
         self._listen(node, "std_msgs/Float64MultiArray", self._receive)
 
     def starting(self, time_ns: int) -> None:  # noqa: ARG002
-        """Stay where the joints are."""
+        """Hold the measured positions."""
         self.set_commands([joint.position for joint in self._joints])
         for pid in self._pids:
             pid.reset()
 
     def bounds(self) -> list[tuple[float, float]]:
-        """Those of the joints' positions."""
+        """The position limits of the joints."""
         return [(goal.lower, goal.upper) for goal in self._goals]
 
     def set_commands(self, values: list[float]) -> None:
-        """Go to these positions (m or rad), brought within the limits."""
+        """Go to these positions (m or rad), clipped to the limits."""
         for goal, value in zip(self._goals, values, strict=True):
             goal.set_point = within_limits(goal, value)
 
     def parts(self) -> Parts:
-        """What runs compiled besides this controller."""
+        """The parts of the compiled form."""
         return Parts(members=list(map(Member, self._goals, self._joints, self._pids)))
 
     def update(self, time_ns: int, period_s: float) -> None:  # noqa: ARG002

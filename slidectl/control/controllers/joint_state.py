@@ -19,7 +19,7 @@ from slidectl.control.params import FLOAT, LIST, NUMBER, TEXT, TEXTS, Parameter
 from slidectl.control.registry import controller
 from slidectl.errors import Refused
 
-# The first publication after a start comes a little early rather than a cycle late.
+# The factor makes the first message after a start come slightly early, not a cycle late.
 _HEAD_START = 1.001
 _EARLIEST_NS = 1
 
@@ -29,7 +29,7 @@ NEVER = 1 << 62
 
 @law
 def states_are_due(rhythm: JointStateController, time_ns: int) -> bool:
-    """Is a message due? Then the next one is due a period later, not from now: a late one does not shift the rhythm."""
+    """True when a message is due. The next one is due one period after this due time, so delays do not add up."""
     if time_ns <= rhythm.due_ns:
         return False
     rhythm.due_ns += rhythm.period_ns
@@ -82,16 +82,16 @@ class JointStateController(Controller[JointStateInterface]):
             node.log("warn", f"{node.namespace}/publish_rate is not above 0: nothing is published")
         self._publisher = node.advertise(names.join(root.namespace, "joint_states"), "sensor_msgs/JointState")
         self._joints = tuple(interface.get_handle(name) for name in (interface.names() if chosen is None else chosen))
-        # Joints that the hardware does not have, with states that never change, come last.
+        # Joints that the hardware does not have come last. Their states are constant.
         self._shown = (*self._joints, *_extra_joints(node, [joint.name for joint in self._joints]))
         self._names = [joint.name for joint in self._shown]
-        # The time after which the next message is due: the last one's plus one period.
+        # The next message is due after this time: the due time of the last one plus one period.
         self.due_ns = NEVER
         self.messages = 0
         self._started = False
 
     def starting(self, time_ns: int) -> None:
-        """Begin the rhythm once; it goes on through stops, and begins anew when time was put back."""
+        """Set the first due time. It is kept over stops, and set again when time was reset."""
         if self._publishes and (not self._started or time_ns < self.due_ns - self.period_ns):
             last_ns = time_ns - self._head_start_ns
             self.due_ns = (last_ns if last_ns >= 0 else _EARLIEST_NS) + self.period_ns
@@ -102,7 +102,7 @@ class JointStateController(Controller[JointStateInterface]):
             self.publish(time_ns, period_s)
 
     def publish(self, time_ns: int, period_s: float) -> None:  # noqa: ARG002
-        """The states of this cycle."""
+        """Publish the states of this cycle."""
         self._publisher.sequence = self.messages - 1
         joints = self._shown
         self._publisher.publish(
@@ -116,12 +116,12 @@ class JointStateController(Controller[JointStateInterface]):
         )
 
     def parts(self) -> Parts:
-        """What runs compiled besides this controller."""
+        """The parts of the compiled form."""
         return Parts((self._publisher,), shown=self._joints)
 
 
 def _extra_joints(node: NodeHandle, taken: list[str]) -> list[JointStateHandle]:
-    """The usable entries of `extra_joints`; what is wrong with the others goes to the log."""
+    """The valid entries of `extra_joints`. Errors in the others are logged."""
     entries = node.get_param("extra_joints", [])
     if not isinstance(entries, list):
         node.log("error", f"{node.namespace}/extra_joints has no effect: it must be a list")

@@ -82,25 +82,25 @@ STOPPED_VELOCITY = Parameter(
 
 
 class StateTolerances(NamedTuple):
-    """The largest errors that count as none; 0 checks nothing. Nobody measures accelerations: they have no error."""
+    """The largest allowed errors; 0 checks nothing. Accelerations are not measured, so they have no tolerance."""
 
     position: float = 0.0
     velocity: float = 0.0
 
     def updated(self, message: Message) -> StateTolerances:
-        """With what a control_msgs/JointTolerance says: above 0 replaces, below 0 switches off, 0 keeps."""
+        """A copy changed by a control_msgs/JointTolerance: above 0 replaces, below 0 switches off, 0 keeps."""
         return StateTolerances(*(_replaced(old, message[name]) for name, old in self._asdict().items()))
 
 
 class SegmentTolerances(NamedTuple):
-    """Those on the way, those at the end, and the seconds after the end in which the latter may be met."""
+    """Tolerances on the path and at the goal, and the time after the end, in s, to meet the latter."""
 
     path: StateTolerances = StateTolerances()
     goal: StateTolerances = StateTolerances()
     goal_time_s: float = 0.0
 
     def numbers(self) -> tuple[float, ...]:
-        """As they stand in a segment."""
+        """The values of the columns `TOLERANCES` of a segment."""
         return *self.path, *self.goal, self.goal_time_s
 
 
@@ -109,7 +109,7 @@ def _replaced(old: float, new: float) -> float:
 
 
 class Motion:
-    """One joint's part of the trajectory, and its states of the last update: desired, measured, and the errors."""
+    """One joint's range of segments, and its states of the last update: desired, measured, and the errors."""
 
     __slots__ = (
         "acceleration",
@@ -139,18 +139,18 @@ class Motion:
         self.velocity_ff = 0.0
         """Command per desired velocity."""
         self.reached = False
-        """At its goal. As upstream, only the end of a goal clears it, not its cancellation."""
+        """True when the joint is at its goal. As upstream, the end of a goal clears it, its cancellation does not."""
         self.place(0, 0)
 
     def place(self, first: int, last: int) -> None:
-        """Its segments are these from now on, by their numbers in the block."""
+        """Set the range of segments, by the indices of the first and the last one in the block."""
         self.index, self.last = first, last
         self.segment: list[float] = []
-        """The numbers of the present segment, for the interpreter; from `next_s` on it is another one."""
+        """The numbers of the present segment, for the interpreter. At `next_s` the next one begins."""
         self.next_s = -inf
 
     def segment_at(self, numbers: Any, time_s: float) -> list[float]:
-        """The last segment that has started, or the first one. Times never go back."""
+        """The last segment that has started, or the first one. Times never decrease."""
         if time_s >= self.next_s or not self.segment:
             advance(self, numbers, time_s)
             begin, end = self.index * SIZE, (self.index + 1) * SIZE
@@ -161,18 +161,18 @@ class Motion:
 
 @law
 def advance(motion: Motion, numbers: Any, time_s: float) -> None:
-    """Go on to the last segment that has started."""
+    """Set the index to the last segment that has started."""
     while motion.index < motion.last and numbers[(motion.index + 1) * SIZE + START] <= time_s:
         motion.index += 1
 
 
 UNDECIDED, REACHED, OFF_PATH, OFF_GOAL = range(4)
-"""What becomes of a goal by one of its joints."""
+"""Verdicts on a goal by one of its joints."""
 
 
 @law
 def judged(segment: Any, is_last: bool, time_s: float, error: float, error_dot: float) -> int:
-    """The errors of position and velocity, held against the tolerances of a segment."""
+    """The verdict on the errors of position and velocity by the tolerances of a segment."""
     size, size_dot = abs(error), abs(error_dot)
     if time_s < segment[END]:
         is_off = 0.0 < segment[PATH_POSITION] < size or 0.0 < segment[PATH_VELOCITY] < size_dot
@@ -188,7 +188,7 @@ def judged(segment: Any, is_last: bool, time_s: float, error: float, error_dot: 
 def take_states(
     motion: Motion, joint: JointStateHandle, position: float, velocity: float, acceleration: float, error: float
 ) -> None:
-    """The states of an update: the desired ones, and the error of the position."""
+    """Store the states of an update: the desired ones, the measured ones and the errors."""
     motion.position, motion.velocity, motion.acceleration = position, velocity, acceleration
     motion.actual_position, motion.actual_velocity = joint.position, joint.velocity
     motion.position_error, motion.velocity_error = error, velocity - joint.velocity
@@ -196,7 +196,7 @@ def take_states(
 
 @law
 def count_time(follower: Any, period_s: float) -> int:
-    """The uptime of the update that begins, in ns."""
+    """The uptime of the update that begins, in ns. Stores the period."""
     if period_s != follower.period_s:
         follower.period_s = period_s
         follower.period_ns = nearest_ns(period_s)
@@ -206,7 +206,7 @@ def count_time(follower: Any, period_s: float) -> int:
 
 @law
 def state_is_due(follower: Any) -> bool:
-    """Count the messages on `state`, also those that nobody takes."""
+    """True when a message on `state` is due. Counts it, even without subscribers."""
     if not follower.published_ns + follower.state_period_ns < follower.uptime_ns:
         return False
     follower.published_ns += follower.state_period_ns
@@ -216,7 +216,7 @@ def state_is_due(follower: Any) -> bool:
 
 @law
 def goal_goes_on(follower: Any, tables: LawTables, uptime_s: float) -> bool:
-    """False in an update in which the goal ends: nothing has changed then that the end does not clear."""
+    """False when the goal ends in this update; the changes made so far are then harmless, its end clears them."""
     reached = 0
     for k in range(len(tables.members)):
         motion = tables.members[k]
@@ -237,7 +237,7 @@ def goal_goes_on(follower: Any, tables: LawTables, uptime_s: float) -> bool:
 
 @law
 def follow(follower: Any, tables: LawTables, time_ns: int, period_s: float) -> bool:
-    """The update on rows without the commands. False: it is left to the interpreter."""
+    """The update on rows, without the commands. False: the interpreter must run this update."""
     uptime_ns = count_time(follower, period_s)
     uptime_s = to_seconds(uptime_ns)
     if follower.goal_number != 0 and not goal_goes_on(follower, tables, uptime_s):
@@ -292,9 +292,9 @@ FOLLOWER = Columns(
 
 
 def wraparound_offset(previous: float, following: float) -> float:
-    """What is to be added to `following` for a continuous joint to get there from `previous` by the shorter way."""
+    """The offset to `following` with which a continuous joint moves there from `previous` by the shorter way."""
     distance = shortest_angular_distance(previous, following)
-    if abs(abs(distance) - pi) < 1e-9:  # half a turn: in the direction that the numbers say
+    if abs(abs(distance) - pi) < 1e-9:  # half a turn: towards larger positions if `following` is larger
         distance = abs(distance) if following > previous else -abs(distance)
     return (previous + distance) - following
 
@@ -302,7 +302,7 @@ def wraparound_offset(previous: float, following: float) -> float:
 def point(
     positions: list[float], velocities: list[float], accelerations: list[float], time_from_start_s: float
 ) -> Message:
-    """As trajectory_msgs/JointTrajectoryPoint: states of all joints in one update."""
+    """trajectory_msgs/JointTrajectoryPoint of the states of all joints in one update."""
     return {
         "positions": positions,
         "velocities": velocities,
@@ -313,7 +313,7 @@ def point(
 
 
 class JointTrajectoryController(ActionController[Any]):
-    """Samples the trajectory in each cycle; what becomes of the desired states is the part of the children."""
+    """Samples the trajectory in each cycle. Subclasses turn the desired states into commands."""
 
     parameters: ClassVar[tuple[Parameter, ...]] = (
         JOINTS,
@@ -361,9 +361,9 @@ class JointTrajectoryController(ActionController[Any]):
         self.motions = [Motion() for _ in self._names]
         self._get_commands(node)
         self._goals = 0
-        """That were taken. The number of the present one stands in its segments."""
+        """The number of accepted goals, which is the number of the present goal in its segments."""
         self._goal_since_ns = 0
-        """The uptime of its acceptance."""
+        """The uptime at the acceptance of the present goal."""
         self.states = 0
         self._trajectory: list[segments.Rows] = []
         self._numbers: Any = SIZE * [0.0]
@@ -374,17 +374,17 @@ class JointTrajectoryController(ActionController[Any]):
         node.subscribe("command", "trajectory_msgs/JointTrajectory", self._take_command)
 
     def _get_commands(self, node: NodeHandle) -> None:
-        """Get what the commands need besides the joints. Raises SlidectlError."""
+        """Read further parameters that the commands need. Raises SlidectlError."""
 
     def _start_commands(self) -> None:
-        """The first commands, at the start."""
+        """Set the first commands, at the start."""
 
     def _command(self, period_s: float) -> None:
-        """The commands for the desired states of this cycle."""
+        """Set the commands for the desired states of this cycle."""
         raise NotImplementedError
 
     def _default_tolerances(self) -> list[SegmentTolerances]:
-        """Of each joint, by the parameters."""
+        """The tolerances of each joint, by the parameters."""
         stopped = self._tolerance(STOPPED_VELOCITY.name, STOPPED_VELOCITY.default)
         goal_time_s = params.value_of(self._node, GOAL_TIME)
         return [
@@ -405,7 +405,7 @@ class JointTrajectoryController(ActionController[Any]):
     # The cycle.
 
     def starting(self, time_ns: int) -> None:
-        """Stay where the joints are."""
+        """Hold the measured positions."""
         self._start_time(time_ns)
         for motion, joint in zip(self.motions, self._joints, strict=True):
             motion.position, motion.velocity = joint.position, joint.velocity
@@ -423,7 +423,7 @@ class JointTrajectoryController(ActionController[Any]):
         samples = []
         for joint, motion in zip(self._joints, self.motions, strict=True):
             position, velocity, acceleration = sample(motion.segment_at(numbers, uptime_s), uptime_s)
-            # Of any joint, as upstream, also of one that slides.
+            # As upstream, the angular distance is used for all joints, prismatic ones too.
             error = shortest_angular_distance(joint.position, position)
             samples.append((motion, joint, position, velocity, acceleration, error))
         if self._goal is not None:
@@ -436,9 +436,9 @@ class JointTrajectoryController(ActionController[Any]):
             self.publish(time_ns, period_s)
 
     def _judge(self, goal: MonitoredGoal, samples: list[Any], uptime_s: float) -> None:
-        """Hold the errors against the tolerances of the goal. What violates them ends it, but not the motion.
+        """Check the errors against the tolerances of the goal. A violation ends the goal, but not the motion.
 
-        Its last feedback is that of the update before.
+        The goal's last feedback is that of the previous update.
         """
         for name, (motion, joint, _, velocity, _, error) in zip(self._names, samples, strict=True):
             if motion.segment[GOAL] != self._goals:
@@ -457,7 +457,7 @@ class JointTrajectoryController(ActionController[Any]):
         return None
 
     def _abort(self, goal: MonitoredGoal, code: int, text: str) -> None:
-        """The goal has failed; the client hears of it at once."""
+        """Abort the goal, and send the result at once."""
         goal.decide(GoalStatus.ABORTED, _result(code, text))
         goal.tick(self._feedback)
         self._end_goal()
@@ -468,7 +468,7 @@ class JointTrajectoryController(ActionController[Any]):
             motion.reached = False
 
     def publish(self, time_ns: int, period_s: float) -> None:  # noqa: ARG002
-        """The states of the last update."""
+        """Publish the states of the last update."""
         self._state.sequence = self.states - 1
         self._state.publish(self._message())
 
@@ -476,12 +476,12 @@ class JointTrajectoryController(ActionController[Any]):
         return None if self.uptime_ns == self._goal_since_ns else self._message()
 
     def _message(self) -> Message:
-        """As control_msgs/JointTrajectoryControllerState, and as the action's feedback.
+        """control_msgs/JointTrajectoryControllerState, also used as the action's feedback.
 
-        Nobody measures accelerations. The error of positions is the shortest angle.
+        Measured accelerations are empty. The error of positions is the shortest angle.
         """
         motions = self.motions
-        # Of the first joint: the time from the start at which its segment begins, and where it is by now.
+        # For the first joint: the time from start at which its segment begins, and the present time from start.
         begin = motions[0].index * SIZE
         desired_s = self._numbers[begin + FROM_START]
         actual_s = to_seconds(self.uptime_ns) - self._numbers[begin + START] + desired_s
@@ -510,11 +510,11 @@ class JointTrajectoryController(ActionController[Any]):
 
     @property
     def goal_number(self) -> int:
-        """That of the goal that is followed; 0 for none."""
+        """The number of the goal that is followed; 0 for none."""
         return 0 if self._goal is None else self._goals
 
     def parts(self) -> Parts:
-        """What runs compiled besides this controller."""
+        """The parts of the compiled form."""
         pids = self._pids or len(self._joints) * (None,)
         members = [Member(*part) for part in zip(self.motions, self._joints, pids, strict=True)]
         return Parts((self._state,), members=members, numbers=self._numbers)
@@ -524,7 +524,7 @@ class JointTrajectoryController(ActionController[Any]):
         if not all(0 <= motion.index <= motion.last < rows for motion in self.motions):
             raise Refused(f"a motion is beyond the {rows} segments")
 
-    # What clients ask for, between two cycles.
+    # Requests of clients, between two cycles.
 
     def _take_command(self, message: Message) -> None:
         try:
@@ -545,7 +545,7 @@ class JointTrajectoryController(ActionController[Any]):
             try:
                 self._replace(trajectory, handle)
             except Refused as refusal:
-                self._goals -= 1  # the present one goes on
+                self._goals -= 1  # the present goal continues
                 self._reject(handle, refusal.message, _result(INVALID_GOAL, refusal.message))
                 return
             goal = MonitoredGoal(handle)
@@ -566,13 +566,13 @@ class JointTrajectoryController(ActionController[Any]):
     # Trajectories.
 
     def _hold(self, goal_number: int = 0) -> None:
-        """From now on come to rest: at the measured positions, or from the desired motion in the time for that."""
+        """Come to rest: at the measured positions, or from the desired motion within `stop_trajectory_duration`."""
         now_s, duration_s = to_seconds(self.uptime_ns), self._stop_duration_s
         begin_s = [now_s] * len(self.motions)
         if duration_s == 0.0:
             begins = ends = segments.states([(joint.position, 0.0, 0.0) for joint in self._joints])
         else:
-            # Half-way of a motion to the same place with the opposite velocity, the velocity is 0.
+            # A motion to the same position with the opposite velocity has the velocity 0 half-way.
             begins = segments.states([(motion.position, motion.velocity, 0.0) for motion in self.motions])
             back = segments.states([(motion.position, -motion.velocity, 0.0) for motion in self.motions])
             double = segments.between(begin_s, begins, [now_s + 2.0 * duration_s] * len(begin_s), back)
@@ -591,17 +591,17 @@ class JointTrajectoryController(ActionController[Any]):
             first += len(rows)
 
     def _order_of(self, wanted: Sequence[str]) -> list[int] | None:
-        """The positions of a message's joints among ours; None when it has not all of them, or others."""
+        """The indices of a message's joints in this controller; None when joints are missing or unknown."""
         counts_fit = 0 < len(wanted) <= len(self._names) and (self._allow_partial or len(wanted) == len(self._names))
         if not counts_fit or not set(wanted) <= set(self._names):
             return None
         return [self._names.index(name) for name in wanted]
 
     def _replace(self, message: Message, goal: GoalHandle | None) -> None:
-        """Follow a trajectory_msgs/JointTrajectory from its start on, and what is there until then.
+        """Follow a trajectory_msgs/JointTrajectory from its start on, and the present trajectory until then.
 
         Raises:
-            Refused: with upstream's text; then nothing changes.
+            Refused: with upstream's text; nothing changes.
         """
         if self.state is not State.RUNNING:
             raise Refused("Can't accept new commands. Controller is not running.")
@@ -629,7 +629,7 @@ class JointTrajectoryController(ActionController[Any]):
         begin_s = max(start_s, next_s)
         tolerances = None if goal is None else self._goal_tolerances(goal.goal)
         trajectory = [rows.copy() for rows in self._trajectory]
-        for rows in trajectory:  # of a joint that is not named, the segments to come count for the new goal
+        for rows in trajectory:  # the coming segments of joints that are not named count for the new goal
             rows[segments.find(rows, next_s) :, GOAL] = goal_number
         begins = segments.states([segments.sample_at(self._trajectory[k], begin_s) for k in order])
         for column, k in enumerate(order):
@@ -647,10 +647,10 @@ class JointTrajectoryController(ActionController[Any]):
         self._take_trajectory(trajectory)
 
     def _first_point(self, message: Message, offsets_ns: list[int], start_ns: int, next_ns: int) -> int:
-        """The index of the first point that is not over yet; the others are dropped, which is said.
+        """The index of the first point in the future. Earlier points are dropped, with a warning.
 
         Raises:
-            Refused: all are over.
+            Refused: all points are in the past.
         """
         first = next((k for k, offset_ns in enumerate(offsets_ns) if next_ns < _time(start_ns + offset_ns)), None)
         if first is None:
@@ -670,7 +670,7 @@ class JointTrajectoryController(ActionController[Any]):
         return first
 
     def _goal_tolerances(self, goal: Message) -> list[SegmentTolerances]:
-        """The default ones of each joint with those that a goal has of its own."""
+        """The tolerances of each joint: the default ones, changed by those of the goal."""
         time_ns = nanoseconds(goal["goal_time_tolerance"])
         found = []
         for name, (path, end, goal_time_s) in zip(self._names, self._tolerances, strict=True):
@@ -688,21 +688,21 @@ class JointTrajectoryController(ActionController[Any]):
 
 
 def _time(time_ns: int) -> int:
-    """The same time. Raises Refused: ros::Time cannot hold it."""
+    """The time unchanged. Raises Refused: ros::Time cannot hold it."""
     if not 0 <= time_ns < 2**32 * NANOSECONDS:
         raise Refused("Time is out of dual 32-bit range")
     return time_ns
 
 
 def _duration(duration_ns: int) -> int:
-    """The same duration. Raises Refused: ros::Duration cannot hold it."""
+    """The duration unchanged. Raises Refused: ros::Duration cannot hold it."""
     if not -(2**31) * NANOSECONDS <= duration_ns < 2**31 * NANOSECONDS:
         raise Refused("Duration is out of dual 32-bit range")
     return duration_ns
 
 
 def _result(code: int, text: str = "") -> Message:
-    """As control_msgs/FollowJointTrajectoryResult."""
+    """control_msgs/FollowJointTrajectoryResult."""
     return {"error_code": code, "error_string": text}
 
 

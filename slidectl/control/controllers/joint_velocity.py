@@ -52,12 +52,12 @@ class JointVelocityController(PidController):
         self._listen(node, "std_msgs/Float64", self._receive)
 
     def starting(self, time_ns: int) -> None:  # noqa: ARG002
-        """Stand still."""
+        """Set the set point to 0."""
         self.set_point = 0.0
         self._pid.reset()
 
     def bounds(self) -> tuple[float, float]:
-        """None: the hardware bounds the effort, not the set point."""
+        """No bounds: the hardware bounds the effort, not the set point."""
         return -inf, inf
 
     def set_command(self, value: float) -> None:
@@ -65,5 +65,5 @@ class JointVelocityController(PidController):
         self.set_point = value
 
     def publish(self, time_ns: int, period_s: float) -> None:
-        """The state after an update. The derivative of the velocity is 0: the model never fills it in."""
+        """Publish the state after an update. As upstream, the derivative of the velocity is always 0."""
         self._tell_state(time_ns, period_s, value=self._joint.velocity, value_dot=0.0)

@@ -36,15 +36,15 @@ RATE = Parameter(
 
 
 class SensorController(Controller[I]):
-    """One topic a sensor, all at the same times."""
+    """Base of the controllers that publish one topic per sensor, all at the same times."""
 
     parameters: ClassVar[tuple[Parameter, ...]] = (RATE,)
     message_type: ClassVar[str]
     message: ClassVar[Callable[[Message, Any], Message]]
-    """Makes the message of a header and of what was measured."""
+    """Makes the message from a header and a measurement."""
 
     def init_in_root(self, interface: I, root: NodeHandle, node: NodeHandle) -> None:
-        """Raises SlidectlError: no publish_rate, or one of which no clock can count the period."""
+        """Raises SlidectlError: publish_rate is not set, or its period is not a valid duration."""
         rate: float = params.value_of(node, RATE)
         self._period_ns = from_seconds(1.0 / rate) if rate > 0.0 else None
         if self._period_ns is None:
@@ -58,7 +58,7 @@ class SensorController(Controller[I]):
             self._sensors.append((interface.get_handle(name), topic))
 
     def starting(self, time_ns: int) -> None:
-        """The first messages come a period later."""
+        """Set the time of the start. The first messages are due a period later."""
         self._published_ns = time_ns
 
     def update(self, time_ns: int, period_s: float) -> None:  # noqa: ARG002
@@ -74,7 +74,7 @@ class SensorController(Controller[I]):
 
 
 def imu_message(header: Message, data: ImuData) -> Message:
-    """sensor_msgs/Imu; a covariance that begins with -1 says that the quantity is not measured."""
+    """sensor_msgs/Imu. A covariance that begins with -1 marks a quantity that is not measured."""
     return {
         "header": header,
         "orientation": quaternion(data.orientation or (0.0, 0.0, 0.0, 0.0)),

@@ -57,14 +57,14 @@ from slidectl.errors import Refused
 
 
 def _interface(hw: RobotHW, interface_type: type[I]) -> I:
-    """The one that the controller asked for: without it there is no init."""
+    """The hardware interface of this type. The base class has checked that it exists."""
     interface = hw.get(interface_type)
     assert interface is not None
     return interface
 
 
 class SteeredOdometry(Odometry):
-    """Odometry by the way of a rear wheel and the angle of the steering in front of it."""
+    """Odometry from the travelled distance of a rear wheel and the angle of the front steering."""
 
     def __init__(self, window: int) -> None:
         super().__init__(window)
@@ -75,7 +75,7 @@ class SteeredOdometry(Odometry):
         self._way = 0.0
 
     def update(self, way: float, angle: float, separation: float, time_ns: int) -> None:
-        """The wheel has made this way, in m, since the beginning, and the axles are so far apart."""
+        """Update from the wheel's total distance `way`, the steering angle, and the separation of the axles."""
         linear, self._way = way - self._way, way
         travel(self, self.past, linear, tan(angle) * linear / separation, time_ns)
 
@@ -101,7 +101,7 @@ class AckermannSteeringController(BaseController, MultiInterfaceController):
     )
 
     def init_in_root(self, hw: RobotHW, root: NodeHandle, node: NodeHandle) -> None:
-        """Raises SlidectlError: a parameter, a joint, or what the description is asked for is missing or wrong."""
+        """Raises SlidectlError: a parameter, a joint, or a required part of the description is missing or wrong."""
         rear_wheel, front_steer, separation, radius, separation_scale, radius_scale, self._steer_scale = (
             params.value_of(node, parameter) for parameter in self.parameters[:7]
         )
@@ -152,7 +152,7 @@ TWO = Kind(
     lambda value: names if (names := as_texts(value)) is not None and len(names) == 2 else None,
 )
 SMALLEST = 0.001
-"""m/s or rad: a command or an angle that is not above it counts as none."""
+"""m/s or rad: a command or an angle up to this counts as 0."""
 
 
 class Angles(NamedTuple):
@@ -163,43 +163,43 @@ class Angles(NamedTuple):
 
 
 class FourWheelOdometry:
-    """Where the base is by the velocities of its wheels and the angles of its axles, after odometry.cpp."""
+    """Odometry from the velocities of the wheels and the steering angles of the axles, after odometry.cpp."""
 
     def __init__(self, window: int, track: float, offset: float, radius: float, base: float) -> None:
-        """The track of the steering joints, the wheels' distance from them, their radius, the distance of the axles."""
+        """In m: track of the steering joints, offset of the wheels from them, radius, distance of the axles."""
         self._window = window
         self._track, self._offset, self._radius, self._base = track, offset, radius, base
         self.linear = self.linear_x = self.linear_y = self.angular = 0.0
-        """The velocity's amount, negative backwards, and its components forwards and to the left; m/s and rad/s."""
+        """The speed, negative backwards, its components forwards and to the left, m/s, and the rate of turn, rad/s."""
         self.forget()
         self.start(0)
 
     def start(self, time_ns: int) -> None:
-        """Begin with the means anew. The place stays."""
+        """Reset the means. The pose stays."""
         self._time_ns = time_ns
         self._acceleration, self._jerk, self._front, self._rear = (RollingMean(self._window) for _ in range(4))
 
     def forget(self) -> None:
-        """The base is at the origin, and stands."""
+        """Set the pose to the origin, and the last velocities and angles to 0."""
         self.x = self.y = self.heading = 0.0
         self._last_linear = self._last_acceleration = self._last_front = self._last_rear = 0.0
 
     @property
     def changes(self) -> tuple[float, float, float, float]:
-        """Means of the acceleration, the jerk, and the velocities of front and rear steering, all as previous minus
-        current value, as upstream has them."""
+        """Means of the acceleration, the jerk, and the velocities of front and rear steering, each computed as previous
+        minus current value, as upstream."""
         return self._acceleration.mean, self._jerk.mean, self._front.mean, self._rear.mean
 
     def update(self, front: tuple[float, float], rear: tuple[float, float], angles: Angles, time_ns: int) -> None:
-        """The wheels turn so, in rad/s, left and right, at these angles of the axles.
+        """Update from the velocities of the wheels, (left, right) in rad/s, and the angles of the axles.
 
         Raises:
-            ArithmeticError, ValueError: wheels that stand in the centre of their turn; then nothing has changed.
+            ArithmeticError, ValueError: a wheel is in the centre of the turn; nothing has changed.
         """
         base = self._base
         front_bend, front_left, front_right = self._rolling(angles.front, angles, front)
         rear_bend, rear_left, rear_right = self._rolling(angles.rear, angles, rear)
-        # As upstream: the speed of the front axle is that of its wheels as they turn, that of the rear as they roll.
+        # As upstream: the front axle's speed is that of the measured velocities, the rear axle's of the converted ones.
         front_speed = self._speed(front_left + front_right, front, front_bend)
         rear_speed = self._speed(rear_left + rear_right, (rear_left, rear_right), rear_bend)
         self.angular = (front_speed * front_bend + rear_speed * rear_bend) / 2.0
@@ -230,12 +230,12 @@ class FourWheelOdometry:
         self._last_rear = angles.rear
 
     def _rolling(self, angle: float, angles: Angles, turning: tuple[float, float]) -> tuple[float, float, float]:
-        """How much the axle at this angle turns in one m of its way, and what its wheels would turn on the steering
-        joints."""
+        """The curvature of the path of the axle at this angle, 1/m, and the velocities of its wheels, converted to the
+        positions of the steering joints."""
         bend = cos(angle) * (tan(angles.front) - tan(angles.rear)) / self._base
         across, square = self._track * bend * cos(angle), (self._track * bend / 2) * (self._track * bend / 2)
         left, right = bend / sqrt(1 - across + square), bend / sqrt(1 + across + square)
-        # The minus of the right wheel is upstream's.
+        # The minus for the right wheel is as upstream.
         return bend, turning[0] * (1 / (1 - self._offset * left)), turning[1] * (1 / (1 - self._offset * right))
 
     def _speed(self, sign: float, turning: tuple[float, float], bend: float) -> float:
@@ -246,7 +246,7 @@ class FourWheelOdometry:
 
 
 class FourWheels(NamedTuple):
-    """Commands of the four wheels, or of their steering joints."""
+    """Commands for the four wheels, or for their steering joints."""
 
     front_left: float = 0.0
     front_right: float = 0.0
@@ -280,10 +280,10 @@ class FourWheelSteeringController(BaseController, MultiInterfaceController):
     )
 
     def init_in_root(self, hw: RobotHW, root: NodeHandle, node: NodeHandle) -> None:
-        """What is taken from the description stands in the parameters afterwards, and `wheel_steering_y_offset`.
+        """Lengths that are taken from the description are written to the parameters, also `wheel_steering_y_offset`.
 
         Raises:
-            SlidectlError: a parameter, a joint, or what the description is asked for is missing or wrong.
+            SlidectlError: a parameter, a joint, or a required part of the description is missing or wrong.
         """
         front_wheel, rear_wheel, front_steering, rear_steering = (
             params.value_of(node, parameter) for parameter in self.parameters[:4]
@@ -359,7 +359,7 @@ class FourWheelSteeringController(BaseController, MultiInterfaceController):
         try:
             angles = Angles(_axle_angle(*positions[:2]), _axle_angle(*positions[2:]))
             odometry.update((front_left, front_right), (rear_left, rear_right), angles, time_ns)
-        except (ArithmeticError, ValueError):  # such wheels tell nothing of the way of the base
+        except (ArithmeticError, ValueError):  # the motion of the base cannot be computed
             return
         if not odometry_is_due(self.topics, time_ns):
             return
@@ -375,12 +375,12 @@ class FourWheelSteeringController(BaseController, MultiInterfaceController):
             "acceleration": acceleration,
             "jerk": jerk,
         }
-        # The check rounds to the 32 bits of the message's fields.
+        # `msgs.check` rounds to the 32 bits of the message's fields.
         header = header_of(time_ns, "odom")
         publish_if_wanted(self._odom_steer, lambda: {"header": header, "data": msgs.check(STEERING, data)})
 
     def _by_twist(self, linear: float, angular: float) -> tuple[FourWheels, FourWheels]:
-        """Wheels and steering for the velocities of the base."""
+        """Commands of wheels and steering for the velocities of the base."""
         across, base = angular * self._track, self._base
         wheels, left, right = FourWheels(), 0.0, 0.0
         if abs(linear) > SMALLEST:
@@ -393,7 +393,7 @@ class FourWheelSteeringController(BaseController, MultiInterfaceController):
         return wheels, FourWheels(left, right, -left, -right)
 
     def _by_axles(self, linear: float, angles: Angles) -> tuple[FourWheels, FourWheels]:
-        """Wheels and steering for a speed and the angles of the axles."""
+        """Commands of wheels and steering for a speed and the angles of the axles."""
         base, front, rear = self._base, tan(angles.front), tan(angles.rear)
         difference = self._track * (front - rear) / 2.0
         steering, wheels = FourWheels(), FourWheels()
@@ -413,12 +413,12 @@ class FourWheelSteeringController(BaseController, MultiInterfaceController):
         return wheels, steering
 
     def _to_centre(self, left: float, right: float) -> float:
-        """How far the centre of the turn lies before or behind an axle, m; 0 when its wheels are parallel."""
+        """Distance of the centre of the turn before or behind an axle, m; 0 when its wheels are parallel."""
         left, right = tan(left), tan(right)
         return right * left * self._track / (left - right) if abs(left - right) > 0.01 else 0.0
 
     def _turning(self, linear: float, angular: float, front: float, rear: float) -> FourWheels:
-        """Velocities of the wheels, rad/s, on a base that turns; front and rear axle move sideways by these, m/s."""
+        """Velocities of the wheels, rad/s. `front` and `rear` are the sideways velocities of the axles, m/s."""
         offset, sign = angular * self._offset / self._radius, copysign(1.0, linear)
         left, right = linear - angular * self._track / 2, linear + angular * self._track / 2
         return FourWheels(
@@ -433,7 +433,7 @@ STEERING = "four_wheel_steering_msgs/FourWheelSteering"
 
 
 def _hypot(x: float, y: float) -> float:
-    """That of the C library, as upstream; math.hypot is another one, and differs in the last bit."""
+    """The hypot of the C library, as upstream. math.hypot differs in the last bit."""
     return abs(complex(x, y))
 
 
@@ -445,7 +445,7 @@ def _axle_angle(left: float, right: float) -> float:
 
 
 def _place(robot: Robot, joint: str, frame: str) -> tuple[float, float]:
-    """x and y of a joint in the frame of a link above it, by the origins alone, as upstream adds them."""
+    """x and y of a joint in the frame of a link above it. As upstream, origins are added without their rotations."""
     above = {each.child: each for each in robot.joints.values()}
     found = find_joint(robot, joint)
     x, y, _ = found.origin.xyz
