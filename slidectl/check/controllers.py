@@ -21,7 +21,7 @@ from slidectl.control.controller_interface import ControllerBase
 from slidectl.control.hardware_interface import JointStateInterface, ResourceManager
 from slidectl.control.limits import LIMITS
 from slidectl.control.params import LIST, UPDATE_BUDGET, Parameter, as_boolean, as_number, described
-from slidectl.control.reconfigurable_pid import GAINS
+from slidectl.control.pid import GAINS
 from slidectl.control.ros2_names import Counterpart, NoCounterpart, counterpart
 from slidectl.control.user_classes import is_of_a_user
 from slidectl.description import controllers_file, interfaces

@@ -17,8 +17,7 @@ from slidectl.control.hardware_interface import JointCommandInterface, JointHand
 from slidectl.control.laws import law
 from slidectl.control.node_handle import Message, MessageCallback, NodeHandle, Publisher
 from slidectl.control.params import JOINT, JOINTS, Parameter, within
-from slidectl.control.pid import Pid
-from slidectl.control.reconfigurable_pid import GAINS, ReconfigurablePid
+from slidectl.control.pid import GAINS, Pid, ReconfigurablePid
 from slidectl.errors import MessageRefused, Reason, Refused
 
 _TOLD_EVERY_NS = 1_000_000_000

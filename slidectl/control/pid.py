@@ -1,16 +1,25 @@
-"""The PID law of control_toolbox 1.19 (ROS 1), to the bit: its equation and its state.
+"""The PID of control_toolbox 1.19 (ROS 1), to the bit: its equation, its state, and gains that are parameters.
 
 `pid_law` is the equation, `next_command` one step that updates the state; `Pid` holds gains and state. None of them
-uses parameters, topics or clocks.
+uses parameters, topics or clocks. `ReconfigurablePid` reads the gains from parameters and changes them by service or
+parameter between two cycles, after control_toolbox's init and its dynamic_reconfigure server; the state does not change
+then. The parameters always equal the gains: a change that the PID cannot use is refused, and a value that it normalizes
+(the sign of a clamp) is written back.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import isfinite
-from typing import NamedTuple
+from math import isfinite, isnan
+from typing import Any, NamedTuple
 
+from slidectl.control import params
+from slidectl.control.duration import from_seconds, header_of, to_stamp
 from slidectl.control.laws import Columns, law
+from slidectl.control.node_handle import Message, NodeHandle, ParameterChange, publish_if_wanted
+from slidectl.control.params import BOOLEAN, NUMBER, Parameter, check_values
+from slidectl.control.reconfigure import Option, ReconfigureServer, Values
+from slidectl.errors import Refused
 
 
 class Gains(NamedTuple):
@@ -180,3 +189,202 @@ class Pid:
         if not self.antiwindup:
             i_term = min(max(i_term, self.i_min), self.i_max)
         return self.p * self.p_error, i_term, self.d * self.d_error
+
+
+GAINS = (
+    Parameter("p", NUMBER, "proportional gain", required=True, live=True),
+    Parameter("i", NUMBER, "integral gain", default=0.0, live=True),
+    Parameter("d", NUMBER, "derivative gain", default=0.0, live=True),
+    Parameter("i_clamp", NUMBER, "bounds the integral term both ways", default=0.0, live=True),
+    Parameter("i_clamp_min", NUMBER, "bounds the integral term below; goes before i_clamp", live=True),
+    Parameter("i_clamp_max", NUMBER, "bounds the integral term above; goes before i_clamp", live=True),
+    Parameter("antiwindup", BOOLEAN, "bounds the integral itself, not only its term", default=False, live=True),
+    Parameter("publish_state", BOOLEAN, "publishes control_msgs/PidState", default=False),
+)
+"""The parameters of a namespace of gains, as control_toolbox reads them."""
+
+
+class ReconfigurablePid:
+    """A PID, `pid`, whose gains stay equal to the parameters in the namespace of `node`."""
+
+    def __init__(self, node: NodeHandle) -> None:
+        """Read the gains, write them back, and advertise the reconfigure service.
+
+        Raises:
+            BadParameter: `p` is not set. Refused: a gain is not a number.
+        """
+        self._node = node
+        self._writing = False
+        self._is_idle = False
+        gains = gains_from_parameters(node)
+        self.pid = Pid(*gains)
+        if params.boolean(node, "publish_state"):
+            self.pid.observer = _StatePublisher(self.pid, node).publish
+        self._server = ReconfigureServer(
+            node, OPTIONS, lambda: to_parameters(self.pid.gains), lambda values: self.set_gains(gains_of(values))
+        )
+        i_clamp = params.number(node, "i_clamp")
+        self.set_gains(gains)
+        # The value as set, even if i_clamp_min and i_clamp_max override it: setting it again then changes nothing.
+        self._i_clamp = None if i_clamp is None else abs(i_clamp)
+        node.guard_params(self._judge)
+        node.watch_param(node.namespace, self._parameters_changed)
+
+    def set_gains(self, gains: Gains) -> None:
+        """Use these gains from the next cycle on, write them to the parameters and publish them."""
+        old = self.pid.gains
+        self.pid.set_gains(gains)
+        for name in ("p", "i", "d"):
+            value = getattr(gains, name)
+            if value < 0.0 and value != getattr(old, name):
+                self._node.log("warn", f"{self._node.namespace}: {name} = {value} drives away from the set point")
+        is_idle = gains.i != 0.0 and gains.i_min == gains.i_max == 0.0
+        if is_idle and (gains.i != old.i or not self._is_idle):
+            self._node.log("warn", f"{self._node.namespace}: i = {gains.i} has no effect without i_clamp")
+        self._is_idle = is_idle
+        self._write_back(gains)
+        self._server.publish()
+
+    def _write_back(self, gains: Gains) -> None:
+        """Write the six gain parameters and, if set, i_clamp, which is the upper bound as in the controller's state."""
+        values = to_parameters(gains)
+        if self._node.has_param("i_clamp"):
+            values["i_clamp"] = self._i_clamp = gains.i_max
+        self._writing = True
+        try:
+            for name, value in values.items():
+                there = self._node.get_param(name, None)
+                if type(there) is not type(value) or there != value:  # `param get` prints 1, 1.0 and true differently
+                    self._node.set_param(name, value)
+        finally:
+            self._writing = False
+
+    def _judge(self, change: ParameterChange) -> None:
+        """Refuse a change of the parameters that the PID cannot use."""
+        if self._writing:
+            return
+        check_values(self._node, GAINS, change)
+        after = change.after if isinstance(change.after, dict) else {}
+        gone = [name for name in to_parameters(self.pid.gains) if name not in after]
+        if change.deletes and gone:
+            raise Refused(
+                f"{self._node.namespace}/{gone[0]} is a gain of a loaded controller and cannot be deleted",
+                "unload the controller first: slidectl controller unspawn NAME",
+            )
+
+    def _parameters_changed(self) -> None:
+        """Use the changed parameters. A gain whose parameter is missing keeps its value, which is written back."""
+        if self._writing:
+            return
+        gains = self._wanted()
+        if gains != self.pid.gains:
+            self.set_gains(gains)
+        else:
+            self._write_back(gains)
+
+    def _wanted(self) -> Gains:
+        """The gains that the parameters give now. A changed i_clamp sets both bounds.
+
+        At construction i_clamp_min and i_clamp_max take precedence. By the same rule i_clamp would never count here,
+        since both are always set by now.
+        """
+        old = self.pid.gains
+        gains = gains_from_parameters(self._node, old)
+        i_clamp = params.number(self._node, "i_clamp")
+        if i_clamp is None or abs(i_clamp) == self._i_clamp or (gains.i_min, gains.i_max) != (old.i_min, old.i_max):
+            return gains
+        return gains._replace(i_min=-abs(i_clamp), i_max=abs(i_clamp))
+
+
+def gains_from_parameters(node: NodeHandle, base: Gains | None = None) -> Gains:
+    """The gains that the parameters of this namespace give. Missing ones are taken from `base`.
+
+    Raises:
+        BadParameter: neither `p` nor `base`. Refused: a gain is not a number.
+    """
+    p = params.number(node, "p") if base is not None else params.needed_number(node, "p")
+    base = base or Gains()
+    i_clamp = params.number(node, "i_clamp")
+    i_max = base.i_max if i_clamp is None else abs(i_clamp)
+    i_min = base.i_min if i_clamp is None else -abs(i_clamp)
+    lower, upper = params.number(node, "i_clamp_min"), params.number(node, "i_clamp_max")
+    antiwindup = params.boolean(node, "antiwindup")
+    return _checked(
+        node,
+        Gains(
+            p=_first(p, base.p),
+            i=_first(params.number(node, "i"), base.i),
+            d=_first(params.number(node, "d"), base.d),
+            i_max=i_max if upper is None else abs(upper),
+            i_min=i_min if lower is None else -abs(lower),
+            antiwindup=base.antiwindup if antiwindup is None else antiwindup,
+        ),
+    )
+
+
+def _first(value: float | None, otherwise: float) -> float:
+    return otherwise if value is None else value
+
+
+def _checked(node: NodeHandle, gains: Gains) -> Gains:
+    """The gains. Raises Refused for nan, and for an infinite p, i or d; an infinite clamp means no clamp."""
+    for name, value in gains._asdict().items():
+        if isnan(value) or (name in ("p", "i", "d") and not isfinite(value)):
+            raise Refused(f"{node.namespace}: gain {name} must be a number, not {value}")
+    return gains
+
+
+class _StatePublisher:
+    """Publishes control_msgs/PidState after each command of a PID."""
+
+    def __init__(self, pid: Pid, node: NodeHandle) -> None:
+        self._pid = pid
+        self._node = node
+        self._publisher = node.advertise("state", "control_msgs/PidState")
+
+    def publish(self, period_s: float) -> None:
+        """The state after a command that was computed for this period."""
+        publish_if_wanted(self._publisher, lambda: self._message(period_s))
+
+    def _message(self, period_s: float) -> Message:
+        pid = self._pid
+        p_term, i_term, d_term = pid.terms()
+        return {
+            "header": header_of(self._node.now_ns()),
+            "timestep": to_stamp(from_seconds(period_s)),
+            "error": pid.p_error,
+            "error_dot": pid.d_error,
+            "p_error": pid.p_error,
+            "i_error": pid.i_error,
+            "d_error": pid.d_error,
+            "p_term": p_term,
+            "i_term": i_term,
+            "d_term": d_term,
+            "i_max": pid.i_max,
+            "i_min": pid.i_min,
+            "output": pid.command,
+        }
+
+
+OPTIONS = (
+    Option("p", "Proportional gain", 10.0, -100000.0, 100000.0),
+    Option("i", "Integral gain", 0.1, -100000.0, 100000.0),
+    Option("d", "Derivative gain", 1.0, -1000.0, 1000.0),
+    Option("i_clamp_min", "Least integral term", -10.0, -100000.0, 0.0),
+    Option("i_clamp_max", "Largest integral term", 10.0, 0.0, 100000.0),
+    Option("antiwindup", "Bound the integral itself, not only its contribution", False),
+)
+"""The gains as options of dynamic_reconfigure."""
+_FIELDS = {option.name: option.name.replace("i_clamp", "i") for option in OPTIONS}
+"""The name in Gains of each option."""
+
+
+def to_parameters(gains: Gains) -> Values:
+    """The six parameters that hold these gains."""
+    return {name: getattr(gains, field) for name, field in _FIELDS.items()}
+
+
+def gains_of(values: Values) -> Gains:
+    """The gains of the six parameters."""
+    found: dict[str, Any] = {_FIELDS[name]: value for name, value in values.items()}
+    return Gains(**found)

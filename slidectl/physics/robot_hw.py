@@ -39,8 +39,7 @@ from slidectl.control.limits import (
 )
 from slidectl.control.node_handle import NodeHandle
 from slidectl.control.params import BadParameter
-from slidectl.control.pid import Pid, next_command, next_command_from
-from slidectl.control.reconfigurable_pid import ReconfigurablePid
+from slidectl.control.pid import Pid, ReconfigurablePid, next_command, next_command_from
 from slidectl.control.user_classes import is_of_a_user
 from slidectl.description import interfaces
 from slidectl.description.robot import ForceTorque, Imu, Joint, Robot, Sensor, TransmissionInfo, TransmissionJoint

@@ -32,7 +32,7 @@ from slidectl.control.hardware_interface import ResourceManager, SensorHandle
 from slidectl.control.limits import LimitHandle
 from slidectl.control.mobile_base import RollingMean
 from slidectl.control.node_handle import GoalStatus
-from slidectl.control.reconfigurable_pid import ReconfigurablePid
+from slidectl.control.pid import ReconfigurablePid
 from slidectl.control.reconfigure import ReconfigureServer
 from slidectl.control.user_classes import is_of_a_user, watched_for
 from slidectl.errors import Refused, SlidectlError

@@ -4,8 +4,7 @@ import pytest
 
 from slidectl import msgs
 from slidectl.control.params import BadParameter
-from slidectl.control.pid import Gains
-from slidectl.control.reconfigurable_pid import ReconfigurablePid
+from slidectl.control.pid import Gains, ReconfigurablePid
 from slidectl.errors import Refused, UnknownName
 
 NS = "/bot/controller/pid"

@@ -22,8 +22,7 @@ from slidectl.control.joint_controller import GroupController, PidController, st
 from slidectl.control.laws import Columns, LawTables, law
 from slidectl.control.node_handle import NodeHandle
 from slidectl.control.params import JOINT, JOINTS, Parameter, within
-from slidectl.control.pid import Pid, next_command
-from slidectl.control.reconfigurable_pid import GAINS, ReconfigurablePid
+from slidectl.control.pid import GAINS, Pid, ReconfigurablePid, next_command
 from slidectl.control.registry import controller
 from slidectl.control.robot_description import joint_of_model
 from slidectl.description.robot import Joint

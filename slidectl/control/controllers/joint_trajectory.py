@@ -36,8 +36,7 @@ from slidectl.control.joint_controller import joint_names, warn_of_other_joints
 from slidectl.control.laws import LEAVE, Columns, LawTables, law
 from slidectl.control.node_handle import GoalHandle, GoalStatus, Message, NodeHandle
 from slidectl.control.params import BOOLEAN, JOINTS, NUMBER, Parameter, within
-from slidectl.control.pid import Pid, next_command_from
-from slidectl.control.reconfigurable_pid import GAINS, ReconfigurablePid
+from slidectl.control.pid import GAINS, Pid, ReconfigurablePid, next_command_from
 from slidectl.control.registry import controller
 from slidectl.control.robot_description import joint_of_model
 from slidectl.control.segments import (
