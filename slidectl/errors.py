@@ -33,10 +33,6 @@ class Reason(str):
         reason.level = level
         return reason
 
-    @property
-    def is_warning(self) -> bool:
-        return self.level == "warn"
-
 
 def cut(text: str, most: int = _LONGEST_TEXT) -> str:
     """Return the text; if it is longer than `most` characters, its middle is left out."""

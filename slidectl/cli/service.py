@@ -177,16 +177,15 @@ def call_service(ctx: Context, full: str, request: dict[str, Any]) -> tuple[dict
     if verdict is None:
         return response, []
     reasons = [str(text) for text in texts if text]
-    reasons += [reason for reason in ctx.client.reasons if not reason.is_warning and reason not in reasons]
+    reasons += [error for error in ctx.client.errors if error not in reasons]
     lines = [f"  {line}" for reason in reasons for line in reason.splitlines()]
     return response, [f"{full} answered {verdict}", *lines]
 
 
 def warn_of_call(ctx: Context, refusal: Sequence[str]) -> None:
     """Print the reasons of the call that are not part of the refusal."""
-    for reason in ctx.client.reasons:
-        if reason.is_warning or not refusal:
-            ctx.warn(reason)
+    for reason in ctx.client.warnings if refusal else ctx.client.reasons:
+        ctx.warn(reason)
 
 
 def ask_each(ctx: Context, question: str, services: Iterable[str], key: str) -> dict[str, str]:

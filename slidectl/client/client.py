@@ -22,7 +22,6 @@ from slidectl.errors import (
     AmbiguousName,
     MessageRefused,
     NoDaemon,
-    Reason,
     Refused,
     SlidectlError,
     TimedOut,
@@ -80,11 +79,14 @@ class Client:
         self._link = link or SocketLink(paths.instance(instance, socket), time.monotonic() + timeout)
         self.paths = self._link.paths
         self.timeout = timeout
-        self.reasons: list[Reason] = []
+        self.reasons: list[str] = []
         """The daemon's warnings and errors from the request that was answered last.
 
-        That is the last `call`, `answer`, `deliver` or `flush`, whether it raised or not.
+        That is the last `call`, `answer`, `deliver` or `flush`, whether it raised or not. `warnings` and `errors` have
+        them apart.
         """
+        self.warnings: list[str] = []
+        self.errors: list[str] = []
         self.on_other_version: Callable[[str], None] = lambda _version: None
         """Called once with the daemon's version if it differs from the client's; empty if the daemon sends none."""
         self._serial = 0
@@ -146,7 +148,9 @@ class Client:
         answer = self._answers.pop(call_id)
         texts = list(map(str, answer.get("reasons", ())))
         levels = answer.get("levels", ["error"] * len(texts))  # an older daemon sends no levels
-        self.reasons = [Reason(text, level) for text, level in zip(texts, levels, strict=True)]
+        self.reasons = texts
+        self.warnings = [text for text, level in zip(texts, levels, strict=True) if level == "warn"]
+        self.errors = [text for text, level in zip(texts, levels, strict=True) if level != "warn"]
         return answer
 
     def is_answered(self, call_id: str) -> bool:
@@ -998,12 +1002,10 @@ class Manager:
     def _answered(self, what: str, call_id: str) -> None:
         """Wait for an answer with the field `ok`. Raises Refused."""
         ok = self.client.answer(call_id, timeout=self._limit_s)["ok"]
-        reasons = self.client.reasons
-        for reason in reasons:
-            if ok or reason.is_warning:
-                self.warn(reason)
+        for reason in self.client.reasons if ok else self.client.warnings:
+            self.warn(reason)
         if not ok:
-            raise self.refusal(what, [reason for reason in reasons if not reason.is_warning])
+            raise self.refusal(what, self.client.errors)
 
     def refusal(self, what: str, reasons: Sequence[str]) -> Refused:
         """The error of a request that was refused for these reasons."""

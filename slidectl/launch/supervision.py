@@ -244,9 +244,11 @@ def run(arguments: Sequence[str], environment: Mapping[str, str], most_bytes: in
     Raises:
         OSError, ValueError: it cannot be started. OverflowError: its output has more than `most_bytes`.
     """
-    with subprocess.Popen(
-        arguments, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, env=environment, start_new_session=True
-    ) as process:
+    with _signals_deferred():
+        process = subprocess.Popen(
+            arguments, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, env=environment, start_new_session=True
+        )
+    with process:
         assert process.stdout is not None
         try:
             output = process.stdout.read(most_bytes + 1)
@@ -257,3 +259,20 @@ def run(arguments: Sequence[str], environment: Mapping[str, str], most_bytes: in
             with suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGKILL)
             raise
+
+
+@contextmanager
+def _signals_deferred() -> Iterator[None]:
+    """Handle signals at the end of the block: an exception inside `Popen` would lose the new process."""
+    received: list[int] = []
+    previous: dict[int, Any] = {}
+    with suppress(ValueError):  # not in the main thread, which alone handles signals
+        for handled in [number for number in SIGNALS if callable(signal.getsignal(number))]:
+            previous[handled] = signal.signal(handled, lambda number, _frame: received.append(number))
+    try:
+        yield
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+    for number in received:
+        signal.raise_signal(number)

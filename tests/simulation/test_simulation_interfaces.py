@@ -47,7 +47,7 @@ def largest_error(interface: str, **gains: float) -> tuple[float, list[int]]:
     largest = 0.0
     for _ in range(1200):
         simulation.step(1)
-        largest = max(largest, *(abs(error) for error in controller.error.positions))
+        largest = max(largest, *(abs(motion.position_error) for motion in controller.motions))
     return largest, ended
 
 
