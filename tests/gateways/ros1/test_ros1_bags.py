@@ -96,7 +96,8 @@ def test_rosbag_records_what_slidectl_records_and_its_bag_moves_the_slider_again
                     client.deliver(COMMAND, {"data": target})
                     for _ in range(24):  # rosbag record drops what comes faster than it takes it: 100 messages may wait
                         client.step(seconds=0.25)
-                        header = [*(states.get(0.0) for _ in range(len(states)))][0]["header"]
+                        first, *_ = [states.get(0.0) for _ in range(len(states))]
+                        header = first["header"]
                         begin = struct.pack("<3I", header["seq"], header["stamp"]["secs"], header["stamp"]["nsecs"])
                         eventually(functools.partial(has_taken, theirs, begin), "rosbag record does not write")
             moved = position(client)
