@@ -81,6 +81,32 @@ def temporary_runtime_folder() -> str:
     return os.path.join(temporary, f"slidectl-{os.getuid()}")
 
 
+def runtime_folders() -> list[str]:
+    """The folders that may hold instances of this user: that of this environment first, and that under the temporary
+    folder, where a shell without XDG_RUNTIME_DIR has them."""
+    return list(dict.fromkeys((runtime_folder(), temporary_runtime_folder())))
+
+
+def instances() -> list[InstancePaths]:
+    """All instances of this user that have a folder, by name. Links and what belongs to other users are left out."""
+    found = []
+    for folder in runtime_folders():
+        for name in sorted(os.listdir(folder)) if is_ours(folder) else []:
+            path = os.path.join(folder, name)
+            if re.match(_INSTANCE, name) and is_ours(path):
+                found.append(InstancePaths(path, os.path.join(path, _SOCKET)))
+    return found
+
+
+def is_ours(path: str | Path, *kinds: int) -> bool:
+    """True for a folder of this user, or for a file of one of the kinds (S_IFREG ...) of this user; not for links."""
+    try:
+        info = os.lstat(path)
+    except OSError:
+        return False
+    return stat.S_IFMT(info.st_mode) in (kinds or (stat.S_IFDIR,)) and info.st_uid == os.geteuid()
+
+
 def instance(name: str | None = None, socket: str | None = None) -> InstancePaths:
     """The paths of an instance: by socket path if given, else by name. Environment variables are the defaults.
 
@@ -96,7 +122,7 @@ def instance(name: str | None = None, socket: str | None = None) -> InstancePath
         folder, file = os.path.split(path)
         above, name = os.path.split(folder)
         # The socket path of an instance means that instance: lock and log must be the same files.
-        is_instances = file == _SOCKET and above == runtime_folder() and re.match(_INSTANCE, name)
+        is_instances = file == _SOCKET and above in runtime_folders() and re.match(_INSTANCE, name)
         found = InstancePaths(folder, path, "" if is_instances else f"{file}.")
     else:
         name = name if name is not None else os.environ.get("SLIDECTL_INSTANCE") or DEFAULT_INSTANCE
@@ -140,6 +166,11 @@ def make_private(folder: Path) -> None:
         if stat.S_IMODE(info.st_mode) & 0o022:
             raise Refused(f"{above} can be written by other users", f"chmod go-w {above}")
     check_private(folder)
+
+
+def is_named_by_instance(paths: InstancePaths) -> bool:
+    """True when `--instance` leads there in this environment; else only `--socket` does."""
+    return not paths.prefix and _is_ours_to_name(paths.folder_text)
 
 
 def _is_ours_to_name(folder: str | Path) -> bool:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import errno
 import fcntl
 import os
+import stat
 import struct
 import sys
 from contextlib import suppress
@@ -39,6 +40,8 @@ def holder(path: Path) -> int | None:
         Refused: the file exists and cannot be asked.
     """
     try:
+        if not stat.S_ISREG(os.lstat(path).st_mode):
+            return None  # a link, a FIFO or a device is nobody's lock
         with open(path, "rb+", buffering=0) as file:
             question = _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, 0, 0, 0)
             kind, _, _, _, pid = _FLOCK.unpack(fcntl.fcntl(file, fcntl.F_GETLK, question))
@@ -57,7 +60,7 @@ def lock(path: Path) -> int | None:
     """
     while True:
         try:
-            fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+            fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
         except OSError as error:
             raise _lock_failed("make", path, error) from None
         try:

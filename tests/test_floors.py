@@ -170,7 +170,16 @@ def test_the_page_on_the_architecture_has_every_room_on_its_floor() -> None:
 def test_the_command_line_has_no_private_door() -> None:
     doors = {
         f"slidectl.daemon.{door}"
-        for door in ("cleaning", "health", "journal", "journal_replay", "lifecycle", "options", "replay_recording")
+        for door in (
+            "cleaning",
+            "health",
+            "instances",
+            "journal",
+            "journal_replay",
+            "lifecycle",
+            "options",
+            "replay_recording",
+        )
     }
     for path in sorted((PACKAGE / "cli").rglob("*.py")):
         assert rooms_used(path) <= CLI_MAY_TAKE, path

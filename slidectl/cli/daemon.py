@@ -9,6 +9,7 @@ import os
 import select
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 
 START_LIMIT_S = 30.0
 STOP_LIMIT_S = 10.0
+LIST_LIMIT_S = 2.0
 _LOOK_AGAIN_S = 0.1
 
 
@@ -295,23 +297,29 @@ def _opened(path: Path) -> TextIO:
         raise Refused(f"cannot read the log {path}: {error.strerror or error}") from None
 
 
-@daemon.command("clean", examples=["slidectl daemon clean --dry-run", "slidectl daemon clean"])
+@daemon.command(
+    "clean",
+    examples=["slidectl daemon clean --dry-run", "slidectl -i other daemon clean", "slidectl daemon clean --all"],
+)
 @click.option("--dry-run", is_flag=True, help="List what would be removed, and remove nothing.")
+@click.option("--all", "everything", is_flag=True, help="All instances, compiled code, and the history of the shell.")
 @click.pass_obj
-def clean(ctx: Context, dry_run: bool) -> None:
-    """Remove all that slidectl has left on this machine.
+def clean(ctx: Context, dry_run: bool, everything: bool) -> None:
+    """Remove what this instance has left on this machine: its folder with its logs.
 
-    Compiled code, the history of 'slidectl shell', and the folders of instances with their logs; with --socket also
-    the files beside that socket. Files of a daemon that runs stay, and then the exit code is 1.
+    With --socket those are the files beside that socket. Other instances stay untouched, unless --all is given:
+    then everything of slidectl goes. Files of a daemon that runs stay, and then the exit code is 1.
     JSON keys: path, what, bytes, removed.
     """
     from slidectl.cli.shell import history_file
+    from slidectl.client.link import command
     from slidectl.daemon import cleaning
 
-    found = cleaning.leftovers(Path(history_file()), ctx.paths)
+    found = cleaning.of_all(Path(history_file()), ctx.paths) if everything else cleaning.of_instance(ctx.paths)
+    stop_it = "slidectl daemon list" if everything else command(ctx.paths, "daemon stop")
     failures = []
     for one in found:
-        problem = f"process {one.pid} runs there; stop it first: slidectl daemon stop" if one.pid is not None else ""
+        problem = f"process {one.pid} runs there; stop it first: {stop_it}" if one.pid is not None else ""
         if not problem and not dry_run:
             try:
                 cleaning.remove(one)
@@ -325,4 +333,46 @@ def clean(ctx: Context, dry_run: bool) -> None:
     if failures:
         raise Refused("\n".join(failures))
     if not found:
-        ctx.say("nothing of slidectl is left")
+        left = "nothing of slidectl" if everything else f"nothing of instance {ctx.paths.name}"
+        ctx.say(f"{left} is left")
+
+
+@daemon.command("list", examples=["slidectl daemon list", "slidectl daemon list --json"])
+@click.pass_obj
+def list_(ctx: Context) -> None:
+    """List all daemons of this user that run: the world's time, since when it runs, its robots and gateways.
+
+    One that does not answer within 2 s, or within --timeout, is listed as such. A daemon with a socket elsewhere is
+    listed when --socket names it. The table shows an instance that -i does not reach from this shell by its socket.
+
+    JSON keys: instance, socket, pid, answers, time (s, simulated), since (date and time), state (running, paused,
+    stopped by an error, or why it does not answer), robots, gateways (objects with kind, pid, address).
+    """
+    from slidectl.daemon.instances import running_daemons
+    from slidectl.gateways.process import find_all
+    from slidectl.paths import is_named_by_instance
+
+    rows = []
+    for one in running_daemons(ctx.paths, ctx.wait_limit(LIST_LIMIT_S)):
+        status = one.status
+        state = status["trouble"] or ("paused" if status["paused"] else "running") if status else ""
+        since = one.since and datetime.fromtimestamp(one.since).astimezone().isoformat(timespec="seconds")
+        gateways = [{"kind": found.kind, "pid": found.pid, "address": found.address} for found in find_all(one.paths)]
+        row = {
+            "instance": one.paths.name,
+            "socket": one.paths.socket_text,
+            "pid": one.pid,
+            "answers": bool(status),
+            "time": status.get("time"),
+            "since": since,
+            "state": state or f"does not answer: {one.trouble}",
+            "robots": status.get("robots", []),
+            "gateways": gateways,
+        }
+        if ctx.format == "text":
+            row["since"] = since and since[:19].replace("T", " ")  # the zone is that of the reader
+            row["gateways"] = [found["kind"] for found in gateways]
+            if not is_named_by_instance(one.paths):
+                row["instance"] = one.paths.socket_text
+        rows.append(row)
+    ctx.emit_rows(rows, ["instance", "pid", "time", "since", "robots", "gateways", "state"], "no daemon runs")

@@ -15,7 +15,7 @@ from typing import Any, Protocol
 
 from slidectl.client.lines import LineBuffer, decode
 from slidectl.errors import NoDaemon, Refused, TimedOut
-from slidectl.paths import DEFAULT_INSTANCE, InstancePaths, check_private
+from slidectl.paths import DEFAULT_INSTANCE, InstancePaths, check_private, is_named_by_instance
 
 _CHUNK = 64 * 1024
 """Bytes per receive call. Python allocates this many each time; above 128 KiB malloc would map and unmap memory."""
@@ -27,7 +27,7 @@ _LONGEST_WAIT_S = 1e6
 
 def command(paths: InstancePaths, words: str) -> str:
     """The shell command that runs `words` on this instance."""
-    if paths.prefix:
+    if not is_named_by_instance(paths):
         return f"slidectl --socket {paths.socket_text} {words}"
     name = paths.name
     return f"slidectl {words}" if name == DEFAULT_INSTANCE else f"slidectl -i {name} {words}"

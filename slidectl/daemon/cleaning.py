@@ -1,4 +1,4 @@
-"""All that slidectl leaves on a machine, and its removal: compiled code, the shell's history, instances' folders.
+"""What one instance leaves on a machine, or all of slidectl: instances' folders, compiled code, the shell's history.
 
 A folder is ours by its name and its owner; symbolic links are never followed. Files in use by a running daemon or
 gateway stay.
@@ -6,7 +6,6 @@ gateway stay.
 
 from __future__ import annotations
 
-import os
 import shutil
 import stat
 from collections.abc import Iterable
@@ -29,31 +28,40 @@ class Leftover(NamedTuple):
     pid: int | None = None
 
 
-def leftovers(history: Path, chosen: paths.InstancePaths) -> list[Leftover]:
-    """All files and folders. `history` is the shell's file; `chosen` the instance of the command line.
+def of_instance(chosen: paths.InstancePaths) -> list[Leftover]:
+    """What one instance has left: its folder, or the files beside its named socket.
+
+    Raises:
+        Refused: it cannot be determined whether a daemon runs there.
+    """
+    if not chosen.prefix:
+        return _instance(chosen.folder)
+    # Not `prefix*lock`: socket `s` must not take the lock of a socket `s.x` for one of its own.
+    pid = _user_of((chosen.lock, *chosen.folder.glob(f"{chosen.prefix}gateway-*.lock")))
+    kinds = ("lock", "log", "log.*", "gateway-*", "launch-*.log", "recording-*.log", "playing-*.log")
+    files = [*(file for kind in kinds for file in chosen.folder.glob(chosen.prefix + kind)), chosen.socket]
+    what = f"socket {chosen.socket.name}"
+    ours = [path for path in files if paths.is_ours(path, stat.S_IFREG, stat.S_IFSOCK)]
+    return [Leftover(path, what, _size(path), pid) for path in ours]
+
+
+def of_all(history: Path, chosen: paths.InstancePaths) -> list[Leftover]:
+    """What slidectl has left: compiled code, `history` of the shell, all instances, and `chosen` by its socket.
 
     Raises:
         Refused: it cannot be determined whether a daemon runs there.
     """
     found = _folder(object_file.folder(), "compiled code") + _folder(history.parent, "history of the shell")
-    for folder in dict.fromkeys((Path(paths.runtime_folder()), Path(paths.temporary_runtime_folder()))):
-        inside = sorted(folder.iterdir()) if _is_ours(folder) else []
-        instances = [one for path in inside for one in _folder(path, f"instance {path.name}", path.glob("*lock"))]
+    for folder in map(Path, paths.runtime_folders()):
+        inside = sorted(folder.iterdir()) if paths.is_ours(folder) else []
+        instances = [one for path in inside for one in _instance(path)]
         found += instances or _folder(folder, "folder of the instances")
-    if chosen.prefix:
-        pid = _user_of(chosen.folder.glob(f"{chosen.prefix}*lock"))
-        kinds = ("lock", "log", "log.*", "gateway-*", "launch-*.log", "recording-*.log", "playing-*.log")
-        files = [*(file for kind in kinds for file in chosen.folder.glob(chosen.prefix + kind)), chosen.socket]
-        what = f"socket {chosen.socket.name}"
-        found += [
-            Leftover(path, what, _size(path), pid) for path in files if _is_ours(path, stat.S_IFREG, stat.S_IFSOCK)
-        ]
-    return found
+    return found + (of_instance(chosen) if chosen.prefix else [])
 
 
 def remove(leftover: Leftover) -> None:
     """Remove it. Raises OSError: it cannot be removed."""
-    if not _is_ours(leftover.path):
+    if not paths.is_ours(leftover.path):
         leftover.path.unlink()
         return
     shutil.rmtree(leftover.path)
@@ -62,21 +70,17 @@ def remove(leftover: Leftover) -> None:
             leftover.path.parent.rmdir()
 
 
+def _instance(path: Path) -> list[Leftover]:
+    return _folder(path, f"instance {path.name}", path.glob("*lock"))
+
+
 def _folder(path: Path, what: str, locks: Iterable[Path] = ()) -> list[Leftover]:
-    return [Leftover(path, what, _size(path), _user_of(locks))] if _is_ours(path) else []
+    return [Leftover(path, what, _size(path), _user_of(locks))] if paths.is_ours(path) else []
 
 
 def _user_of(locks: Iterable[Path]) -> int | None:
     """The process id of a daemon or a gateway that holds one of the locks."""
     return next((pid for lock in locks if (pid := holder(lock)) is not None), None)
-
-
-def _is_ours(path: Path, *kinds: int) -> bool:
-    """True for a folder of this user, or for a file of one of the kinds (S_IFREG ...) of this user."""
-    with suppress(OSError):
-        info = os.lstat(path)
-        return stat.S_IFMT(info.st_mode) in (kinds or (stat.S_IFDIR,)) and info.st_uid == os.geteuid()
-    return False
 
 
 def _size(path: Path) -> int:

@@ -146,13 +146,11 @@ def _daemons(instance: InstancePaths) -> _Found:
             yield LOOK, f"{instance.socket_text} was left by a daemon that was killed", "the next start replaces it"
     else:
         yield from _daemon(instance, pid, BROKEN)
-    folder = Path(paths.runtime_folder())
-    for other in sorted(folder.iterdir()) if folder.is_dir() else []:
-        one = paths.InstancePaths(other, other / "socket")
+    for one in filter(paths.is_named_by_instance, paths.instances()):
         if one.socket_text != instance.socket_text and one.socket.exists():
             pid = lifecycle.running(one)
             if pid is None:
-                yield LOOK, f"{other.name}: was killed, its files are left", "slidectl daemon clean"
+                yield LOOK, f"{one.name}: was killed, its files are left", command(one, "daemon clean")
             else:
                 yield from _daemon(one, pid, LOOK)
 

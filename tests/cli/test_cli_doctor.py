@@ -63,7 +63,7 @@ def test_daemons_that_run_and_those_that_were_killed_are_told_apart() -> None:
         while slidectl("-i", "other", "daemon", "status").returncode != 3:
             pass
         lines = findings(slidectl("doctor", "--json"))["daemons"]
-        assert ("look here", "other: was killed, its files are left", "slidectl daemon clean") in lines
+        assert ("look here", "other: was killed, its files are left", "slidectl -i other daemon clean") in lines
     finally:
         slidectl("daemon", "stop")
         runtime.remove()
