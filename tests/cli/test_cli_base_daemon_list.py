@@ -116,7 +116,7 @@ def test_files_of_another_user_are_no_daemons(line: CommandLine, runtime: Runtim
     assert set(listed(line)) == {"mine"}
 
 
-def test_a_daemon_of_a_shell_without_a_runtime_folder_is_shown_by_its_socket(line: CommandLine, tmp_path: Path) -> None:
+def test_a_daemon_of_a_shell_without_a_runtime_folder_is_shown_by_its_socket(line: CommandLine) -> None:
     place = json.loads(line.ok("-i", "far", "daemon", "start", "--paused", "--json", XDG_RUNTIME_DIR=""))
     try:
         assert listed(line)["far"]["socket"] == place["socket"]
