@@ -41,7 +41,7 @@ def running_daemons(chosen: paths.InstancePaths, timeout_s: float) -> list[Liste
     places = [*paths.instances(), *([chosen] if chosen.prefix else [])]
     running = [(place, pid) for place in places if (pid := _pid(place)) is not None]
     with ThreadPoolExecutor(_AT_A_TIME) as threads:
-        return list(threads.map(lambda one: _asked(*one, timeout_s), running))
+        return list(threads.map(lambda one: _asked(one[0], one[1], timeout_s), running))
 
 
 def _pid(place: paths.InstancePaths) -> int | None:
