@@ -13,6 +13,7 @@ command_class
     assert_,
     list_actions,
     list_controllers,
+    list_daemons,
     list_faults,
     doctor,
     reindex,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slidectl import values
+from slidectl import names, values
 from slidectl.cli import completion, output, robots
 from slidectl.cli.commands import group
 from slidectl.cli.context import Context
@@ -224,4 +224,20 @@ def _tell(ctx: Context, chosen: Action, goal_id: str, ended: ActionResult, reaso
         return
     if ctx.format != "text":
         ctx.emit(record)
-    raise Refused(line)
+    raise Refused(line, _motion_after(ctx, chosen, ended, code))
+
+
+def _motion_after(ctx: Context, chosen: Action, ended: ActionResult, code: int) -> str | None:
+    """What the joints do after a tolerance has aborted a goal; None for other ends."""
+    from slidectl.client.trajectory_goals import TOLERANCE_CODES, TYPE
+
+    if ended.state != "aborted" or chosen.type != TYPE or code not in TOLERANCE_CODES:
+        return None
+    controller = names.parent(chosen.name)
+    parameter = f"{controller}/stop_on_abort"
+    if ctx.call("/rosapi/get_param", {"name": parameter, "default": "false"})["value"] == "true":
+        return f"the joints stop where they are ({parameter})"
+    return (
+        "the controller drives on to the end of the trajectory, as ros_controllers do; stop it: "
+        f"slidectl trajectory hold {controller}\nto have it stop at once: {parameter}: true before it is loaded"
+    )

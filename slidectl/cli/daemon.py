@@ -339,7 +339,7 @@ def clean(ctx: Context, dry_run: bool, everything: bool) -> None:
 
 @daemon.command("list", examples=["slidectl daemon list", "slidectl daemon list --json"])
 @click.pass_obj
-def list_(ctx: Context) -> None:
+def list_daemons(ctx: Context) -> None:
     """List all daemons of this user that run: the world's time, since when it runs, its robots and gateways.
 
     One that does not answer within 2 s, or within --timeout, is listed as such. A daemon with a socket elsewhere is

@@ -10,6 +10,8 @@ from slidectl.client.action_client import goal_topics
 from slidectl.client.client import Client
 
 TYPE = "control_msgs/FollowJointTrajectory"
+TOLERANCE_CODES = (-4, -5)
+"""Error codes of a goal that a tolerance on its path, or at its end, has aborted."""
 
 
 def trajectory_controllers(topics: dict[str, str]) -> dict[str, str]:

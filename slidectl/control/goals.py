@@ -71,6 +71,8 @@ class MonitoredGoal:
         """Send the result, if the outcome is decided, and the feedback, if the goal was active before this tick.
 
         `feedback` returns the feedback of the last update; None before the first update, or when the action has none.
+        A decided goal has no newer feedback than that of the update before its decision: none if the first update
+        decided.
         """
         was_active = self.is_active
         if self.handle.status in (GoalStatus.ACTIVE, GoalStatus.PREEMPTING):
@@ -78,9 +80,10 @@ class MonitoredGoal:
                 self.handle.abort(dict(self._result))
             elif self._decision is GoalStatus.SUCCEEDED:
                 self.handle.succeed(dict(self._result))
-        message = (self.last_feedback or feedback()) if was_active and self.handle.wants_feedback else None
-        if message is not None:
-            self.handle.publish_feedback(message)
+        if was_active and self.handle.wants_feedback:
+            message = feedback() if self._decision is None else self.last_feedback
+            if message is not None:
+                self.handle.publish_feedback(message)
 
 
 class ActionController(Controller[I]):

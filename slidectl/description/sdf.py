@@ -41,7 +41,9 @@ _HOME = "~/.gazebo/models"
 _JOINTS = ("revolute", "continuous", "prismatic", "fixed")
 """The joint types that URDF also has."""
 _UNLIMITED = 1e16
-_QUIET = ("allow_auto_disable", "enable_wind", "kinematic", "velocity_decay", "must_be_base_link", "audio_source")
+NO_LIGHT = "has no effect: the light of pictures is that of the camera and the sun"
+"""Said about lights other than the sun."""
+_QUIET = ("allow_auto_disable", "enable_wind", "kinematic", "must_be_base_link", "audio_source")
 """Tags without effect in a world of rigid bodies; they are not reported."""
 
 
@@ -464,17 +466,34 @@ class _ModelReader:
                     made.content.append(shape)
                 if element.tag == "collision":
                     gazebo.content += self._friction(element)
+                    self._bounce(element)
             elif element.tag == "gravity":
                 gazebo.content.append(_made("turnGravityOff", element, "false" if _truth(element) else "true"))
             elif element.tag == "self_collide":
                 gazebo.content.append(_made("selfCollide", element, "true" if _truth(element) else "false"))
-            elif element.tag not in ("pose", "inertial", "sensor", "light", *_QUIET):
+            elif element.tag == "velocity_decay":
+                self._velocity_decay(element)
+            elif element.tag == "light":
+                self.scene.say("ignored", element, NO_LIGHT)
+            elif element.tag not in ("pose", "inertial", "sensor", *_QUIET):
                 self.scene.say("ignored", element, "has no effect: there is nothing like it here")
             elif element.tag == "sensor":
                 self.scene.say("wrong", element, "sensors of a world's models have no effect")
         yield made
         if gazebo.content:
             yield gazebo
+
+    def _velocity_decay(self, decay: Element) -> None:
+        """Report a damping of the body's own motion, which is not there; a damping of 0 is none."""
+        if any(child.tag in ("linear", "angular") and _number(child) for child in decay.children):
+            self.scene.say("ignored", decay, "has no effect: bodies here have no damping of their own, joints have")
+
+    def _bounce(self, collision: Element) -> None:
+        """Report a restitution, which is not there; a coefficient of 0 is none."""
+        bounce = below(collision, "surface", "bounce")
+        coefficient = below(bounce, "restitution_coefficient")
+        if bounce is not None and coefficient is not None and _number(coefficient):
+            self.scene.say("ignored", bounce, "has no effect: contacts here do not bounce")
 
     def _inertial(self, link: Element, shift: Pose) -> Element:
         """The `<inertial>`; defaults are SDF's, 1 kg and moments of 1 kg·m²."""

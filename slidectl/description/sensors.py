@@ -24,6 +24,7 @@ from slidectl.description.robot import (
 )
 from slidectl.description.xml_tree import Element, below
 
+_GAUSSIAN = "gaussian"
 _FORCE_PLUGIN = "libgazebo_ros_ft_sensor"
 _FORCE_TORQUE = {"frame": ("child", "parent"), "measure_direction": ("child_to_parent", "parent_to_child")}
 """Tags of `<force_torque>` with their values; the first value is the default."""
@@ -104,10 +105,26 @@ class SensorReader:
             if child.tag not in _KNOWN_TAGS:
                 self.report.ignored(child, "has no effect in a sensor here", f"{place}/{child.title}")
 
+    def _noise(self, noise: Element | None, place: str, otherwise: float = 0.0) -> tuple[float, float]:
+        """Standard deviation and mean of a `<noise>`; `otherwise` is the deviation where it names none.
+
+        The type is a tag, or an attribute; SDF's default for sensors of these kinds is gaussian.
+        """
+        if noise is None:
+            return otherwise, 0.0
+        kind = (child_text(noise, "type", "") or noise.get("type") or _GAUSSIAN).strip()
+        if kind != _GAUSSIAN:
+            if kind != "none":
+                text = f"has no effect: noise here is {_GAUSSIAN} or none, not {kind!r}"
+                self.report.ignored(noise, text, f"{place}/<noise>")
+            return otherwise, 0.0
+        return child_number(noise, "stddev", otherwise, place), child_number(noise, "mean", 0.0, place)
+
     def _laser(self, sensor: Element, plugin: Element, common: Sensor, place: str) -> Laser:
         ray = sensor.find("ray")
         scan = below(ray, "scan", "horizontal")
-        extent, noise = below(ray, "range"), below(ray, "noise")
+        extent = below(ray, "range")
+        stddev, mean = self._noise(below(ray, "noise"), place, child_number(plugin, "gaussianNoise", 0.0, place))
         vertical = below(ray, "scan", "vertical")
         if vertical is not None and child_count(vertical, "samples", 1, place) > 1:
             self.report.ignored(vertical, "has no effect: a scan has one layer here", f"{place}/<vertical>")
@@ -123,13 +140,13 @@ class SensorReader:
         return Laser(
             common.name, common.link, child_text(plugin, "topicName", "scan"),
             child_text(plugin, "frameName", common.link), common.rate_hz, common.origin,
-            child_number(noise, "stddev", child_number(plugin, "gaussianNoise", 0.0, place), place),
-            child_number(noise, "mean", 0.0, place), samples, least, most, nearest, farthest,
+            stddev, mean, samples, least, most, nearest, farthest,
         )  # fmt: skip
 
     def _camera(self, sensor: Element, plugin: Element, common: Sensor, place: str) -> Camera:
         camera = sensor.find("camera")
-        image, clip, noise = (below(camera, tag) for tag in ("image", "clip", "noise"))
+        image, clip = below(camera, "image"), below(camera, "clip")
+        stddev, mean = self._noise(below(camera, "noise"), place)
         width, height = (child_count(image, tag, size, place) for tag, size in (("width", 320), ("height", 240)))
         view = child_number(camera, "horizontal_fov", 1.047, place)
         near, far = child_number(clip, "near", 0.1, place), child_number(clip, "far", 100.0, place)
@@ -154,7 +171,7 @@ class SensorReader:
         return Camera(
             common.name, common.link, topic, child_text(plugin, "frameName", "world").lstrip("/"),
             child_rate(plugin, "updateRate", 0.0, place) or common.rate_hz, common.origin,
-            child_number(noise, "stddev", 0.0, place), child_number(noise, "mean", 0.0, place), info,
+            stddev, mean, info,
             width, height, view, near, far, _ENCODINGS.get(written, "rgb8"),
             child_number(plugin, "hackBaseline", 0.0, place),
         )  # fmt: skip
@@ -182,10 +199,10 @@ class SensorReader:
                 self.report.ignored(child, text, f"{place}/<{tag}>")
         self._tell_unknown(sensor, place)
         topic = child_text(plugin, "topicName", "") if plugin is not None else ""
-        noise = below(tags, "force", "x", "noise")
+        stddev, _ = self._noise(below(tags, "force", "x", "noise"), place)
         self._force_torque(
             sensor.get("name") or kind, joint, topic, child_rate(sensor, "update_rate", 0.0, place),
-            child_number(plugin, "gaussianNoise", child_number(noise, "stddev", 0.0, place), place),
+            child_number(plugin, "gaussianNoise", stddev, place),
             words["frame"] == "parent", words["measure_direction"] == "parent_to_child",
         )  # fmt: skip
         return None

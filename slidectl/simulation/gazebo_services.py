@@ -217,7 +217,13 @@ class GazeboServices:
     def _apply_wrench(self, request: Message) -> Answer:
         robot, link = self._entities.find("link", request["body_name"])
         self._world.add_wrench(robot, link, *self._wrench(robot, link, request), *self._span(request))
-        return f"wrench on {robot}::{link} set", {}
+        text = f"wrench on {robot}::{link} set"
+        if request["reference_frame"] in WORLD_FRAMES and any(request["reference_point"].values()):
+            text += (
+                "; reference_point has no effect in the frame world: the force acts at the centre of mass, as in "
+                f"Gazebo. Name a reference_frame, as {robot}::{link}"
+            )
+        return text, {}
 
     def _wrench(self, robot: str, link: str, request: Message) -> tuple[Vector, Vector]:
         """Force and torque on the centre of mass, in the world's axes.

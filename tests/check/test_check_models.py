@@ -310,3 +310,17 @@ def test_a_fault_in_a_tag_of_gazebo_hides_no_other(model: Check) -> None:
         "wrong 7 <mu1>", 'wrong 7 <gazebo reference="cart">/<selfCollide>',
     ]  # fmt: skip
     assert "<materal>: has no effect here; did you mean <material>?" in lines.of("ignored")[0]
+
+
+def test_the_type_of_noise_is_read_and_an_unknown_one_is_told(model: Check) -> None:
+    def noise(kind: str) -> str:
+        return (
+            '<gazebo reference="cart"><sensor type="ray" name="s"><update_rate>10</update_rate><ray>'
+            f"<range><min>0.1</min><max>5</max></range><noise><type>{kind}</type><mean>0</mean><stddev>0.01</stddev></noise></ray>"
+            '<plugin name="p" filename="libgazebo_ros_laser.so"/></sensor></gazebo>'
+        )
+
+    for kind in ("gaussian", "none"):
+        assert model(driven_cart(noise(kind))).about("<type>", "not read") == []
+    assert model(driven_cart(noise("none"))).about("<stddev>", "not read") != []
+    assert model(driven_cart(noise("uneven"))).about("ignored", "<noise>", "gaussian or none, not 'uneven'") != []

@@ -348,3 +348,40 @@ def test_an_action_that_is_not_there_or_not_alone_is_an_error(client: Client) ->
     client.flush()
     with pytest.raises(AmbiguousName, match="more than one action"):
         client.action("arm_controller")
+
+
+def test_after_an_abort_it_is_told_that_the_motion_goes_on_or_that_it_has_stopped(world: CommandLine) -> None:
+    fast = ("time,joint1\n0.01,2.5\n",)
+    try:
+        failed(
+            world("trajectory", "send", "arm_controller", "a.csv", "--wait", cwd=_with(world, "a.csv", *fast)),
+            1,
+            "the controller drives on to the end of the trajectory, as ros_controllers do",
+            "slidectl trajectory hold /arm/arm_controller",
+        )
+        world.ok("param", "set", "/arm/arm_controller/stop_on_abort", "true")
+        world.ok("controller", "stop", "arm_controller")
+        world.ok("controller", "unload", "arm_controller")
+        world.ok("controller", "spawn", "arm_controller")
+        done = world("trajectory", "send", "arm_controller", "a.csv", "--wait", cwd=_with(world, "a.csv", *fast))
+        failed(done, 1, "the joints stop where they are (/arm/arm_controller/stop_on_abort)")
+    finally:
+        world.ok("param", "delete", "/arm/arm_controller/stop_on_abort")
+        world.ok("controller", "stop", "arm_controller")
+        world.ok("controller", "unload", "arm_controller")
+        world.ok("controller", "spawn", "arm_controller")
+
+
+def _with(world: CommandLine, name: str, text: str) -> Path:
+    """A folder with this file."""
+    (world.runtime / name).write_text(text)
+    return world.runtime
+
+
+def test_a_position_beyond_a_limit_is_warned_of(world: CommandLine) -> None:
+    try:
+        done = plan(world, "--to", "joint2=9", "--duration", "100")
+        assert done.returncode == 0
+        assert "warning: /arm/arm_controller: joint2 is sent to 9, beyond its limits" in done.stderr
+    finally:
+        world.ok("trajectory", "hold", "arm_controller")

@@ -353,6 +353,19 @@ class TestCommands:
         arm.run(100)
         assert arm.positions() == pytest.approx((1.0, 1.0))
 
+    def test_surplus_positions_are_taken_with_a_warning(self, arm: Arm) -> None:
+        arm.command(point(0.1, 1.0, 1.0, 3.0, 4.0))
+        arm.run(200)
+        assert arm.positions() == pytest.approx((1.0, 1.0))
+        text = f"{NAMESPACE}: a point has 4 positions for 2 joints: those beyond have no effect"
+        assert ("warn", text) in arm.graph.log
+
+    def test_a_position_beyond_a_limit_is_taken_with_a_warning(self, arm: Arm) -> None:
+        arm.goal(point(0.1, 1.0, 9.0), point(0.2, -4.5, 9.0))
+        arm.command(point(0.1, 3.0, 1.0))
+        warnings = [text for severity, text in arm.graph.log if severity == "warn"]
+        assert warnings == [f"{NAMESPACE}: j1 is sent to -4.5, beyond its limits -3 to 3: it cannot get there"]
+
     def test_one_to_a_controller_that_is_not_running_is_refused(self) -> None:
         arm = Arm()
         arm.load("arm")
@@ -418,6 +431,25 @@ class TestGoals:
         assert (status, code) == (GoalStatus.ABORTED, -4)
         assert text.startswith("j2 path error 0.10")
         assert arm.robot.joints["j2"].command == pytest.approx(1.0, abs=0.02)
+
+    def test_a_goal_off_its_path_stops_where_that_is_asked_for(self) -> None:
+        arm = Arm(constraints={"j2": {"trajectory": 0.1}}, stop_on_abort=True)
+        arm.start("arm")
+        arm.follows = False
+        arm.goal(point(0.2, 0.0, 1.0))
+        arm.run(200)
+        assert arm.results()[0][1:3] == (GoalStatus.ABORTED, -4)
+        assert arm.robot.joints["j2"].command == arm.robot.joints["j2"].position == 0.0
+        arm.follows = True
+        arm.goal(point(0.2, 0.0, 1.0))
+        arm.run(300)
+        assert arm.results()[1][1] == GoalStatus.SUCCEEDED
+
+    def test_a_goal_that_the_first_update_decides_has_no_feedback(self, arm: Arm) -> None:
+        name = arm.goal()
+        arm.run(200)
+        assert arm.results() == [(name, GoalStatus.SUCCEEDED, 0, "")]
+        assert arm.graph.sent(f"{ACTION}/feedback") == []
 
     def test_a_goal_that_is_not_met_in_time_is_aborted(self) -> None:
         arm = Arm(constraints={"goal_time": 0.1, "j1": {"goal": 0.01}})

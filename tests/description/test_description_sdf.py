@@ -239,3 +239,25 @@ def test_a_model_that_includes_itself_is_refused(tmp_path: Path, monkeypatch: py
     monkeypatch.setenv("GAZEBO_MODEL_PATH", str(tmp_path))
     with pytest.raises(BadFile, match="nested deeper than"):
         sdf.read(tmp_path / "snake" / "model.sdf")
+
+
+def test_damping_of_a_body_bounce_and_lights_are_reported_unless_they_ask_for_nothing() -> None:
+    quiet = (
+        "<velocity_decay><linear>0</linear></velocity_decay>",
+        "<surface><bounce><restitution_coefficient>0</restitution_coefficient></bounce></surface>",
+    )
+    asked = (
+        "<velocity_decay><linear>0.01</linear><angular>0.01</angular></velocity_decay><light name='lamp'/>",
+        "<surface><bounce><restitution_coefficient>0.5</restitution_coefficient></bounce></surface>",
+    )
+
+    def notices(link: str, surface: str) -> list[tuple[str, str, str]]:
+        found = scene(box(more=link).replace("</collision>", f"{surface}</collision>")).notices
+        return [(notice.verdict, notice.subject, notice.text) for notice in found]
+
+    assert notices(*quiet) == []
+    assert notices(*asked) == [
+        ("ignored", "<velocity_decay>", "has no effect: bodies here have no damping of their own, joints have"),
+        ("ignored", '<light name="lamp">', sdf.NO_LIGHT),
+        ("ignored", "<bounce>", "has no effect: contacts here do not bounce"),
+    ]

@@ -163,3 +163,9 @@ def test_the_counterpart_of_empty_world_passes_its_arguments_on(workspace: Works
     assert server.settings(WorldSettings()) == WorldSettings(True, None, (0.0, 0.0, -2.0), None, False)
     assert window.node.full_name == "/gazebo_gui"
     assert plan.parameters()["/use_sim_time"][0] is False
+
+
+def test_lights_other_than_the_sun_are_reported(workspace: Workspace) -> None:
+    found = world(workspace, '<light name="sun" type="directional"/>\n<light name="lamp" type="point"/>')
+    assert [(notice.verdict, notice.line) for notice in found.notices] == [("ignored", 2)]
+    assert "the light of pictures is that of the camera and the sun" in found.notices[0].text

@@ -220,6 +220,18 @@ def test_a_force_beside_the_centre_of_mass_turns_the_body(simulation: Simulation
     assert twist["angular"]["z"] == pytest.approx(-1.0, rel=0.05)  # 0.1 N·m for 0.1 s on 0.01 kg·m²
 
 
+def test_a_point_in_the_frame_of_the_world_is_told_to_have_no_effect(simulation: Simulation) -> None:
+    ask(simulation, "spawn_urdf_model", model_name="ball", model_xml=BALL, initial_pose={"position": {"z": 3.0}})
+    request = {"body_name": "ball", "wrench": {"force": {"x": 1.0}}, "duration": {"nsecs": 1_000_000}}
+    for frame in ("", "world"):
+        said = ask(simulation, "apply_body_wrench", reference_frame=frame, reference_point={"y": 0.1}, **request)
+        assert said["success"]
+        assert "reference_point has no effect in the frame world: the force acts at" in said["status_message"]
+    for reference in ({"reference_frame": "ball", "reference_point": {"y": 0.1}}, {"reference_frame": "world"}):
+        said = ask(simulation, "apply_body_wrench", **request, **reference)
+        assert said["status_message"] == "wrench on ball::ball set"
+
+
 def test_gravity_and_the_time_step_can_be_changed(simulation: Simulation) -> None:
     ask(simulation, "spawn_urdf_model", model_name="ball", model_xml=BALL, initial_pose={"position": {"z": 3.0}})
     moon = {"time_step": 0.002, "max_update_rate": 0.0, "gravity": {"x": 0.0, "y": 0.0, "z": -1.62}}

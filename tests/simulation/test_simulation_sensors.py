@@ -197,3 +197,14 @@ def test_a_sensor_that_measures_nothing_is_reported(more: str) -> None:
     paper = description.parse(urdf(more))
     assert not paper.sensors
     assert paper.report[-1].verdict in ("ignored", "wrong")
+
+
+@pytest.mark.parametrize("kind", ["<type>none</type>", "<type>uneven</type>"])
+def test_noise_of_another_type_than_gaussian_adds_nothing(kind: str) -> None:
+    simulation = Simulation()
+    noise = f"<noise>{kind}<mean>0.5</mean><stddev>0.2</stddev></noise>"
+    simulation.spawn(urdf(LASER.format(noise=noise)), "thing", pose=at(0, 0, 0.1))
+    simulation.spawn(urdf(name="wall"), "wall", pose=at(3, 0, 0.1))
+    scans = listen(simulation, "/thing/scan")
+    simulation.step(1000)
+    assert [scan["ranges"][2] for scan in scans] == [pytest.approx(2.9, abs=1e-3)] * len(scans)

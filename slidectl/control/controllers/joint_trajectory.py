@@ -71,6 +71,12 @@ STOP_DURATION = Parameter(
 GOAL_TIME = Parameter(
     "constraints/goal_time", NUMBER, "time after the end to meet the goal tolerances in", "s", default=0.0
 )
+STOP_ON_ABORT = Parameter(
+    "stop_on_abort",
+    BOOLEAN,
+    "stops the motion as a cancelled goal does when a tolerance aborts a goal, as ROS 2 does; ros_controllers drive on",
+    default=False,
+)
 STOPPED_VELOCITY = Parameter(
     "constraints/stopped_velocity_tolerance",
     NUMBER,
@@ -319,6 +325,7 @@ class JointTrajectoryController(ActionController[Any]):
         STATE_RATE,
         MONITOR_RATE,
         STOP_DURATION,
+        STOP_ON_ABORT,
         Parameter("allow_partial_joints_goal", BOOLEAN, "takes trajectories of some of the joints", default=False),
         GOAL_TIME,
         STOPPED_VELOCITY,
@@ -352,8 +359,11 @@ class JointTrajectoryController(ActionController[Any]):
         if not 0.0 <= self._stop_duration_s < float("inf"):
             raise Refused(f"parameter {node.namespace}/stop_trajectory_duration must not be below 0")
         self._allow_partial = params.boolean(node, "allow_partial_joints_goal") or False
+        self._stops_on_abort = params.boolean(node, STOP_ON_ABORT.name) or False
         self._names = joint_names(node)
-        self._turns = [joint_of_model(node, name).type == "continuous" for name in self._names]
+        joints = [joint_of_model(node, name) for name in self._names]
+        self._turns = [joint.type == "continuous" for joint in joints]
+        self._limits = [(joint.limit.lower, joint.limit.upper) if joint.limit else (-inf, inf) for joint in joints]
         self._joints = tuple(interface.get_handle(name) for name in self._names)
         warn_of_other_joints(node, "constraints", [*self._names, "goal_time", "stopped_velocity_tolerance"])
         self._tolerances = self._default_tolerances()
@@ -435,7 +445,9 @@ class JointTrajectoryController(ActionController[Any]):
             self.publish(time_ns, period_s)
 
     def _judge(self, goal: MonitoredGoal, samples: list[Any], uptime_s: float) -> None:
-        """Check the errors against the tolerances of the goal. A violation ends the goal, but not the motion.
+        """Check the errors against the tolerances of the goal.
+
+        A violation ends the goal, but the motion only with `stop_on_abort`.
 
         The goal's last feedback is that of the previous update.
         """
@@ -457,9 +469,12 @@ class JointTrajectoryController(ActionController[Any]):
 
     def _abort(self, goal: MonitoredGoal, code: int, text: str) -> None:
         """Abort the goal, and send the result at once."""
+        goal.last_feedback = self._feedback()
         goal.decide(GoalStatus.ABORTED, _result(code, text))
         goal.tick(self._feedback)
         self._end_goal()
+        if self._stops_on_abort:
+            self._hold()
 
     def _end_goal(self) -> None:
         self._goal = None
@@ -621,6 +636,7 @@ class JointTrajectoryController(ActionController[Any]):
         first = self._first_point(message, offsets_ns, start_ns, next_ns)
         points, offsets_ns = points[first:], offsets_ns[first:]
         states = segments.states_of(points, len(order))
+        self._warn_of_points(points, order)
         _time(start_uptime_ns + offsets_ns[-1])
         times_s = segments.seconds(offsets_ns, start_uptime_ns)
         from_start_s = segments.seconds(offsets_ns)
@@ -668,6 +684,20 @@ class JointTrajectoryController(ActionController[Any]):
             )
         return first
 
+    def _warn_of_points(self, points: list[Message], order: list[int]) -> None:
+        """Warn of what ros_controllers take silently: surplus positions, and positions beyond the limits of a joint."""
+        most = max(len(point["positions"]) for point in points)
+        if most > len(order):
+            text = f"a point has {most} positions for {len(order)} joints: those beyond have no effect"
+            self._node.log("warn", f"{self._node.namespace}: {text}")
+        for column, k in enumerate(order):
+            lower, upper = self._limits[k]
+            wanted = [point["positions"][column] for point in points if column < len(point["positions"])]
+            beyond = max(wanted, key=lambda position: max(lower - position, position - upper), default=lower)
+            if not self._turns[k] and not lower - _BESIDE <= beyond <= upper + _BESIDE:
+                text = f"is sent to {beyond:g}, beyond its limits {lower:g} to {upper:g}: it cannot get there"
+                self._node.log("warn", f"{self._node.namespace}: {self._names[k]} {text}")
+
     def _goal_tolerances(self, goal: Message) -> list[SegmentTolerances]:
         """The tolerances of each joint: the default ones, changed by those of the goal."""
         time_ns = nanoseconds(goal["goal_time_tolerance"])
@@ -684,6 +714,10 @@ class JointTrajectoryController(ActionController[Any]):
                     "warn", f"{self._node.namespace} has no joint {message['name']!r}: its tolerance is ignored"
                 )
         return found
+
+
+_BESIDE = 1e-6
+"""Positions so close to a limit, in rad or m, were meant to be the limit."""
 
 
 def _time(time_ns: int) -> int:

@@ -1,6 +1,6 @@
 """gazebo_ros's gazebo and gzserver: the daemon simulates the world; arguments and a world file (SDF) configure it.
 
-Ground, light, gravity, step size, real-time factor and models of a world file count; everything else is reported. The
+Ground, gravity, step size, real-time factor and models of a world file count; everything else is reported. The
 models are spawned before the following nodes start.
 """
 
@@ -226,7 +226,10 @@ def _take(element: Element, found: WorldFile) -> None:
             found.set(ground=True)
     elif element.tag == "plugin":
         found.say("wrong", element, "plugins of Gazebo have no effect")
-    elif element.tag not in ("light", "name", "state"):  # sdf.py reads the poses of models in a state
+    elif element.tag == "light":
+        if element.get("name") != sdf.SUN:
+            found.say("ignored", element, sdf.NO_LIGHT)
+    elif element.tag not in ("name", "state"):  # sdf.py reads the poses of models in a state
         found.say("ignored", element, "has no effect: there is nothing like it here")
 
 
