@@ -350,32 +350,31 @@ def test_an_action_that_is_not_there_or_not_alone_is_an_error(client: Client) ->
         client.action("arm_controller")
 
 
-def test_after_an_abort_it_is_told_that_the_motion_goes_on_or_that_it_has_stopped(world: CommandLine) -> None:
-    fast = ("time,joint1\n0.01,2.5\n",)
+def test_after_an_abort_it_is_told_that_the_motion_goes_on_or_that_it_has_stopped(
+    world: CommandLine, client: Client, tmp_path: Path
+) -> None:
+    parameter = "/arm/arm_controller/stop_on_abort"
+
+    def far_away() -> Done:
+        """A goal that is too fast, to where the joint is not."""
+        there = -2.0 if positions(client)["joint1"] > 0.0 else 2.0
+        (tmp_path / "fast.csv").write_text(f"time,joint1\n0.01,{there}\n")
+        return world("trajectory", "send", "arm_controller", "fast.csv", "--wait", cwd=tmp_path)
+
+    def load_anew() -> None:
+        for verb in ("stop", "unload", "spawn"):
+            world.ok("controller", verb, "arm_controller")
+
+    drives_on = "the controller drives on to the end of the trajectory, as ros_controllers do"
+    failed(far_away(), 1, drives_on, "slidectl trajectory hold /arm/arm_controller")
+    world.ok("trajectory", "hold", "arm_controller")
+    world.ok("param", "set", parameter, "true")
     try:
-        failed(
-            world("trajectory", "send", "arm_controller", "a.csv", "--wait", cwd=_with(world, "a.csv", *fast)),
-            1,
-            "the controller drives on to the end of the trajectory, as ros_controllers do",
-            "slidectl trajectory hold /arm/arm_controller",
-        )
-        world.ok("param", "set", "/arm/arm_controller/stop_on_abort", "true")
-        world.ok("controller", "stop", "arm_controller")
-        world.ok("controller", "unload", "arm_controller")
-        world.ok("controller", "spawn", "arm_controller")
-        done = world("trajectory", "send", "arm_controller", "a.csv", "--wait", cwd=_with(world, "a.csv", *fast))
-        failed(done, 1, "the joints stop where they are (/arm/arm_controller/stop_on_abort)")
+        load_anew()
+        failed(far_away(), 1, f"the joints stop where they are ({parameter})")
     finally:
-        world.ok("param", "delete", "/arm/arm_controller/stop_on_abort")
-        world.ok("controller", "stop", "arm_controller")
-        world.ok("controller", "unload", "arm_controller")
-        world.ok("controller", "spawn", "arm_controller")
-
-
-def _with(world: CommandLine, name: str, text: str) -> Path:
-    """A folder with this file."""
-    (world.runtime / name).write_text(text)
-    return world.runtime
+        world.ok("param", "delete", parameter)
+        load_anew()
 
 
 def test_a_position_beyond_a_limit_is_warned_of(world: CommandLine) -> None:
