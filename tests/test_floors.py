@@ -15,7 +15,7 @@ PACKAGE = Path(__file__).parent.parent / "slidectl"
 FLOORS = {
     "errors": 0, "names": 0, "expressions": 0, "fault_kinds": 0, "file_reads": 0, "paths": 0,
     "logfile": 1, "processes": 1,
-    "event_loop": 0, "rotations": 0, "web_access": 0, "writing": 0, "msgs": 0, "measures": 1,
+    "event_loop": 0, "rotations": 0, "web_access": 0, "writing": 0, "msgs": 0, "measures": 1, "rasteriser": 1,
     "description": 1, "control": 1, "client": 1, "recording": 1,
     "physics": 2, "launch": 2, "traces": 2, "values": 2,
     "simulation": 3, "check": 3,
@@ -47,6 +47,7 @@ FORBIDDEN = {
     "rotations": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "web_access": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml"},
     "writing": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
+    "rasteriser": {"click", "lxml", "mujoco", "rosbags", "yaml", "socket"},
     "measures": {"click", "mujoco", "rosbags", "yaml", "socket"},
     "values": {"click", "lxml", "mujoco", "numpy", "rosbags", "socket"},
     "traces": {"click", "mujoco", "rosbags", "yaml", "socket"},

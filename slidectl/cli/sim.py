@@ -48,6 +48,7 @@ def status_text(answer: dict[str, Any]) -> str:
         "lock-step": answer["lockstep"] and f"with {' '.join(answer['lockstep'])}",
         "speed": f"{speed_text(answer['speed'])} asked, {answer['speed_reached'] or 0:.3g} reached",
         "engine": answer["engine"],
+        "cameras": answer["pictures"] and f"drawn by {answer['pictures']}",
         "cycle time": ", ".join(cycles),
         "lateness": f"{late}, {answer['overruns']} overruns",
         "robots": " ".join(answer["robots"]) or "none",

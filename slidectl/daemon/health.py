@@ -117,6 +117,24 @@ def _mujoco() -> _Found:
     yield OK, "a world was made and stepped"
 
 
+def _cameras() -> _Found:
+    """Render a picture, in a process as cameras of robots have it."""
+    from slidectl.description.robot import Camera
+    from slidectl.description.robot import Pose as Origin
+    from slidectl.physics import rendering
+    from slidectl.rotations import ORIGIN
+    from slidectl.simulation.simulation import Simulation
+
+    simulation = Simulation()
+    camera = Camera("camera", "link", "image_raw", "link", 1.0, Origin(), 0.0, width=16, height=16)
+    done = simulation.render(camera, ORIGIN, 0)
+    if done.error is not None:  # OpenGL has ended the process, and software draws the next one
+        done = simulation.render(camera, ORIGIN, 0)
+    done.result()
+    remedy = "" if simulation.drawn_by() == rendering.BY_OPENGL else f"for smoother pictures: {rendering.INSTALL}"
+    yield OK, f"drawn by {simulation.drawn_by()}", remedy
+
+
 def _compiled() -> _Found:
     from slidectl.simulation.compiled import object_file
 
@@ -254,8 +272,8 @@ def _ros() -> _Found:
 
 
 _OF_MACHINE: dict[str, Callable[[], _Found]] = {
-    "python": _python, "libraries": _libraries, "mujoco": _mujoco, "compiled": _compiled, "files": _descriptors,
-    "timers": _punctuality, "packages": _packages, "ros": _ros,
+    "python": _python, "libraries": _libraries, "mujoco": _mujoco, "cameras": _cameras, "compiled": _compiled,
+    "files": _descriptors, "timers": _punctuality, "packages": _packages, "ros": _ros,
 }  # fmt: skip
 _OF_INSTANCE: dict[str, Callable[[InstancePaths], _Found]] = {
     "sockets": _sockets, "daemons": _daemons, "disk": _disk,

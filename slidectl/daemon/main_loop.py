@@ -86,6 +86,7 @@ class Daemon:
             self._replay(replay)
         self.simulation.read_meshes = self._mesh_reader.read
         self.simulation.render = self._pictures.render
+        self.simulation.drawn_by = self._pictures.drawn_by
         if self._journal is not None:
             self._journal.watch(self.simulation)
             self._server.journal = self._journal

@@ -34,6 +34,10 @@ class PictureQueue:
         self._next()
         return pending
 
+    def drawn_by(self) -> str:
+        """What drew the last picture: OpenGL, or software with the reason; empty before the first one."""
+        return self._renderer.drawn_by
+
     def close(self) -> None:
         """End the process; open requests get no picture."""
         self._waiting.clear()

@@ -1,8 +1,8 @@
-"""Pictures of cameras on links, rendered by MuJoCo in a separate process.
+"""Pictures of cameras on links, rendered in a separate process: by MuJoCo with OpenGL, or by software.
 
 A picture takes some milliseconds with a graphics card, and a quarter of a second without, so no cycle waits for one.
-The process gets the model once and the poses of all shapes with each frame. It needs OpenGL by EGL or OSMesa, and ends
-with its parent. It renders the collision shapes, in the colours of their links.
+The process gets the model once and the poses of all shapes with each frame, and ends with its parent. It renders the
+collision shapes, in the colours of their links. Where OpenGL (EGL or OSMesa) is missing or fails, software draws.
 """
 
 from __future__ import annotations
@@ -23,17 +23,23 @@ import numpy as np
 from slidectl.description import link_colours
 from slidectl.errors import Refused
 from slidectl.physics.body import Array
+from slidectl.physics.software_pictures import SoftwareDrawer
 from slidectl.physics.touching import link_of
 from slidectl.rotations import Pose, rotate
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from slidectl.description.robot import Camera
     from slidectl.physics.world import World
 
 INSTALL = "install OpenGL for programs without a screen: apt install libegl1 (with a driver: libgl1-mesa-dri)"
 _LIBRARIES = {"egl": ("libEGL.so.1",), "osmesa": ("libOSMesa.so.8", "libOSMesa.so.6")}
-_ANSWER = struct.Struct("<?I")
-"""Header of an answer: true for a picture, false for an error text; and the length of the content that follows."""
+BY_OPENGL, BY_SOFTWARE = "OpenGL", "software"
+_ANSWER = struct.Struct("<BI")
+"""Header of an answer: its kind, and the length of the content that follows."""
+_ERROR, _PICTURE, _DRAWN_BY = range(3)
+"""Kinds of answers: an error text; pixels; how this and the following pictures are drawn, which comes before pixels."""
 _PIECE = 1 << 20
 _AMBIENT = 0.4
 """Ambient light, as in Gazebo's worlds."""
@@ -69,6 +75,10 @@ class RenderProcess:
     """The client of the rendering process. The first frame starts the process, which renders one frame at a time."""
 
     def __init__(self) -> None:
+        self.drawn_by = ""
+        """What drew the last picture: OpenGL, or software with the reason; empty before the first one."""
+        self._breaks = ""
+        """The OpenGL that ended the process before the first picture."""
         self._process: subprocess.Popen[bytes] | None = None
         self._model: Any = None
         """The model that the process has."""
@@ -121,18 +131,23 @@ class RenderProcess:
         if not piece:  # `ask` closes the pipes, since the caller may still poll this one
             self._process.kill()
             self._process.wait()
-            raise Refused("the process that renders pictures has ended", INSTALL)
-        if len(self._said) < _ANSWER.size:
-            return None
-        is_picture, length = _ANSWER.unpack_from(self._said)
-        if len(self._said) < _ANSWER.size + length:
-            return None
-        content = self._said[_ANSWER.size :].decode("utf-8", "replace")
-        self._said.clear()
-        if not is_picture:
-            self._model = None  # the process may not have the model
-            raise Refused(f"no picture: {content}", INSTALL)
-        return content
+            if not self.drawn_by:
+                self._breaks = gl_backend()
+            raise Refused("the process that renders pictures has ended")
+        while len(self._said) >= _ANSWER.size:
+            kind, length = _ANSWER.unpack_from(self._said)
+            end = _ANSWER.size + length
+            if len(self._said) < end:
+                break
+            content = self._said[_ANSWER.size : end].decode("utf-8", "replace")
+            del self._said[:end]
+            if kind == _PICTURE:
+                return content
+            if kind == _ERROR:
+                self._model = None  # the process may not have the model
+                raise Refused(f"no picture: {content}")
+            self.drawn_by = content
+        return None
 
     def close(self) -> None:
         """End the process."""
@@ -144,10 +159,17 @@ class RenderProcess:
                 pass
 
     def _start(self) -> subprocess.Popen[bytes]:
-        environment = {**os.environ, "MUJOCO_GL": gl_backend() or "egl"}
+        backend = gl_backend()
+        if not backend:
+            why = "there is no OpenGL"
+        elif backend == self._breaks:
+            why = f"OpenGL ({backend}) ends the process that uses it"
+        else:
+            why = ""
+        environment = {**os.environ, "MUJOCO_GL": "disable" if why else backend}
         self._request = self._request or open(os.memfd_create("request"), "wb")  # noqa: SIM115 - kept for the next one
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "slidectl.physics.rendering", f"/proc/self/fd/{self._request.fileno()}"],
+            [sys.executable, "-m", "slidectl.physics.rendering", f"/proc/self/fd/{self._request.fileno()}", why],
             bufsize=0,  # no unwritten data remains when the process has ended
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -181,38 +203,23 @@ def _colours(world: World) -> Array:
 # --- the process ------------------------------------------------------------------------------------------------------
 
 
-class _SceneRenderer:
-    """The state of the rendering process: the model, and a renderer for each size."""
+class _CameraPictures:
+    """The state of the rendering process: the model, and what draws it."""
 
-    def __init__(self) -> None:
+    def __init__(self, why: str, tell: Callable[[str], None]) -> None:
+        """`why`: the reason to draw by software, empty for OpenGL. `tell` hears how pictures are drawn."""
+        self._why = why
+        self._tell = tell
+        self._is_told = False
         self._model: Any = None
-        self._data: Any = None
-        self._renderers: dict[tuple[int, int], Any] = {}
+        self._drawer: _OpenGlDrawer | SoftwareDrawer | None = None
 
     def render(self, frame: PictureRequest) -> bytes:
         """The pixels, row by row from the top."""
         if frame.model is not None:
             self._take_model(frame)
-        camera, data = frame.camera, self._data
-        data.geom_xpos[:], data.geom_xmat[:] = frame.positions, frame.matrices
-        size = (camera.height, camera.width)
-        if size not in self._renderers:
-            screen = self._model.vis.global_
-            screen.offheight, screen.offwidth = size  # the size of the renderer's buffers
-            self._renderers[size] = mujoco.Renderer(self._model, *size)
-        renderer = self._renderers[size]
-        renderer.update_scene(data)
-        top = camera.near * np.tan(camera.field_of_view / 2) * camera.height / camera.width
-        ahead, up = (rotate(frame.pose[1], axis) for axis in ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0)))
-        for light in renderer.scene.lights[: renderer.scene.nlight]:
-            if light.headlight:
-                light.pos[:], light.dir[:] = frame.pose[0], ahead
-        for view in renderer.scene.camera:
-            view.pos[:], view.forward[:], view.up[:] = frame.pose[0], ahead, up
-            view.frustum_center = view.frustum_width = 0.0
-            view.frustum_bottom, view.frustum_top = -top, top
-            view.frustum_near, view.frustum_far = camera.near, camera.far
-        pixels = renderer.render().astype(np.float64)
+        camera = frame.camera
+        pixels = self._draw(frame).astype(np.float64)
         if camera.encoding == "mono8":
             pixels = pixels @ np.array([0.299, 0.587, 0.114])
         elif camera.encoding == "bgr8":
@@ -222,32 +229,93 @@ class _SceneRenderer:
         content: bytes = np.clip(np.rint(pixels), 0, 255).astype(np.uint8).tobytes()
         return content
 
+    def _draw(self, frame: PictureRequest) -> Any:
+        """RGB, shape (height, width, 3)."""
+        if not self._why:
+            try:
+                self._drawer = self._drawer or _OpenGlDrawer(self._model)
+                pixels = self._drawer.draw(frame.positions, frame.matrices, frame.camera, frame.pose)
+                self._say(BY_OPENGL)
+                return pixels
+            except Exception as error:  # from the library, the driver or PyOpenGL
+                self._why, self._drawer = f"OpenGL cannot be used: {type(error).__name__}: {error}", None
+                self._is_told = False
+        self._drawer = self._drawer or SoftwareDrawer(self._model)
+        self._say(f"{BY_SOFTWARE}: {self._why}")
+        return self._drawer.draw(frame.positions, frame.matrices, frame.camera, frame.pose)
+
+    def _say(self, drawn_by: str) -> None:
+        if not self._is_told:
+            self._is_told = True
+            self._tell(drawn_by)
+
     def _take_model(self, frame: PictureRequest) -> None:
-        for renderer in self._renderers.values():
-            renderer.close()
-        self._renderers.clear()
+        if self._drawer is not None:
+            self._drawer.close()
+            self._drawer = None
         self._model = mujoco.MjModel.from_binary_path("world.mjb", {"world.mjb": frame.model})
         self._model.geom_rgba[:] = frame.colours
         self._model.vis.headlight.ambient[:] = _AMBIENT
         self._model.vis.headlight.specular[:] = 0.0
-        self._data = mujoco.MjData(self._model)
-        mujoco.mj_forward(self._model, self._data)
 
 
-def main(source: IO[bytes], target: IO[bytes], request: str) -> None:
+class _OpenGlDrawer:
+    """Draws a model by MuJoCo, with a renderer for each size."""
+
+    def __init__(self, model: Any) -> None:
+        self._model = model
+        self._data = mujoco.MjData(model)
+        mujoco.mj_forward(model, self._data)
+        self._renderers: dict[tuple[int, int], Any] = {}
+
+    def draw(self, positions: Array, matrices: Array, camera: Camera, pose: Pose) -> Any:
+        """RGB, shape (height, width, 3)."""
+        data = self._data
+        data.geom_xpos[:], data.geom_xmat[:] = positions, matrices
+        size = (camera.height, camera.width)
+        if size not in self._renderers:
+            screen = self._model.vis.global_
+            screen.offheight, screen.offwidth = size  # the size of the renderer's buffers
+            self._renderers[size] = mujoco.Renderer(self._model, *size)
+        renderer = self._renderers[size]
+        renderer.update_scene(data)
+        top = camera.near * np.tan(camera.field_of_view / 2) * camera.height / camera.width
+        ahead, up = (rotate(pose[1], axis) for axis in ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0)))
+        for light in renderer.scene.lights[: renderer.scene.nlight]:
+            if light.headlight:
+                light.pos[:], light.dir[:] = pose[0], ahead
+        for view in renderer.scene.camera:
+            view.pos[:], view.forward[:], view.up[:] = pose[0], ahead, up
+            view.frustum_center = view.frustum_width = 0.0
+            view.frustum_bottom, view.frustum_top = -top, top
+            view.frustum_near, view.frustum_far = camera.near, camera.far
+        return renderer.render()
+
+    def close(self) -> None:
+        """Free what the renderers hold."""
+        for renderer in self._renderers.values():
+            renderer.close()
+
+
+def main(source: IO[bytes], target: IO[bytes], request: str, why: str) -> None:
     """For each byte from `source`, render the request in the file `request`. Ends at the end of `source`."""
-    scenes = _SceneRenderer()
+
+    def answer(kind: int, content: bytes) -> None:
+        target.write(_ANSWER.pack(kind, len(content)) + content)
+        target.flush()
+
+    pictures = _CameraPictures(why, lambda drawn_by: answer(_DRAWN_BY, drawn_by.encode()))
     while source.read(1):
         with open(request, "rb") as file:
             frame = pickle.load(file)
         try:
-            is_picture, answer = True, base64.b64encode(scenes.render(frame))
+            content = base64.b64encode(pictures.render(frame))
         except Exception as error:
-            is_picture, answer = False, f"{type(error).__name__}: {error}".encode()
-        target.write(_ANSWER.pack(is_picture, len(answer)) + answer)
-        target.flush()
+            answer(_ERROR, f"{type(error).__name__}: {error}".encode())
+        else:
+            answer(_PICTURE, content)
 
 
 if __name__ == "__main__":
     os.nice(10)  # the cycles of the world have priority
-    main(sys.stdin.buffer, sys.stdout.buffer, sys.argv[1])
+    main(sys.stdin.buffer, sys.stdout.buffer, *sys.argv[1:])

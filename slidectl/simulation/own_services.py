@@ -96,6 +96,7 @@ class OwnServices:
             "timestep": simulation.timestep_ns * 1e-9,
             "chosen": sorted(simulation.chosen),
             "engine": str(simulation.engine),
+            "pictures": simulation.drawn_by(),
             "robots": self._robots.names(),
             "estop": [robot.name for robot in self._robots if robot.emergency_stop],
             "faults": [fault["name"] for fault in simulation.faults.messages() if fault["state"] != "over"],

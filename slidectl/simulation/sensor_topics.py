@@ -186,13 +186,9 @@ class CameraTopics:
         self._robot = robot
         self._camera = camera
         self._has_failed = self._is_broken = False
+        self._drawn_by = ""
         self._rendering: Pending | None = None
         """The picture that is being rendered."""
-        if not rendering.gl_backend():
-            text = f"{robot.name}: camera {camera.name} makes no pictures, there is no OpenGL: {rendering.INSTALL}"
-            robot.warnings.append(text)
-            robot.node.log("warn", text)
-            self._is_broken = True
         node = names.join(robot.namespace, "gazebo")
         period_ns = period_ns_of(camera.rate_hz)
         topic, info = (_inside(robot.namespace, topic) for topic in (camera.topic, camera.info_topic))
@@ -228,6 +224,10 @@ class CameraTopics:
             return
         self._has_failed = False
         camera = self._camera
+        drawn_by, self._drawn_by = self._drawn_by, self._simulation.drawn_by()
+        if self._drawn_by != drawn_by and self._drawn_by.startswith(rendering.BY_SOFTWARE):
+            text = f"camera {camera.name} is drawn by {self._drawn_by}; {rendering.INSTALL}"
+            self._robot.node.log("info", text)
         self._pictures.publish(
             {
                 "header": header,

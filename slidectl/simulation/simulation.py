@@ -85,6 +85,8 @@ class Simulation:
         self.render: Callable[[Camera, Pose, int], Pending] = self._render_here
         """Renders the picture of a camera at a pose (pixels in base64), with the seed of its noise. A driver sets its
         own function, which may answer later."""
+        self.drawn_by: Callable[[], str] = lambda: self._renderer.drawn_by if self._renderer else ""
+        """What drew the last picture: OpenGL, or software with the reason; empty before the first one."""
         self._renderer: RenderProcess | None = None
         self.snapshots = Snapshots(self)
         self.kept: dict[str, object] = {}

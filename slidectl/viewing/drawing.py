@@ -9,7 +9,7 @@ from slidectl.client import Client
 from slidectl.errors import Refused
 from slidectl.viewing.drawn_scene import DrawnScene, ViewpointChoice
 from slidectl.viewing.picture_files import Pixels
-from slidectl.viewing.rasteriser import Rasteriser
+from slidectl.viewing.software_renderer import SoftwareRenderer
 
 if TYPE_CHECKING:
     from slidectl.viewing.gl_renderer import GlRenderer
@@ -27,7 +27,7 @@ class WorldView:
         self._tell = tell
         self.scene = self._new_scene()
         self._choice = ViewpointChoice(self.scene, camera, size)
-        self.drawer: GlRenderer | Rasteriser = Rasteriser(size)
+        self.drawer: GlRenderer | SoftwareRenderer = SoftwareRenderer(size)
         if not software:
             try:
                 from slidectl import physics  # noqa: F401 - MuJoCo, which may not be usable
@@ -46,7 +46,7 @@ class WorldView:
             return self.drawer.draw(self.scene, view)
         except Refused as error:
             self._tell_of_software(error)
-            self.drawer = Rasteriser(self._size)
+            self.drawer = SoftwareRenderer(self._size)
             return self.drawer.draw(self.scene, view)
 
     def _new_scene(self) -> DrawnScene:

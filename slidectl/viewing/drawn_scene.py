@@ -13,13 +13,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from slidectl import description, rotations
+from slidectl import description, rasteriser, rotations
 from slidectl.description import link_colours, meshes
 from slidectl.description.link_colours import Colour
 from slidectl.description.meshes import BadMesh, Triangles
 from slidectl.description.robot import Box, Camera, Cylinder, Geometry, Link, Robot, Shape, Sphere
 from slidectl.errors import AmbiguousName, UnknownName
 from slidectl.measures import Array
+from slidectl.rasteriser import Viewpoint
 from slidectl.rotations import Vector
 
 SKY = (0.62, 0.75, 0.90)
@@ -29,8 +30,6 @@ SUN = (-0.37, 0.46, -0.81)
 """The direction of sunlight."""
 AMBIENT, FROM_EYE, FROM_SUN = 0.4, 0.2, 0.4
 """Parts of the reflected light; their sum is 1."""
-_SIDES = 24
-"""Sides of the polygon that approximates a circle."""
 _MISSING_M = 0.1
 """Edge length of the box drawn for an unreadable mesh."""
 _FOLLOW = "follow:"
@@ -136,7 +135,7 @@ class DrawnScene:
             vertices, faces = _triangles_of(shape.geometry)
         except BadMesh as error:
             self.notices.append(f"{link}: {error}; a box of {_MISSING_M} m is drawn in its place")
-            vertices, faces = _box((_MISSING_M,) * 3)
+            vertices, faces = rasteriser.box((_MISSING_M,) * 3)
         turn = np.array(rotations.matrix(rotations.from_rpy(shape.origin.rpy)))
         return Triangles(vertices @ turn.T + shape.origin.xyz, faces)
 
@@ -144,52 +143,17 @@ class DrawnScene:
 def _triangles_of(geometry: Geometry) -> Triangles:
     """The triangles of a geometry. Raises BadMesh."""
     if isinstance(geometry, Box):
-        return _box(geometry.size)
+        return Triangles(*rasteriser.box(geometry.size))
     if isinstance(geometry, Cylinder):
-        half = geometry.length / 2
-        return _turned([(0.0, -half), (geometry.radius, -half), (geometry.radius, half), (0.0, half)])
+        return Triangles(*rasteriser.cylinder(geometry.radius, geometry.length))
     if isinstance(geometry, Sphere):
-        angles = [math.pi * (step / (_SIDES // 2) - 0.5) for step in range(_SIDES // 2 + 1)]
-        return _turned([(geometry.radius * math.cos(angle), geometry.radius * math.sin(angle)) for angle in angles])
+        return Triangles(*rasteriser.sphere(geometry.radius))
     if geometry.path is None:
         raise BadMesh("the mesh is not there", geometry.uri)
     return meshes.load(geometry.path, geometry.scale)
 
 
-def _box(size: tuple[float, ...]) -> Triangles:
-    corners = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]) * size
-    quads = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
-    return Triangles(corners, np.array([f for a, b, c, d in quads for f in ((a, b, c), (a, c, d))], dtype=np.int32))
-
-
-def _turned(outline: list[tuple[float, float]]) -> Triangles:
-    """The solid of revolution of an outline (radius, height), listed from its lowest point, about the z axis."""
-    angles = np.arange(_SIDES) * (2 * math.pi / _SIDES)
-    rings = [np.column_stack((r * np.cos(angles), r * np.sin(angles), np.full(_SIDES, z))) for r, z in outline]
-    now, after = np.arange(_SIDES), np.roll(np.arange(_SIDES), -1)
-    faces = []
-    for ring in range(len(outline) - 1):
-        low, high = ring * _SIDES, (ring + 1) * _SIDES
-        faces.append(np.column_stack((low + now, low + after, high + after)))
-        faces.append(np.column_stack((low + now, high + after, high + now)))
-    return Triangles(np.concatenate(rings), np.concatenate(faces).astype(np.int32))
-
-
 # --- from where it is seen --------------------------------------------------------------------------------------------
-
-
-class Viewpoint(NamedTuple):
-    """A viewpoint; the axes are unit vectors."""
-
-    eye: Array
-    right: Array
-    up: Array
-    ahead: Array
-    field_of_view: float
-    """Vertical angle, rad."""
-    near: float
-    """m."""
-    far: float
 
 
 class ViewpointChoice:

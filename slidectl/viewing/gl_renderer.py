@@ -10,8 +10,9 @@ import numpy as np
 
 from slidectl.errors import Refused
 from slidectl.physics import rendering
+from slidectl.rasteriser import Viewpoint
 from slidectl.viewing import drawn_scene
-from slidectl.viewing.drawn_scene import DrawnScene, Viewpoint
+from slidectl.viewing.drawn_scene import DrawnScene
 from slidectl.viewing.picture_files import Pixels
 
 _MOST_SHAPES = 10_000

@@ -9,6 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import opengl
 from command_line import CommandLine, Done
 from daemon_fixture import Runtime
 
@@ -28,10 +29,20 @@ def test_a_machine_that_is_well_has_nothing_broken(slidectl: CommandLine) -> Non
     assert done.returncode == 0, done.stdout
     found = findings(done)
     assert {state for lines in found.values() for state, _, _ in lines} <= {"ok", "look here"}
-    assert " ".join(found) == "python libraries mujoco compiled files timers packages ros sockets daemons disk"
+    assert " ".join(found) == "python libraries mujoco cameras compiled files timers packages ros sockets daemons disk"
     assert found["daemons"] == [("ok", "default: does not run", "")]
     assert slidectl.ok("doctor").splitlines()[0].startswith("ok         python:     3.")
     assert not list(slidectl.runtime.glob("slidectl/*"))
+
+
+def test_who_draws_the_pictures_of_cameras_is_told(slidectl: CommandLine, tmp_path: Path) -> None:
+    for machine, reason in (
+        (opengl.missing, "there is no OpenGL"),
+        (opengl.broken, "OpenGL (egl) ends the process that uses it"),
+    ):
+        ((state, finding, remedy),) = findings(slidectl("doctor", "--json", **machine(tmp_path)))["cameras"]
+        assert (state, finding) == ("ok", f"drawn by software: {reason}")
+        assert "apt install libegl1" in remedy
 
 
 def test_a_folder_that_no_socket_can_be_in_is_broken_and_the_machine_is_looked_at(slidectl: CommandLine) -> None:

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import opengl
 import pytest
 from daemon_fixture import Runtime, running_daemon
 from waiting import eventually
@@ -23,7 +24,17 @@ ROBOT = """<robot name="watcher"><link name="base"><inertial><mass value="1"/>
   <image><width>64</width><height>48</height></image></camera>
   <plugin name="c" filename="libgazebo_ros_camera.so"/></sensor></gazebo></robot>"""
 
-pytestmark = pytest.mark.skipif(not rendering.gl_backend(), reason="there is no OpenGL on this machine")
+pytestmark = pytest.mark.usefixtures("drawn_by")
+
+
+@pytest.fixture(params=[rendering.BY_OPENGL, rendering.BY_SOFTWARE])
+def drawn_by(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> str:
+    """What draws the pictures of the daemon in the test."""
+    if request.param == rendering.BY_SOFTWARE:
+        monkeypatch.setenv("LD_LIBRARY_PATH", opengl.missing(tmp_path)["LD_LIBRARY_PATH"])
+    elif not rendering.gl_backend():
+        pytest.skip("there is no OpenGL on this machine")
+    return str(request.param)
 
 
 def renders(process: int) -> bool:
@@ -72,6 +83,13 @@ def test_pictures_come_while_the_world_goes_on_and_after_others_have_come_to_it(
     assert not renders(renderer)
 
 
+def test_the_status_and_the_log_say_who_draws(drawn_by: str, tmp_path: Path) -> None:
+    with watching(tmp_path) as (daemon, client, _):
+        assert client.call("/slidectl/status")["pictures"].partition(":")[0] == drawn_by
+        is_told = "camera eye is drawn by software: there is no OpenGL; install OpenGL" in daemon.log
+        assert is_told == (drawn_by == rendering.BY_SOFTWARE)
+
+
 def test_the_world_does_not_wait_for_a_process_that_is_told_of_a_large_world(tmp_path: Path) -> None:
     with watching(tmp_path) as (daemon, client, pictures):
         renderer = renderer_of(daemon)
@@ -110,3 +128,18 @@ def test_a_process_that_ends_during_a_picture_costs_that_picture_alone(tmp_path:
         eventually(lambda: "camera eye: the process that renders pictures has ended" in daemon.log)
         client.step(50)
         assert pictures.get()["header"]["stamp"]["nsecs"] == 150_000_000
+
+
+def test_where_opengl_breaks_software_draws(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("LD_LIBRARY_PATH", opengl.broken(tmp_path)["LD_LIBRARY_PATH"])
+    file = tmp_path / "watcher.urdf"
+    file.write_text(ROBOT)
+    with running_daemon(paused=True) as daemon, daemon.environment(), Client(timeout=60.0) as client:
+        client.spawn(str(file), at=(0, 0, 1))
+        with client.subscribe("/watcher/image_raw") as pictures:
+            client.step(50)
+            eventually(lambda: "has ended" in daemon.log)
+            client.step(50)
+            assert pictures.get()["header"]["stamp"]["nsecs"] == 100_000_000
+        drawn_by = client.call("/slidectl/status")["pictures"]
+        assert drawn_by == "software: OpenGL (egl) ends the process that uses it"

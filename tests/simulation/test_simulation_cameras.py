@@ -23,7 +23,15 @@ CAMERA = """<gazebo reference="base"><sensor type="camera" name="eye"><update_ra
   {1}</camera><plugin name="c" filename="libgazebo_ros_camera.so"><cameraName>eye</cameraName>
   <frameName>eye_link</frameName>{2}</plugin></sensor></gazebo>"""
 
-needs_gl = pytest.mark.skipif(not rendering.gl_backend(), reason="there is no OpenGL on this machine")
+
+@pytest.fixture(params=[rendering.BY_OPENGL, rendering.BY_SOFTWARE])
+def drawn_by(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """What draws the pictures of the test."""
+    if request.param == rendering.BY_SOFTWARE:
+        monkeypatch.setattr(rendering, "_LIBRARIES", {})
+    elif not rendering.gl_backend():
+        pytest.skip("there is no OpenGL on this machine")
+    return str(request.param)
 
 
 def robot(colour: str, more: str = "", size: float = 0.2) -> str:
@@ -34,9 +42,9 @@ def at(x: float, y: float = 0.0) -> Any:
     return ((x, y, 1.0), (0.0, 0.0, 0.0, 1.0))
 
 
-def pictures(camera: str, cycles: int = 200) -> list[dict[str, Any]]:
+def pictures(camera: str, cycles: int = 200, ground: bool = False) -> list[dict[str, Any]]:
     """What a camera at the origin sees of a red cube 1 m ahead, and of a blue one to the left of it."""
-    simulation = Simulation(gravity=(0.0, 0.0, 0.0), ground=False)
+    simulation = Simulation(gravity=(0.0, 0.0, 0.0), ground=ground)
     simulation.spawn(robot("1 1 1 1", camera), "thing", pose=at(0.0))
     simulation.spawn(robot("1 0 0 1"), "red", pose=at(1.3))
     simulation.spawn(robot("0 0 1 1"), "blue", pose=at(1.3, 0.5))
@@ -51,7 +59,7 @@ def pixels(message: dict[str, Any]) -> Any:
     return found.reshape(message["height"], message["width"], -1)
 
 
-@needs_gl
+@pytest.mark.usefixtures("drawn_by")
 def test_a_camera_sees_links_in_their_colours_where_they_are() -> None:
     heard = pictures(CAMERA.format("R8G8B8", "", ""))
     assert [message["header"]["stamp"]["nsecs"] for message in heard] == [100_000_000, 200_000_000]
@@ -65,7 +73,7 @@ def test_a_camera_sees_links_in_their_colours_where_they_are() -> None:
     assert image[2, 60].max() < 30  # nothing is there
 
 
-@needs_gl
+@pytest.mark.usefixtures("drawn_by")
 def test_a_grey_picture_has_noise_that_is_the_same_in_every_run() -> None:
     noise = "<noise><type>gaussian</type><mean>0</mean><stddev>0.05</stddev></noise>"
     first, second = pictures(CAMERA.format("L8", noise, "")), pictures(CAMERA.format("L8", noise, ""))
@@ -89,13 +97,33 @@ def test_the_geometry_of_a_camera_needs_no_picture() -> None:
     assert message["P"][3] == pytest.approx(-0.07 * length)
 
 
-def test_without_opengl_a_spawn_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_opengl_software_draws_the_same_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+    if not rendering.gl_backend():
+        pytest.skip("there is no OpenGL on this machine")
+    camera = CAMERA.format("R8G8B8", "", "").replace("<width>64", "<width>160").replace("<height>48", "<height>120")
+    (theirs,) = pictures(camera, cycles=100, ground=True)
+    monkeypatch.setattr(rendering, "_LIBRARIES", {})
+    (ours,) = pictures(camera, cycles=100, ground=True)
+    assert ours["header"] == theirs["header"]
+    differing = (np.abs(pixels(ours) - pixels(theirs)).max(axis=2) > 20).mean()
+    assert differing < 0.02  # edges, which OpenGL smooths, and the shadows on the ground
+
+
+def test_without_opengl_a_camera_is_spawned_without_a_warning_and_the_log_says_once_who_draws(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(rendering, "_LIBRARIES", {})
     simulation = Simulation()
-    spawned = simulation.spawn(robot("1 1 1 1", CAMERA.format("R8G8B8", "", "")), "thing")
-    assert "camera eye makes no pictures, there is no OpenGL: install" in "".join(spawned.warnings)
-    simulation.subscribe("/thing/eye/image_raw", lambda _: pytest.fail("there is a picture"))
-    simulation.step(200)
+    assert simulation.spawn(robot("1 1 1 1", CAMERA.format("R8G8B8", "", "")), "thing", pose=at(0.0)).warnings == []
+    logged: list[str] = []
+    simulation.subscribe("/rosout", lambda message: logged.append(message["msg"]))
+    heard: list[dict[str, Any]] = []
+    simulation.subscribe("/thing/eye/image_raw", heard.append)
+    simulation.step(300)
+    assert len(heard) == 3
+    (told,) = [text for text in logged if "eye" in text]
+    assert told.startswith("camera eye is drawn by software: there is no OpenGL; install OpenGL")
+    assert simulation.call("/slidectl/status")["pictures"] == "software: there is no OpenGL"
 
 
 def test_a_camera_that_cannot_be_is_refused_and_another_format_is_said() -> None:

@@ -18,7 +18,7 @@ from slidectl.viewing.drawing import WorldView
 from slidectl.viewing.drawn_scene import ViewpointChoice
 from slidectl.viewing.gl_renderer import GlRenderer
 from slidectl.viewing.picture_files import Pixels
-from slidectl.viewing.rasteriser import Rasteriser
+from slidectl.viewing.software_renderer import SoftwareRenderer
 
 ROOT = Path(__file__).parent.parent.parent
 SIZE = (320, 240)
@@ -173,6 +173,6 @@ def test_software_and_opengl_draw_the_same(camera: str) -> None:
     )
     scene = Watched(simulation, camera).view.scene
     view = ViewpointChoice(scene, camera, SIZE).of(scene)
-    ours, theirs = (drawer(SIZE).draw(scene, view).astype(int) for drawer in (Rasteriser, GlRenderer))
+    ours, theirs = (drawer(SIZE).draw(scene, view).astype(int) for drawer in (SoftwareRenderer, GlRenderer))
     differing = (np.abs(ours - theirs).max(axis=2) > 30).mean()
     assert differing < 0.03  # edges, which OpenGL smooths, and round bodies, which it shades smoothly

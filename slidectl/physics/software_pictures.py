@@ -1,0 +1,113 @@
+"""Pictures of cameras without OpenGL: the shapes of a MuJoCo model as triangles, drawn by numpy.
+
+Light is as MuJoCo's: from the camera, and from the lights of the world. Shadows, gloss, haze and transparency are not
+drawn.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import mujoco
+import numpy as np
+
+from slidectl import rasteriser
+from slidectl.physics.body import Array
+from slidectl.rasteriser import Plane, Rasteriser, Viewpoint
+from slidectl.rotations import Pose, matrix
+
+if TYPE_CHECKING:
+    from slidectl.description.robot import Camera
+
+_NOTHING = (0.0, 0.0, 0.0)
+"""The colour where nothing is, as by MuJoCo."""
+
+
+class SoftwareDrawer:
+    """Draws a model, with a rasteriser for each size."""
+
+    def __init__(self, model: Any) -> None:
+        self._model = model
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        self._lights = [_WorldLight(model, data, number) for number in range(model.nlight)]
+        solid = [geom for geom in range(model.ngeom) if model.geom_rgba[geom, 3] > 0.0]
+        self._planes = [geom for geom in solid if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE]
+        shapes = {geom: _triangles(model, geom) for geom in solid if geom not in self._planes}
+        self._corners = np.concatenate([np.zeros((0, 3, 3)), *shapes.values()])
+        """In the frames of their shapes."""
+        self._owners = np.repeat(list(shapes), [len(corners) for corners in shapes.values()]).astype(int)
+        """The shape of each triangle."""
+        self._rasterisers: dict[tuple[int, int], Rasteriser] = {}
+
+    def draw(self, positions: Array, matrices: Array, camera: Camera, pose: Pose) -> Any:
+        """RGB, shape (height, width, 3), of shapes at positions (n, 3), turned by matrices (n, 9)."""
+        size = (camera.width, camera.height)
+        if size not in self._rasterisers:
+            self._rasterisers[size] = Rasteriser(size, _NOTHING)
+        ahead, left, up = np.array(matrix(pose[1])).T
+        height = np.arctan(np.tan(camera.field_of_view / 2) * camera.height / camera.width)
+        view = Viewpoint(np.array(pose[0]), -left, up, ahead, 2.0 * float(height), camera.near, camera.far)
+        turns, owners, colours = matrices.reshape(-1, 3, 3), self._owners, self._model.geom_rgba[:, :3].astype(float)
+        corners = np.einsum("nij,nkj->nki", turns[owners], self._corners) + positions[owners, None, :]
+        planes = [Plane(positions[geom], turns[geom], (tuple(colours[geom]),) * 2) for geom in self._planes]
+        light = partial(self._light, ahead)
+        return self._rasterisers[size].draw(corners, colours[owners], planes, light, view)
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+    def _light(self, ahead: Array, points: Array, normals: Array) -> Array:
+        head = self._model.vis.headlight
+        light: Array = head.ambient + (-normals @ ahead).clip(0.0)[:, None] * head.diffuse
+        for one in self._lights:
+            light = light + one.on(points, normals)
+        return light
+
+
+class _WorldLight:
+    """A light of the world, as OpenGL's fixed functions compute it."""
+
+    def __init__(self, model: Any, data: Any, number: int) -> None:
+        self._place, self._direction = data.light_xpos[number], data.light_xdir[number]
+        self._is_directional = model.light_type[number] == mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
+        self._diffuse, self._ambient = model.light_diffuse[number], model.light_ambient[number]
+        self._attenuation = model.light_attenuation[number]
+        self._widest = np.cos(np.radians(model.light_cutoff[number]))
+        self._exponent = float(model.light_exponent[number])
+
+    def on(self, points: Array, normals: Array) -> Array:
+        """The light on surfaces at points (n, 3) with normals (n, 3): shape (n, 3)."""
+        if self._is_directional:
+            towards, strength = np.tile(-self._direction, (len(points), 1)), np.ones(len(points))
+        else:
+            towards = self._place - points
+            distances = np.maximum(np.linalg.norm(towards, axis=1), 1e-9)
+            towards /= distances[:, None]
+            ahead = -towards @ self._direction
+            strength = np.where(ahead >= self._widest, ahead.clip(0.0) ** self._exponent, 0.0)
+            strength /= np.polynomial.polynomial.polyval(distances, self._attenuation)
+        cosines = np.einsum("ij,ij->i", normals, towards).clip(0.0)
+        light: Array = strength[:, None] * (self._ambient + cosines[:, None] * self._diffuse)
+        return light
+
+
+def _triangles(model: Any, geom: int) -> Array:
+    """The corners of a shape's triangles in its frame, shape (n, 3, 3)."""
+    kind, size = model.geom_type[geom], model.geom_size[geom]
+    if kind == mujoco.mjtGeom.mjGEOM_BOX:
+        vertices, faces = rasteriser.box(2.0 * size)
+    elif kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
+        vertices, faces = rasteriser.cylinder(float(size[0]), 2.0 * float(size[1]))
+    elif kind == mujoco.mjtGeom.mjGEOM_SPHERE:
+        vertices, faces = rasteriser.sphere(float(size[0]))
+    else:  # builder.py makes no others
+        assert kind == mujoco.mjtGeom.mjGEOM_MESH, kind
+        mesh = model.geom_dataid[geom]
+        first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+        vertices = model.mesh_vert[first : first + count].astype(float)
+        first, count = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
+        faces = model.mesh_face[first : first + count]
+    corners: Array = vertices[faces]
+    return corners
