@@ -22,10 +22,13 @@ from slidectl.control.params import UPDATE_BUDGET, judge, value_of
 from slidectl.control.ros2_names import counterpart
 from slidectl.control.user_classes import (
     HookGuard,
-    WrittenCommands,
+    WatchedHandles,
     file_of,
+    is_cut_off,
+    is_fault,
     is_of_a_user,
     raised,
+    text_of,
     watched,
     watched_hardware,
 )
@@ -97,6 +100,14 @@ class UpdateTimes:
         return {"name": self._name, "updates": self.count, "over_budget": self.over_budget, **seconds}
 
 
+_HOOKS_OF = {
+    State.RUNNING: "starting",
+    State.STOPPED: "stopping",
+    State.WAITING: "waiting",
+    State.ABORTED: "aborting",
+}
+
+
 class LoadedController:
     """A loaded controller of a manager. Times are nanoseconds of simulated time."""
 
@@ -108,9 +119,9 @@ class LoadedController:
         type_name: str,
         controller: ControllerBase,
         node: NodeHandle,
-        commands: WrittenCommands | None = None,
+        handles: WatchedHandles | None = None,
     ) -> None:
-        """`commands`: the commands that a user's controller writes; None for a controller of slidectl."""
+        """`handles`: the joint handles that a user's controller has got; None for a controller of slidectl."""
         self.controller = controller
         self.node = node
         self.info = ControllerInfo(name, type_name, controller.claimed_resources)
@@ -120,7 +131,7 @@ class LoadedController:
         self.may_compile = True
         """False when the compiled form that a user's class declares has failed."""
         self._is_of_user = is_of_a_user(type(controller))
-        self._watched = watched(type(controller), commands)
+        self._watched = watched(type(controller), handles)
         self._read_budget()
         node.watch_param(UPDATE_BUDGET.name, self._read_budget)
 
@@ -136,14 +147,20 @@ class LoadedController:
         return self.info.name
 
     @property
+    def state(self) -> State:
+        """The controller's state. ABORTED when code of the user's has deleted it or replaced it by something else."""
+        state = getattr(self.controller, "state", None)
+        return state if isinstance(state, State) else State.ABORTED
+
+    @property
     def is_running(self) -> bool:
         """True in the state RUNNING, in which it is updated each cycle."""
-        return self.controller.state is State.RUNNING
+        return self.state is State.RUNNING
 
     @property
     def is_aborted(self) -> bool:
         """True in the state ABORTED: its start or its code has failed."""
-        return self.controller.state is State.ABORTED
+        return self.state is State.ABORTED
 
     def start(self, time_ns: int) -> None:
         """Start the controller, and reset its times and failure."""
@@ -157,7 +174,7 @@ class LoadedController:
             with self._watched:
                 self.controller.enter_state(state, time_ns)
         except Exception as failure:
-            self.fail(failure, time_ns)
+            self.fail(failure, time_ns, _HOOKS_OF[state])
 
     def update(self, time_ns: int, period_s: float) -> None:
         """Run one update and record its wall time. Raises the controller's exceptions."""
@@ -186,12 +203,16 @@ class LoadedController:
             if self.is_running:
                 self.update(time_ns, period_s)
         except Exception as failure:
-            self.fail(failure, time_ns)
+            self.fail(failure, time_ns, "update")
 
-    def fail(self, failure: Exception, time_ns: int) -> None:
-        """Log the exception of the controller's code, and abort the controller."""
-        self.failure = f"controller {self.name!r} failed and is aborted: {described(failure)}"
+    def fail(self, failure: Exception, time_ns: int, hook: str = "") -> None:
+        """Log the exception of the controller's code, and abort the controller. `hook`: the method that raised it."""
+        where = f" in {hook}" if hook else ""
+        self.failure = f"controller {self.name!r} failed{where} and is aborted: {described(failure)}"
         self.node.log("fatal", self.failure)
+        if is_cut_off(type(self.controller)):
+            self.controller.state = State.ABORTED
+            return
         try:
             with self._watched:
                 self.controller.enter_state(State.ABORTED, time_ns)
@@ -215,31 +236,31 @@ class LoadedController:
         """The entry as controller_manager_msgs/ControllerState."""
         claimed = [
             {"hardware_interface": claim.hardware_interface, "resources": list(claim.resources)}
-            for claim in self.controller.claimed_resources
+            for claim in self.info.claimed_resources
         ]
-        state = str(self.controller.state)
+        state = str(self.state)
         return {"name": self.name, "state": state, "type": self.info.type, "claimed_resources": claimed}
 
 
 def described(failure: Exception) -> str:
     """An error as one line: a SlidectlError as its text, others with their class, file and line."""
-    if isinstance(failure, SlidectlError):
-        return "; ".join(line.rstrip(".") for line in str(failure).splitlines())
+    if issubclass(type(failure), SlidectlError):
+        return "; ".join(line.rstrip(".") for line in text_of(failure).splitlines())
     return raised(failure)
 
 
 class CallbackGuard(HookGuard):
     """Context of a callback of a user's controller: message, service call, goal or tick. Exceptions become Refused."""
 
-    def __init__(self, node: NodeHandle) -> None:
-        super().__init__()
+    def __init__(self, cls: type, node: NodeHandle) -> None:
+        super().__init__(cls)
         self._node = node
 
     def __exit__(self, kind: type[BaseException] | None, failure: BaseException | None, *trace: Any) -> None:
         try:
             super().__exit__(kind, failure, *trace)
-            if isinstance(failure, Exception) and not isinstance(failure, SlidectlError):
-                raise Refused(described(failure)) from None
+            if failure is not None and not issubclass(type(failure), SlidectlError) and is_fault(failure):
+                raise Refused(raised(failure)) from None
         except Refused as refusal:  # the sender of a message gets no answer, so log it
             self._node.log("error", f"{self._node.namespace}: {described(refusal)}")
             raise
@@ -459,7 +480,7 @@ class ControllerManager:
     def _carry_on(self, position: int, failure: Exception, time_ns: int, period_s: float) -> None:
         """Abort the controller at this position and update those after it."""
         running = self._running
-        running[position].fail(failure, time_ns)
+        running[position].fail(failure, time_ns, "update")
         for entry in running[position + 1 :]:
             entry.update_if_running(time_ns, period_s)
         self._refresh()
@@ -536,9 +557,11 @@ class ControllerManager:
         try:
             type_name = _understood(node, _type_of(node))
             controller = registry.create(type_name)
-            guard = CallbackGuard(node) if is_of_a_user(type(controller)) else None
+            guard = CallbackGuard(type(controller), node) if is_of_a_user(type(controller)) else None
             node.guard = guard
-            with watched(type(controller)):
+            of_all = WatchedHandles(*self._hw.joint_handles(only_new=False), file_of(type(controller)))
+            self._hw.joint_handles(only_new=True)
+            with watched(type(controller), of_all):
                 controller.init_request(self._hw, self._node, node)
         except BaseException:
             node.shutdown()
@@ -546,9 +569,8 @@ class ControllerManager:
         node.guard_params(partial(judge, node, controller.parameters))
         if guard is None:
             return LoadedController(name, type_name, controller, node)
-        written = self._hw.claimed_commands(controller.claimed_resources)
-        guard.commands = WrittenCommands(written, file_of(type(controller)))
-        return LoadedController(name, type_name, controller, node, guard.commands)
+        guard.handles = WatchedHandles(*self._hw.joint_handles(only_new=True), file_of(type(controller)))
+        return LoadedController(name, type_name, controller, node, guard.handles)
 
     def unload(self, name: str) -> bool:
         """Remove a controller that is not running. False: it runs, it is not loaded, or a switch is pending."""
@@ -574,7 +596,7 @@ class ControllerManager:
             hint = f"load it: slidectl controller load {name}"
             raise Refused(f"cannot reload controller {quoted(name)}: it is not loaded", hint)
         registry.renewed(type(entry.controller))
-        return entry.controller.state
+        return entry.state
 
     def failure_of(self, name: str) -> str:
         """The message of the exception that aborted a controller since its last start; empty: none."""
@@ -609,7 +631,7 @@ class ControllerManager:
         entries = self._loaded.items()
         return {
             "controllers": {name: entry.controller for name, entry in entries},
-            "states": {name: entry.controller.state for name, entry in entries},
+            "states": {name: entry.state for name, entry in entries},
             "failures": {name: entry.failure for name, entry in entries},
         }
 

@@ -141,6 +141,7 @@ class ResourceManager(Generic[H]):
     def __init__(self, handles: Iterable[H] = ()) -> None:
         self._handles: dict[str, H] = {}
         self._claimed: set[str] = set()
+        self._handed_out: dict[str, H] = {}
         for handle in handles:
             self.register_handle(handle)
 
@@ -163,13 +164,23 @@ class ResourceManager(Generic[H]):
             raise UnknownResource(self.kind, name, self.names(), f"in {self.type_name}")
         if self.claims:
             self._claimed.add(name)
+        self._handed_out[name] = handle
         return handle
+
+    def handles(self) -> list[H]:
+        """All handles."""
+        return list(self._handles.values())
 
     def take_claims(self) -> tuple[str, ...]:
         """The names claimed since the last call, alphabetical; the record is then empty."""
         claimed = tuple(sorted(self._claimed))
         self._claimed.clear()
         return claimed
+
+    def take_handed_out(self) -> list[H]:
+        """The handles that `get_handle` has returned since the last call; the record is then empty."""
+        handed_out, self._handed_out = self._handed_out, {}
+        return list(handed_out.values())
 
 
 class JointStateInterface(ResourceManager[JointStateHandle]):
@@ -309,16 +320,19 @@ class RobotHW:
         interface = self._interfaces.get(interface_type.type_name)
         return interface if isinstance(interface, interface_type) else None
 
-    def claimed_commands(self, claims: Iterable[ClaimedResources]) -> list[tuple[JointHandle, str]]:
-        """For each command of the claimed joints: the handle and the name of the attribute."""
-        found = ((self._interfaces[claim.hardware_interface], claim.resources) for claim in claims)
-        return [
-            command
-            for interface, names in found
-            if isinstance(interface, JointCommands)
-            for name in names
-            for command in interface.commands_of(interface.get_handle(name))
-        ]
+    def joint_handles(self, *, only_new: bool) -> tuple[list[JointStateHandle], list[tuple[JointHandle, str]]]:
+        """All joint handles, and for each of their commands the handle and the name of the attribute. With `only_new`,
+        only those that were got since the last such call. A handle that stands in two interfaces occurs once."""
+        handles: dict[int, JointStateHandle] = {}
+        commands: dict[tuple[int, str], tuple[JointHandle, str]] = {}
+        for interface in self._interfaces.values():
+            for handle in interface.take_handed_out() if only_new else interface.handles():
+                if isinstance(handle, JointStateHandle):
+                    handles[id(handle)] = handle
+                if isinstance(handle, JointHandle):
+                    found = interface.commands_of(handle) if isinstance(interface, JointCommands) else []
+                    commands.update({(id(handle), name): (one, name) for one, name in (*found, (handle, "command"))})
+        return list(handles.values()), list(commands.values())
 
     def interface_names(self) -> list[str]:
         """The type names of all interfaces, alphabetical."""

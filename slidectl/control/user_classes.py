@@ -10,11 +10,11 @@ import os
 import reprlib
 import signal
 import sys
-import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from importlib import import_module
-from math import isfinite
+from math import inf, isfinite
+from operator import attrgetter
 from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import Any
@@ -22,7 +22,7 @@ from typing import Any
 from slidectl import file_reads
 from slidectl.control import user_modules
 from slidectl.control.controller_interface import Controller, ControllerBase, MultiInterfaceController
-from slidectl.control.hardware_interface import JointHandle
+from slidectl.control.hardware_interface import JointHandle, JointStateHandle
 from slidectl.errors import BadFile, Refused, SlidectlError, UnknownName, UsageError, listing
 
 ControllerClass = type[ControllerBase]
@@ -49,6 +49,9 @@ class CodeTimeout(BaseException):
 
 limit: AbstractContextManager[None] = nullcontext()
 """Context manager that raises CodeTimeout in users' code. The daemon sets it, since its clients wait meanwhile."""
+_cut_off: dict[type, str] = {}
+"""Users' classes whose code `limit` has ended, with what was said. Their hooks are not called any more: each call could
+hold the world as long again. A reload makes another class."""
 
 
 def is_of_a_user(cls: type) -> bool:
@@ -58,76 +61,154 @@ def is_of_a_user(cls: type) -> bool:
 
 def is_fault(failure: BaseException) -> bool:
     """True for a fault of users' code, also for `sys.exit()` in it. False for Ctrl-C when it ends the process."""
-    return not isinstance(failure, KeyboardInterrupt) or signal.getsignal(signal.SIGINT) is not _RAISES_INTERRUPT
+    return not issubclass(type(failure), KeyboardInterrupt) or signal.getsignal(signal.SIGINT) is not _RAISES_INTERRUPT
 
 
-class WrittenCommands:
-    """The commands that a user's controller writes. They must be finite floats; the hardware does not check them."""
+_GONE = object()
+"""Stands for an attribute that was deleted."""
+_STATE = attrgetter("position", "velocity", "effort")
+_STATE_AND_COMMAND = attrgetter("position", "velocity", "effort", "command")
 
-    def __init__(self, commands: Sequence[tuple[JointHandle, str]], file: str | None) -> None:
+
+class WatchedHandles:
+    """The joint handles that a user's controller has got. It may write anything to them, and other code relies on
+    floats there: states of any value, and commands that are finite, for the hardware does not check them.
+
+    `keep` and `repair` run in each cycle, so each first does the least that finds a wrong value.
+    """
+
+    def __init__(
+        self, handles: Sequence[JointStateHandle], commands: Sequence[tuple[JointHandle, str]], file: str | None
+    ) -> None:
         """`commands`: each a handle and the name of an attribute that is a command. `file`: the file of the class."""
-        self._commands = commands
+        self._plain = tuple(handle for handle in handles if not isinstance(handle, JointHandle))
+        """Those without a command."""
+        self._commanded = tuple(handle for handle in handles if isinstance(handle, JointHandle))
+        self._further = tuple((handle, name) for handle, name in commands if name != "command")
+        """Commands besides `command`."""
         self._file = file
-        self._kept = [0.0] * len(commands)
+        self._states: list[tuple[float, float, float, float]] = []
+        self._other_states: list[tuple[float, float, float]] = []
+        self._further_commands: list[float] = []
 
     def keep(self) -> None:
-        """Save the commands before the controller writes new ones."""
-        for place, (handle, attribute) in enumerate(self._commands):
-            command = getattr(handle, attribute)
-            if type(command) is float and isfinite(command):
-                self._kept[place] = command
+        """Save all values before the controller writes new ones."""
+        self._states = list(map(_STATE_AND_COMMAND, self._commanded))
+        if self._plain:
+            self._other_states = list(map(_STATE, self._plain))
+        if self._further:
+            self._further_commands = [getattr(handle, name) for handle, name in self._further]
 
     def repair(self) -> str:
-        """Replace each command that is not a finite number by the saved one. Returns the error text; empty: no error.
+        """Replace what is no float, and each command that is not finite, by what was saved. Returns the error text;
+        empty: no error. Call it inside `limit`: a value may be an object with code of the user's.
 
         Infinity is allowed when a limit of the joint clips it.
         """
+        try:
+            for handle in self._commanded:
+                command = handle.command
+                total = handle.position + handle.velocity + handle.effort + command
+                if type(total) is not float or type(command) is not float or total - total != 0.0:
+                    return self._repair_each()
+        except Exception:  # a value may be of any class, or deleted
+            return self._repair_each()
+        return self._repair_each() if self._plain or self._further else ""
+
+    def _repair_each(self) -> str:
         wrong = ""
-        for place, (handle, attribute) in enumerate(self._commands):
-            command = getattr(handle, attribute)
-            try:
-                if isfinite(min(max(command, handle.lowest), handle.highest) if attribute == "command" else command):
-                    if type(command) is not float:  # a numpy scalar or an int
-                        setattr(handle, attribute, float(command))
-                    continue
-            except Exception:  # the command may be of any class
-                pass
-            setattr(handle, attribute, self._kept[place])
-            what = f"the {attribute.replace('_', ' ')} of joint {handle.name!r}"
-            wrong = f"it set {what} to {reprlib.repr(command)}, which is no finite number ({self._file})"
+        for handle, kept in zip(self._commanded, self._states, strict=True):
+            for name, value in zip(("position", "velocity", "effort"), kept, strict=False):
+                wrong = self._repaired(handle, name, value) or wrong
+            wrong = self._repaired(handle, "command", kept[3], (handle.lowest, handle.highest)) or wrong
+        for plain, state in zip(self._plain, self._other_states, strict=True):
+            for name, value in zip(("position", "velocity", "effort"), state, strict=True):
+                wrong = self._repaired(plain, name, value) or wrong
+        for (handle, name), value in zip(self._further, self._further_commands, strict=True):
+            wrong = self._repaired(handle, name, value) or wrong
         return wrong
+
+    def _repaired(
+        self, handle: JointStateHandle, name: str, kept: float, bounds: tuple[float, float] = (-inf, inf)
+    ) -> str:
+        value = getattr(handle, name, _GONE)
+        if value is kept:
+            return ""
+        try:
+            if isfinite(min(max(value, bounds[0]), bounds[1])):  # type: ignore[call-overload]
+                if type(value) is not float:  # a numpy scalar or an int
+                    setattr(handle, name, float(value))  # type: ignore[arg-type]
+                return ""
+        except BaseException as failure:  # the value may be of any class
+            if not is_fault(failure):
+                raise
+        setattr(handle, name, kept)
+        what = f"the {name.replace('_', ' ')} of joint {handle.name!r}"
+        if value is _GONE:
+            return f"it deleted {what} ({self._file})"
+        return f"it set {what} to {_shown(value)}, which is no finite number ({self._file})"
 
 
 class HookGuard(AbstractContextManager[None]):
     """Context of a hook of a user's class; may be entered in each cycle. What the hook raises becomes an Exception.
 
-    With `commands`, it also raises Refused when one of them is not a finite number afterwards.
+    With `handles`, it also raises Refused when one of them has a wrong value afterwards. Code that `limit` has ended is
+    not entered again.
     """
 
-    def __init__(self, commands: WrittenCommands | None = None) -> None:
-        self.commands = commands
+    def __init__(self, cls: type, handles: WatchedHandles | None = None) -> None:
+        self._cls = cls
+        self.handles = handles
 
     def __enter__(self) -> None:
-        if self.commands is not None:
-            self.commands.keep()
+        if _cut_off and self._cls in _cut_off:
+            raise _no_entry(self._cls)
+        if self.handles is not None:
+            self.handles.keep()
         limit.__enter__()
 
     def __exit__(self, kind: type[BaseException] | None, failure: BaseException | None, *trace: Any) -> None:
-        limit.__exit__(kind, failure, *trace)
-        wrong = "" if self.commands is None else self.commands.repair()
-        if failure is None and wrong:
-            raise Refused(wrong)
-        if failure is None or isinstance(failure, Exception):
+        wrong = ""
+        try:
+            if self.handles is not None:
+                wrong = self.handles.repair()
+        finally:
+            limit.__exit__(kind, failure, *trace)
+        if failure is None:
+            if wrong:
+                raise Refused(wrong)
             return
-        if isinstance(failure, CodeTimeout):
-            raise _too_long(failure) from None
-        if is_fault(failure):
+        cls = type(failure)
+        if issubclass(cls, CodeTimeout):
+            refusal = _too_long(failure)
+            _cut_off[self._cls] = refusal.message
+            raise refusal from None
+        if _is_odd(cls) and is_fault(failure):
             raise Refused(raised(failure)) from None
 
 
-def watched(cls: ControllerClass, commands: WrittenCommands | None = None) -> AbstractContextManager[None]:
+def _is_odd(cls: type[BaseException]) -> bool:
+    """True for exceptions that `except Exception` does not catch, and for a user's own SlidectlErrors, whose texts may
+    be anything."""
+    if not issubclass(cls, SlidectlError):
+        return not issubclass(cls, Exception)
+    module = type.__dict__["__module__"].__get__(cls)  # a metaclass cannot hide it
+    return not (type(module) is str and module.startswith("slidectl."))
+
+
+def watched(cls: ControllerClass, handles: WatchedHandles | None = None) -> AbstractContextManager[None]:
     """The context for the hooks of the class: a HookGuard if the class is a user's."""
-    return HookGuard(commands) if is_of_a_user(cls) else nullcontext()
+    return HookGuard(cls, handles) if is_of_a_user(cls) else nullcontext()
+
+
+def is_cut_off(cls: type) -> bool:
+    """True when the class's code is not called any more, because it took too long."""
+    return cls in _cut_off
+
+
+def _no_entry(cls: type) -> Refused:
+    text = f"{cls.__name__} is not called any more, because {_cut_off[cls]}"
+    return Refused(text, "mend it, then: slidectl controller reload NAME, or controller load NAME --from FILE")
 
 
 @contextmanager
@@ -136,12 +217,11 @@ def watched_for(what: str, name: str) -> Iterator[None]:
     try:
         with limit:
             yield
-    except SlidectlError:
-        raise
     except CodeTimeout as failure:
         raise _too_long(failure) from None
     except BaseException as failure:
-        if not is_fault(failure):
+        cls = type(failure)
+        if not is_fault(failure) or (issubclass(cls, SlidectlError) and not _is_odd(cls)):
             raise
         raise Refused(f"{what} {name}: {raised(failure)}") from failure
 
@@ -153,19 +233,57 @@ def watched_hardware(hardware: object) -> AbstractContextManager[None]:
 
 
 def raised(failure: BaseException) -> str:
-    """The exception of users' code as one line: class, text, file and line."""
-    place = place_of(failure)
-    return f"{type(failure).__name__}: {failure}{f' ({place[0]}:{place[1]})' if place else ''}".replace("\n", " ")
+    """The exception of users' code as one line: class, text, file and line.
+
+    Its class may be the user's too: what `__str__` and attributes of it do is not relied upon.
+    """
+    return f"{_type_name(failure)}: {text_of(failure)}{_at(failure)}".replace("\n", " ")
 
 
-def _too_long(failure: CodeTimeout) -> Refused:
+def text_of(failure: BaseException) -> str:
+    """The text of an exception, also of one whose `__str__` fails or does not end."""
+    try:
+        with limit:
+            text = str(failure)
+    except BaseException as another:
+        if not is_fault(another):
+            raise
+        return f"(no text: its __str__ raised {_type_name(another)})"
+    return str.__str__(text)  # an instance of a user's class of strings becomes a plain one
+
+
+def _shown(value: object) -> str:
+    """A value as text; its class when its `__repr__` fails."""
+    try:
+        with limit:
+            return str.__str__(reprlib.repr(value))
+    except BaseException as failure:
+        if not is_fault(failure):
+            raise
+        return f"an object of class {_type_name(value)}"
+
+
+def _type_name(value: object) -> str:
+    """The name of an object's class, which a metaclass cannot hide."""
+    name: str = type.__dict__["__name__"].__get__(type(value))
+    return name
+
+
+def _too_long(failure: BaseException) -> Refused:
+    return Refused(f"{text_of(failure)}{_at(failure)}", "look for a loop without an end there")
+
+
+def _at(failure: BaseException) -> str:
     place = place_of(failure)
-    return Refused(f"{failure}{f' ({place[0]}:{place[1]})' if place else ''}", "look for a loop without an end there")
+    return f" ({place[0]}:{place[1]})" if place else ""
 
 
 def place_of(failure: BaseException) -> tuple[str, int] | None:
     """File and line of the innermost frame of users' code, else of the innermost frame; None: unknown."""
-    frames = [(frame.filename, frame.lineno or 0) for frame in traceback.extract_tb(failure.__traceback__)]
+    frames, trace = [], BaseException.__dict__["__traceback__"].__get__(failure)
+    while trace is not None:
+        frames.append((trace.tb_frame.f_code.co_filename, trace.tb_lineno or 0))
+        trace = trace.tb_next
     outside = [frame for frame in frames if not _is_library(frame[0])]
     return next(reversed(outside or frames), None)
 
@@ -257,7 +375,7 @@ def _importing(what: str) -> Iterator[None]:
             file, line = failure.filename, failure.lineno or 0
         elif isinstance(failure, ModuleNotFoundError) and failure.name == what:
             raise BadFile(f"no module {what!r} is installed, nor is there a file {what}.py here") from None
-        raise BadFile(f"{type(failure).__name__}: {failure}", file, line or None) from None
+        raise BadFile(f"{_type_name(failure)}: {text_of(failure)}", file, line or None) from None
 
 
 # -- classes -----------------------------------------------------------------------------------------------------------

@@ -60,14 +60,14 @@ def guarded(hardware: RobotHW, hook: Callable[[int, float], None]) -> Callable[[
     """The hook. That of a user's class is wrapped: any exception becomes HardwareFailed, with file and line."""
     if not is_of_a_user(type(hardware)):
         return hook
-    guard = HookGuard()
+    guard = HookGuard(type(hardware))
 
     def call(time_ns: int, period_s: float) -> None:
         try:
             with guard:
                 hook(time_ns, period_s)
         except Exception as failure:
-            text = failure.message if isinstance(failure, SlidectlError) else raised(failure)
+            text = failure.message if issubclass(type(failure), SlidectlError) else raised(failure)  # type: ignore[attr-defined]
             raise HardwareFailed(f"{type(hardware).__name__}.{hook.__name__}: {text}") from failure
 
     return call

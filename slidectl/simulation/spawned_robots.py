@@ -18,7 +18,7 @@ from slidectl.control import hardware_types
 from slidectl.control.controller_manager import ControllerManager
 from slidectl.control.duration import from_seconds, header_of
 from slidectl.control.node_handle import Message
-from slidectl.control.user_classes import file_of, watched_for, watched_hardware
+from slidectl.control.user_classes import file_of, raised, watched_for, watched_hardware
 from slidectl.description import source_note
 from slidectl.description.gazebo_tags import TRANSMISSIONS
 from slidectl.description.robot import ControlPlugin, Robot, check_position
@@ -348,7 +348,7 @@ class Robots:
                 if robot.is_controlled:
                     robot.manager.stop_running(robot.node.now_ns())
         except Exception as error:
-            text = f"{name} is deleted, but not all went well: {type(error).__name__}: {error}"
+            text = f"{name} is deleted, but not all went well: {raised(error)}"
             self._loop.graph.log("error", robot.node.name, text)
 
     def put_joints(self, name: str, joints: Sequence[str], positions: Sequence[float], is_start: bool = False) -> None:

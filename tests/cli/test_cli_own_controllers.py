@@ -170,7 +170,7 @@ def test_a_law_that_raises_is_aborted_with_file_and_line_and_runs_again_when_it_
     assert state(pushing) == "aborted"
     assert state(pushing, "states") == "running"
     log = pushing.ok("daemon", "logs", "-n", "5")
-    assert f"'my_law' failed and is aborted: ZeroDivisionError: float division by zero ({law}:18)" in log
+    assert f"'my_law' failed in update and is aborted: ZeroDivisionError: float division by zero ({law}:18)" in log
     written(law, LAW)
     assert pushing.ok("controller", "reload", "my_law") == "my_law: reloaded, running (was aborted)\n"
     assert effort(pushing) == 2.0
@@ -187,7 +187,7 @@ def test_an_exit_in_a_hook_aborts_its_controller_and_the_daemon_goes_on(
     assert state(pushing) == "aborted"
     line = len(LAW.splitlines()) + 3
     assert re.search(
-        rf"'my_law' failed and is aborted: \w+: 3? ?\({law}:{line}\)", pushing.ok("daemon", "logs", "-n", "5")
+        rf"'my_law' failed in \w+ and is aborted: \w+: 3? ?\({law}:{line}\)", pushing.ok("daemon", "logs", "-n", "5")
     )
     written(law, LAW)
     pushing.ok("controller", "reload", "my_law")
@@ -197,7 +197,7 @@ def test_an_exit_in_a_hook_aborts_its_controller_and_the_daemon_goes_on(
 def test_a_reload_of_a_law_that_fails_in_its_first_update_fails_with_the_reason(
     pushing: CommandLine, law: Path
 ) -> None:
-    text = f"failed and is aborted: ZeroDivisionError: float division by zero ({law}:18)"
+    text = f"failed in update and is aborted: ZeroDivisionError: float division by zero ({law}:18)"
     written(law, LAW.replace("= self.push\n", "= self.push / 0\n"))
     try:
         pushing.ok("sim", "resume")
@@ -214,17 +214,24 @@ def test_a_reload_of_a_law_that_fails_in_its_first_update_fails_with_the_reason(
 
 LOOP = """while True:
             try:
-                time_ns += 1
-            except BaseException:
-                pass
+                while True:
+                    try:
+                        time_ns += 1
+                    except BaseException:
+                        pass
+            except:
+                continue
+            finally:
+                self.update(time_ns, 0.0)
 """
+"""It ends by no exception."""
 
 
 @pytest.mark.parametrize(
     ("old", "new", "lines"),
     [
-        ("self.joint.command = self.push\n", LOOP, range(18, 23)),
-        ("    def update", f"    def starting(self, time_ns):\n        {LOOP}\n    def update", range(18, 23)),
+        ("self.joint.command = self.push\n", LOOP, range(18, 29)),
+        ("    def update", f"    def starting(self, time_ns):\n        {LOOP}\n    def update", range(18, 29)),
     ],
     ids=["update", "starting"],
 )
@@ -249,7 +256,7 @@ def test_a_loop_without_an_end_in_a_cycle_aborts_its_controller_and_the_others_g
     assert effort(pushing) == 2.0
 
 
-def test_a_callback_that_fails_or_does_not_end_is_an_error_of_its_caller_and_the_controller_goes_on(
+def test_a_callback_that_fails_is_an_error_of_its_caller_and_one_that_does_not_end_is_the_last_that_is_called(
     pushing: CommandLine, law: Path
 ) -> None:
     hear = """
@@ -262,15 +269,42 @@ def test_a_callback_that_fails_or_does_not_end_is_an_error_of_its_caller_and_the
     written(law, text)
     pushing.ok("controller", "reload", "my_law")
     first = text.splitlines().index("    def hear(self, message):") + 1
-    for value, line, said in (
-        ("true", first + 1, "the code ran longer than 5 s"),
-        ("false", first + 2, "SystemExit: 4"),
-    ):
+
+    def heard(value: str) -> str:
         done = pushing("pub", "/slider/my_law/hear", value)
         assert done.returncode == 1
-        assert said in done.stderr
-        assert f"({law}:{line})" in done.stderr
+        return done.stderr
+
+    assert f"SystemExit: 4 ({law}:{first + 2})" in heard("false")
     assert effort(pushing) == 2.0
+    too_long = f"the code ran longer than 5 s and was ended ({law}:{first + 1})"
+    assert too_long in heard("true")
+    cut_off = f"Push is not called any more, because {too_long}"
+    for _ in range(3):  # they would be 15 s, in which nobody is answered
+        assert cut_off in heard("true")
+    pushing.ok("sim", "step", "2")
+    assert state(pushing) == "aborted"
+    assert f"'my_law' failed in update and is aborted: {cut_off}" in pushing.ok("daemon", "logs", "-n", "5")
+    assert pushing("controller", "start", "my_law").returncode == 1
+    assert pushing.ok("controller", "reload", "my_law") == "my_law: reloaded, running (was aborted)\n"
+    assert effort(pushing) == 2.0
+
+
+@pytest.mark.parametrize(
+    "fault", ["raise Silent", "del self.joint.command", "self.joint.velocity = 'x'"], ids=["text", "del", "state"]
+)
+def test_a_fault_of_a_law_aborts_it_alone_and_the_world_goes_on(pushing: CommandLine, law: Path, fault: str) -> None:
+    pushing.ok(
+        "param", "set", "/slider/states", "{type: joint_state_controller/JointStateController, publish_rate: 50}"
+    )
+    pushing.ok("controller", "spawn", "states")
+    silent = "class Silent(Exception):\n    def __str__(self): raise ValueError\n"
+    written(law, silent + LAW + f"        {fault}\n")
+    pushing("controller", "reload", "my_law")
+    pushing.ok("sim", "step", "200")
+    assert (state(pushing), state(pushing, "states")) == ("aborted", "running")
+    assert "'my_law' failed in update and is aborted: " in pushing.ok("daemon", "logs", "-n", "5")
+    assert "internal error" not in pushing.ok("daemon", "logs", "-n", "20")
 
 
 def test_the_times_of_updates_are_listed_and_a_budget_is_warned_of(pushing: CommandLine) -> None:

@@ -235,7 +235,7 @@ class TestFailingControllers:
         assert bench.calls("derived") == ["starting", "update", "aborting"]
         assert bench.calls("mine") == bench.calls("other") == ["starting", "update", "update"]
         fatal = bench.graph.lines("fatal")
-        assert "'derived' failed and is aborted: ValueError: broken update" in fatal
+        assert "'derived' failed in update and is aborted: ValueError: broken update" in fatal
         assert fatal.count("\n") == 0
 
     def test_two_failures_in_one_cycle_abort_both(self, bench, failing):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -9,9 +10,10 @@ import numpy as np
 import pytest
 from push_law import LAW
 from scipy.linalg import solve_continuous_are
-from sim_robots import STATES, cart, logged, switch
+from sim_robots import STATES, cart, command, configure, drive_up, logged, state, states_of, switch
 
 from slidectl import description
+from slidectl.control import user_classes
 from slidectl.errors import SlidectlError
 from slidectl.simulation import Simulation
 from slidectl.simulation.compiled.object_file import is_possible
@@ -242,9 +244,177 @@ def test_a_law_that_commands_no_number_is_aborted_and_the_last_command_stays(
     bench.simulation.step(40)
     assert bench.states() == {"my_law": "aborted"}
     [(_, line)] = lines
-    assert "controller 'my_law' failed and is aborted: it set the command of joint 'joint1' to " in line
+    assert "controller 'my_law' failed in update and is aborted: it set the command of joint 'joint1' to " in line
     assert f"which is no finite number ({bench.file})" in line
     assert bench.simulation.world.joint_state("cart", "joint1")[2] == 1.0
+
+
+ODD = """
+class NoText(Exception):
+    def __str__(self): raise ValueError("no text")
+
+class NoTextNorEnd(Exception):
+    def __str__(self): raise SystemExit(3)
+
+class NoName(type):
+    @property
+    def __name__(cls): raise ValueError("no name")
+    @property
+    def __module__(cls): raise ValueError("no module")
+
+class Nameless(Exception, metaclass=NoName):
+    pass
+
+class Untraced(Exception):
+    __traceback__ = property(lambda self: 1 / 0)
+    __cause__ = property(lambda self: 1 / 0)
+    __class__ = property(lambda self: 1 / 0)
+
+class OwnText(str):
+    def replace(self, *_): raise ValueError("no such text")
+    def __format__(self, _): raise ValueError("no such text")
+
+class Told(Exception):
+    def __str__(self): return OwnText("told")
+
+from slidectl.errors import SlidectlError
+
+class Mine(SlidectlError):
+    def __init__(self): pass
+    def __str__(self): raise ValueError("no text")
+
+class Odd:
+    def __repr__(self): raise SystemExit(5)
+    def __float__(self): raise SystemExit(5)
+    def __lt__(self, other): raise SystemExit(5)
+    def __add__(self, other): return 0.0
+
+def deep(): deep()
+
+"""
+"""What stands before the law: classes of exceptions and values whose own methods fail."""
+ODD_FAULTS = [
+    ("raise NoText", "NoText: (no text: its __str__ raised ValueError)"),
+    ("raise NoTextNorEnd", "NoTextNorEnd: (no text: its __str__ raised SystemExit)"),
+    ("raise Nameless('why')", "Nameless: why"),
+    ("raise Untraced('why')", "Untraced: why"),
+    ("raise Told", "Told: told"),
+    ("raise Mine", "Mine: (no text: its __str__ raised ValueError)"),
+    ("raise KeyboardInterrupt", "KeyboardInterrupt: "),
+    ("raise GeneratorExit", "GeneratorExit: "),
+    ("raise MemoryError", "MemoryError: "),
+    ("raise BaseExceptionGroup('both', [SystemExit(1), NoText()])", "BaseExceptionGroup: both"),
+    ("deep()", "RecursionError: maximum recursion depth exceeded"),
+    ("del self.joint.command", "it deleted the command of joint 'joint1'"),
+    ("del self.joint.position", "it deleted the position of joint 'joint1'"),
+    ("self.joint.velocity = 'x'", "it set the velocity of joint 'joint1' to 'x', which is no finite number"),
+    ("self.joint.effort = None", "it set the effort of joint 'joint1' to None"),
+    ("self.joint.position = [1.0]", "it set the position of joint 'joint1' to [1.0]"),
+    ("self.joint.position = 10**400", "it set the position of joint 'joint1' to 1000"),
+    ("self.joint.position = 10**9999", "it set the position of joint 'joint1' to an object of class int"),
+    ("self.joint.position = float('nan')", "it set the position of joint 'joint1' to nan"),
+    ("self.joint.velocity = __import__('numpy').ones(3)", "it set the velocity of joint 'joint1' to array([1., 1."),
+    ("self.joint.velocity = Odd()", "it set the velocity of joint 'joint1' to an object of class Odd"),
+    ("self.joint.command = Odd()", "it set the command of joint 'joint1' to an object of class Odd"),
+]
+"""Statements, and what is said of them."""
+ENGINES = [
+    "plain",
+    pytest.param("compiled", marks=pytest.mark.skipif(not is_possible(), reason="numba is not installed")),
+]
+
+
+@pytest.fixture(params=ENGINES)
+def shared(bench: Bench, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Bench:
+    """A robot of two joints whose other controllers run, and a second robot. A Ctrl-C would not end the process."""
+    monkeypatch.setattr(user_classes, "_RAISES_INTERRUPT", object())
+    bench.simulation = Simulation(engine=request.param)
+    if request.param == "compiled":
+        bench.simulation.engine.complete()
+    bench.robot = bench.simulation.spawn(cart(joints=2), "cart")
+    names = configure(bench.simulation, joints=2)
+    for name in ("states", "position2"):
+        assert bench.simulation.call("/cart/controller_manager/load_controller", {"name": name})["ok"]
+    assert names[1] == "position1"
+    bench.simulation.spawn(cart(), "other")
+    drive_up(bench.simulation, "/other")
+    return bench
+
+
+def the_others_go_on(bench: Bench) -> None:
+    for topic in ("/cart/position2/command", "/other/position1/command"):
+        command(bench.simulation, 0.5, topic)
+    heard: list[Any] = []
+    subscription = bench.simulation.subscribe("/cart/joint_states", heard.append)
+    bench.simulation.step(3000)
+    subscription.close()
+    assert heard
+    assert state(bench.simulation, "cart", "joint2")[0] == pytest.approx(0.5, abs=0.1)
+    assert state(bench.simulation, "other")[0] == pytest.approx(0.5, abs=0.1)
+    assert states_of(bench.simulation, "/other") == {"states": "running", "position1": "running"}
+
+
+@pytest.mark.parametrize(("fault", "said"), ODD_FAULTS, ids=[fault for fault, _ in ODD_FAULTS])
+def test_a_law_that_does_something_odd_is_aborted_alone(shared: Bench, fault: str, said: str) -> None:
+    wrong = f"        if time_ns > 20_000_000:\n            {fault}\n"
+    shared.file.write_text(ODD + LAW + wrong, encoding="utf-8")
+    assert shared.load()
+    assert switch(shared.simulation, start=["my_law", "states", "position2"])
+    lines = logged(shared.simulation)
+    assert shared.simulation.step(40) == 40
+    assert shared.states() == {"my_law": "aborted", "states": "running", "position2": "running"}
+    [(severity, line)] = lines
+    assert severity == "fatal"
+    assert f"controller 'my_law' failed in update and is aborted: {said}" in line
+    the_others_go_on(shared)
+    shared.file.write_text(LAW, encoding="utf-8")
+    assert shared.reload()
+    assert shared.effort() == 1.0
+
+
+@pytest.mark.parametrize("fault", ["raise NoText", "del self.joint.command", "self.joint.velocity = 'x'"])
+@pytest.mark.parametrize("hook", ["init", "starting", "stopping", "aborting", "hear", "tick", "serve", "note"])
+def test_every_hook_may_do_something_odd(shared: Bench, hook: str, fault: str) -> None:
+    asked = """
+        node.subscribe("hear", "std_msgs/String", self.hear)
+        node.call_every(10_000_000, self.tick)
+        node.advertise_service("serve", "std_srvs/Trigger", self.serve)
+        node.set_param("noted", 1)
+        node.watch_param("noted", self.note)
+        self.told ="""
+    methods = "".join(
+        f"\n    def {name}(self, *_):\n        {fault if name == hook else 'pass'}\n"
+        for name in ("starting", "stopping", "aborting", "hear", "tick", "serve", "note")
+    )
+    text = LAW.replace("\n        self.told =", asked) + methods
+    if hook == "init":
+        text = text.replace("self.push = params", f"{fault}\n        self.push = params")
+    if hook == "aborting":
+        text = text.replace("self.joint.command = self.push", "1 / 0")
+    shared.file.write_text(ODD + text, encoding="utf-8")
+    assert shared.load() is (hook != "init")
+    others = ["states", "position2"]
+    if hook == "init":
+        assert switch(shared.simulation, start=others)
+        the_others_go_on(shared)
+        return
+    assert switch(shared.simulation, start=["my_law", *others])
+    shared.simulation.step(20)
+    if hook == "hear":
+        with pytest.raises(SlidectlError, match=r"NoText|it deleted|it set"):
+            shared.simulation.publish("/cart/my_law/hear", {"data": "x"})
+    if hook == "serve":
+        with pytest.raises(SlidectlError, match=r"NoText|it deleted|it set"):
+            shared.simulation.call("/cart/my_law/serve")
+    if hook == "note":
+        with suppress(SlidectlError):
+            shared.simulation.parameters.set("/cart/my_law/noted", 2)
+    if hook == "stopping":
+        assert switch(shared.simulation, stop=["my_law"])
+    shared.simulation.step(20)
+    is_aborted = hook in ("starting", "stopping", "aborting")
+    assert shared.states()["my_law"] == ("aborted" if is_aborted else "running")
+    the_others_go_on(shared)
 
 
 def test_numbers_of_numpy_are_commands(bench: Bench) -> None:
