@@ -59,7 +59,7 @@ reset_to
 
 # daemon.session calls an operation of the wire by its name; logging calls its handler.
 _advertise, _unadvertise, _subscribe, _unsubscribe, _call_service, _advertise_service, _unadvertise_service
-_service_response, _set_level, _set_node, _cancel_call, handleError
+_service_response, _set_level, _set_node, _restrict, _cancel_call, handleError
 
 # gateways.process finds these by their names; asyncio calls a protocol.
 Ros1Gateway, WebSocketGateway, FoxgloveGateway, data_received

@@ -8,9 +8,12 @@ from __future__ import annotations
 import hmac
 import re
 import socket
+from collections.abc import Collection
 from ipaddress import ip_address
 from urllib.parse import urlsplit
 
+from slidectl import local_peers
+from slidectl.effects import Effect
 from slidectl.errors import UsageError
 
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
@@ -46,6 +49,22 @@ def check_token(token: str) -> str:
     if not _TOKEN.match(token):
         raise UsageError("a token has 8 or more letters, digits and -._~")
     return token
+
+
+def check_effects(is_read_only: bool, allow: Collection[str]) -> frozenset[Effect]:
+    """What the clients of a door may do, by its options --read-only and --allow. Raises UsageError."""
+    if is_read_only and allow:
+        raise UsageError("--read-only and --allow exclude each other", "leave one of them out")
+    return frozenset({Effect.READS} if is_read_only else {Effect.READS, Effect.WRITES, *map(Effect, allow)})
+
+
+def check_users_can_be_told(any_user: bool) -> None:
+    """Raise UsageError where connections of other users cannot be told from those of this process's user."""
+    if not any_user and not local_peers.can_be_told():
+        raise UsageError(
+            "this system does not tell whose a connection is, so that every user of this machine could come in",
+            "give --token WORD, where there are tokens, or --any-user",
+        )
 
 
 def is_secret(given: str, secret: str) -> bool:

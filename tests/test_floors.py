@@ -13,7 +13,8 @@ from pathlib import Path
 PACKAGE = Path(__file__).parent.parent / "slidectl"
 
 FLOORS = {
-    "errors": 0, "names": 0, "expressions": 0, "fault_kinds": 0, "file_reads": 0, "paths": 0,
+    "effects": 0, "errors": 0, "local_peers": 0,
+    "names": 0, "expressions": 0, "fault_kinds": 0, "file_reads": 0, "paths": 0,
     "logfile": 1, "processes": 1,
     "event_loop": 0, "rotations": 0, "web_access": 0, "writing": 0, "msgs": 0, "measures": 1, "rasteriser": 1,
     "description": 1, "control": 1, "client": 1, "recording": 1,
@@ -35,6 +36,8 @@ SAME_FLOOR = {
 }
 
 FORBIDDEN = {
+    "effects": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
+    "local_peers": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml"},
     "errors": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "logfile": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "processes": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
@@ -70,6 +73,7 @@ FORBIDDEN = {
 
 # The daemon's life cycle and journals are all that the command line takes from the daemon's floor directly.
 CLI_MAY_TAKE = {
+    "effects",
     "errors",
     "names",
     "expressions",

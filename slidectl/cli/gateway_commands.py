@@ -34,6 +34,19 @@ def gateway() -> None:
 
 _HOST = click.option("--host", default="localhost", show_default=True, metavar="ADDRESS",
                      help="Address of this machine to listen on.")  # fmt: skip
+_TRUST = (
+    click.option(
+        "--allow",
+        type=click.Choice(["files", "code"]),
+        multiple=True,
+        help="Let clients also name files to read and write, or code to run; may repeat.",
+    ),
+    click.option(
+        "--any-user",
+        is_flag=True,
+        help="Let in programs of all users of this machine; else, without a token, yours alone.",
+    ),
+)
 _FOR_BROWSERS = (
     click.option("--cert", default="", metavar="FILE", shell_complete=completion.files,
                  help="Certificate (PEM), for TLS."),
@@ -43,7 +56,7 @@ _FOR_BROWSERS = (
     click.option("--token-file", default="", metavar="FILE", shell_complete=completion.files,
                  help="As --token, from a file."),
     click.option("--origin", "origins", multiple=True, metavar="URL",
-                 help="Let in pages of this site (https://site:port; null: files; *: all); may repeat."),
+                 help="Let in pages of this site (https://site:port; null: files; *: all), else of none; may repeat."),
     click.option("--read-only", is_flag=True, help="Let clients look, and change nothing."),
     click.option("--max-connections", type=click.IntRange(1), default=200, show_default=True, metavar="N",
                  help="Clients at a time."),
@@ -58,7 +71,7 @@ def _listening(kind: str, *more: Any) -> Callable[[Callable[..., Any]], Callable
     action = click.argument("action", type=click.Choice(_ACTIONS), default="run")
 
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
-        for decorator in reversed((action, port, _HOST, *more)):
+        for decorator in reversed((action, port, _HOST, *more, *_TRUST)):
             function = decorator(function)
         return click.pass_obj(function)
 

@@ -51,14 +51,17 @@ def list_services(ctx: Context, namespace: str | None, nodes: bool) -> None:
 @click.argument("name", metavar="SERVICE", shell_complete=completion.services)
 @click.pass_obj
 def info(ctx: Context, name: str) -> None:
-    """Show who provides a service, where, its type and its arguments.
+    """Show who provides a service, where, its type, its arguments and what it does.
 
-    JSON keys: service, node, uri, type, args.
+    The effects are reads, writes (of the world), files or code (that the caller names).
+
+    JSON keys: service, node, uri, type, args, effects.
     """
     found = ctx.resolve("service", name)
     (node,), arguments = found["nodes"], argument_names(found["typedefs"])
     record = {"service": found["name"], "node": node, "uri": ctx.uri, "type": found["type"], "args": arguments}
-    ctx.emit(record, f"Node: {node}\nURI: {ctx.uri}\nType: {found['type']}\nArgs: {' '.join(arguments)}")
+    text = f"Node: {node}\nURI: {ctx.uri}\nType: {found['type']}\nArgs: {' '.join(arguments)}"
+    ctx.emit({**record, "effects": found["effects"]}, f"{text}\nEffects: {' '.join(found['effects'])}")
 
 
 @service.command("type", examples=["slidectl service type list_controllers"])

@@ -19,17 +19,30 @@ from slidectl.errors import Refused, UsageError
               help="Address of this machine; others than loopback need --token.")  # fmt: skip
 @click.option("--token", envvar="SLIDECTL_TOKEN", metavar="WORD", help="Let in only browsers that have this word.")
 @click.option("--read-only", is_flag=True, help="Let browsers look, and change nothing.")
+@click.option("--allow", type=click.Choice(["files", "code"]), multiple=True,
+              help="Let browsers also name files to read and write, or code to run; may repeat.")  # fmt: skip
+@click.option("--any-user", is_flag=True,
+              help="Let in browsers of all users of this machine; else, without a token, yours alone.")  # fmt: skip
 @click.option("--open/--no-open", "is_opened", default=True, help="Open a browser where there is a display.")
 @click.pass_obj
-def view(ctx: Context, port: int, host: str, token: str | None, read_only: bool, is_opened: bool) -> None:
+def view(
+    ctx: Context,
+    port: int,
+    host: str,
+    token: str | None,
+    read_only: bool,
+    allow: tuple[str, ...],
+    any_user: bool,
+    is_opened: bool,
+) -> None:
     """Show the world in a browser.
 
     Prints the address and serves the page until Ctrl-C. Robots, joints, controllers, gains, plots, topics, services and
     the log are there, for all browsers that have it open. Needs pip install 'slidectl[view]'. When the daemon ends the
     page waits for the next one.
 
-    The page is for this machine alone. Another --host needs a --token of at least 8 letters, digits and -._~, which may
-    be given as SLIDECTL_TOKEN too.
+    The page is for your own browsers on this machine. Another --host needs a --token of at least 8 letters, digits and
+    -._~, which may be given as SLIDECTL_TOKEN too.
 
     JSON keys: url, port, instance, read_only.
     """
@@ -43,22 +56,31 @@ def view(ctx: Context, port: int, host: str, token: str | None, read_only: bool,
         raise Refused(needed, "install it: pip install 'slidectl[view]'") from error
     from slidectl.viewing.page.layout import lay_out
     from slidectl.viewing.page.page import Page
-    from slidectl.web_access import check_token, is_loopback, shown_host
+    from slidectl.web_access import check_effects, check_token, check_users_can_be_told, is_loopback, shown_host
 
     if token is not None:
         check_token(token)
     free = free_port(host, port)
     if token is None and not is_loopback(host):
         raise UsageError(f"--host {host} lets other machines in: --token WORD is needed")
+    permitted = check_effects(read_only, allow)
+    if token is None:
+        check_users_can_be_told(any_user)
     instance = ctx.client.paths.name  # raises NoDaemon when none runs
-    guard = AccessGuard(host, token or "")
+    guard = AccessGuard(host, token or "", any_user)
     server = GuardedServer(host, free, guard)
     taken = server.get_port()  # viser takes the next port when another process has taken this one
     if taken != port and port:
         ctx.warn(f"port {port} is taken: {taken} is used")
 
     limit = ctx.wait_limit(DEFAULT_TIMEOUT_S)
-    page = Page(server, lambda: Client(ctx.instance, ctx.socket, timeout=limit), read_only, guard.opened)
+
+    def connected() -> Client:
+        client = Client(ctx.instance, ctx.socket, timeout=limit)
+        client.restrict(*permitted)
+        return client
+
+    page = Page(server, connected, read_only, guard.opened)
     lay_out(page)
     address = f"http://{shown_host(host)}:{taken}/"
     url = address + (f"?token={token}" if token else "")

@@ -162,8 +162,23 @@ class Client:
         self._awaited.discard(call_id)
         self._answers.pop(call_id, None)
 
-    def advertise_service(self, service: str, type: str, handler: Callable[[Message], Message]) -> None:
+    def restrict(self, *permitted: str) -> None:
+        """Give up all effects but these on this connection, for good: "reads", "writes", "files", "code".
+
+        For programs that act for others, as gateways do: the daemon refuses the rest. Raises Refused: no such effect.
+        """
+        restrict_id = self._next_id("restrict")
+        self._send(op="restrict", id=restrict_id, permitted=list(permitted))
+        self.call(_SYNCHRONIZE)
+        if restrict_id in self._refusals:
+            raise self._refusals.pop(restrict_id)
+
+    def advertise_service(
+        self, service: str, type: str, handler: Callable[[Message], Message], effect: str = "writes"
+    ) -> None:
         """Provide a service until the client is closed. The handler takes a request and returns the response.
+
+        With the effect "reads" clients may call it that may only read.
 
         Requests are answered while the client waits in a call. An exception of the handler is the failure of the
         caller's call. A name without a leading slash is in the root namespace.
@@ -176,7 +191,7 @@ class Client:
             raise Refused(f"this client provides {service} already")
         advertise_id = self._next_id("advertise")
         self._handlers[service] = handler
-        self._send(op="advertise_service", id=advertise_id, service=service, type=type)
+        self._send(op="advertise_service", id=advertise_id, service=service, type=type, effect=effect)
         self.call(_SYNCHRONIZE)
         if advertise_id in self._refusals:
             del self._handlers[service]

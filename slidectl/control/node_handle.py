@@ -11,6 +11,7 @@ from contextlib import AbstractContextManager
 from enum import IntEnum
 from typing import Any, NamedTuple, Protocol
 
+from slidectl.effects import Effect
 from slidectl.errors import Reason
 
 Message = dict[str, Any]
@@ -170,8 +171,13 @@ class NodeHandle(Protocol):
     def count_publishers(self, topic: str) -> int:
         """How many nodes publish `topic`."""
 
-    def advertise_service(self, service: str, type_name: str, handler: ServiceHandler) -> None:
-        """Answer calls of `service`, between two cycles. The handler raises SlidectlError to fail the call."""
+    def advertise_service(
+        self, service: str, type_name: str, handler: ServiceHandler, effect: Effect = Effect.WRITES
+    ) -> None:
+        """Answer calls of `service`, between two cycles. The handler raises SlidectlError to fail the call.
+
+        `effect` is the most that it does: clients that may only read can call services with Effect.READS alone.
+        """
 
     def advertise_action(self, action: str, type_name: str, on_goal: GoalCallback, on_cancel: GoalCallback) -> None:
         """Serve `action`, whose goals are `pkg/TypeGoal`, by the five topics of actionlib.

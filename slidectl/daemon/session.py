@@ -16,6 +16,7 @@ from slidectl import msgs, names
 from slidectl.client.lines import LONGEST_LINE, BadLine, check_size, decode, encode
 from slidectl.control.node_handle import Reasons
 from slidectl.daemon.outbox import Publications, Reader, TopicFeed
+from slidectl.effects import EVERYTHING, Effect, NotPermitted
 from slidectl.errors import AmbiguousName, NoDescriptors, Refused, SlidectlError, UsageError, listing
 from slidectl.msgs.schema import nanoseconds
 from slidectl.simulation.clock import Timer
@@ -32,10 +33,12 @@ Message = dict[str, Any]
 
 _OPERATIONS = (
     "advertise", "unadvertise", "publish", "subscribe", "unsubscribe", "call_service", "advertise_service",
-    "unadvertise_service", "service_response", "set_level", "set_node",
+    "unadvertise_service", "service_response", "set_level", "set_node", "restrict",
     "cancel_call",
 )  # fmt: skip
 """Each operation is a method of the session, with an underscore before its name."""
+_READING = ("subscribe", "unsubscribe", "call_service", "cancel_call", "set_level", "set_node", "restrict")
+"""The operations that change nothing of the world; of services that depends on the service."""
 _MOST_OPEN_CALLS = 1000
 _MOST_TIMED, _MOST_TIMED_BYTES = 10_000, 64 * 1024 * 1024
 """The most messages of a connection with a later time, and the most bytes of their lines."""
@@ -89,6 +92,8 @@ class Session:
         self._services: dict[str, Service] = {}
         self._asked: dict[str, Pending] = {}
         self._serial = 0
+        self._permitted = EVERYTHING
+        """What this client may do; `restrict` takes some of it away."""
 
     # --- for the connection -------------------------------------------------------------------------------------
 
@@ -126,7 +131,10 @@ class Session:
         log.reasons = []
         self._graph.caller = self._process_session
         self._graph.calling_node = self.node
+        self._graph.services.permitted = self._permitted
         try:
+            if message["op"] not in _READING and Effect.WRITES not in self._permitted:
+                raise NotPermitted(f"the op {message['op']!r}", Effect.WRITES, self._permitted)
             action(message)
         except SlidectlError as error:
             self.send_error(error, message)
@@ -140,6 +148,7 @@ class Session:
             log.reasons = None
             self._graph.caller = 0
             self._graph.calling_node = ""
+            self._graph.services.permitted = EVERYTHING
 
     def report(self, topic: str, dropped: int) -> bytes:
         """The line about dropped messages; empty when the client's level excludes it."""
@@ -319,8 +328,11 @@ class Session:
 
     def _advertise_service(self, message: Message) -> None:
         service = _name(message, "service")
+        effect = _text(message, "effect", Effect.WRITES)
+        if effect not in (Effect.READS, Effect.WRITES):
+            raise UsageError(f"unknown effect {_shortened(effect)}", f"effects: {Effect.READS}, {Effect.WRITES}")
         self._services[service] = self._graph.services.advertise(
-            service, _text(message, "type"), self.node, lambda request: self._ask(service, request)
+            service, _text(message, "type"), self.node, lambda request: self._ask(service, request), Effect(effect)
         )
 
     def _unadvertise_service(self, message: Message) -> None:
@@ -363,6 +375,13 @@ class Session:
         self._graph.claim_node(name)
         self._graph.close_node(self.node)  # services drop their state about the old name
         self.node = self._connection.node = name
+
+    def _restrict(self, message: Message) -> None:
+        """Give up all effects but these, for good. A gateway does so for each of its clients."""
+        permitted = message.get("permitted")
+        if not isinstance(permitted, list) or not all(each in list(Effect) for each in permitted):
+            raise UsageError("'permitted' is a list of effects", f"effects: {', '.join(Effect)}")
+        self._permitted = self._permitted & {Effect(each) for each in permitted}
 
     def _set_level(self, message: Message) -> None:
         level = _text(message, "level")

@@ -14,6 +14,7 @@ from slidectl.errors import BadFile
 
 SUFFIXES = (".stl", ".obj", ".dae")
 
+FORBIDDEN = "the client that spawns this may not name files"
 _USABLE = "a path is relative to the robot's file, else it is absolute or begins with package://, model:// or file://"
 
 
@@ -74,6 +75,19 @@ class MeshFiles:
         folders = [Path(written_in).absolute().parent] if is_file(Path(written_in)) else []
         folders += [self.base] if self.base is not None else []
         return [folder / uri for folder in dict.fromkeys(folders)]
+
+
+class ForbiddenMeshes(MeshFiles):
+    """For robots of clients that may name no files: no mesh is looked up, so nothing is learned about the disk."""
+
+    def __init__(self) -> None:
+        super().__init__(Packages(), None)
+
+    def locate(self, uri: str, written_in: str) -> tuple[Path | None, str]:  # noqa: ARG002 - nothing is looked up
+        return None, FORBIDDEN
+
+    def expected(self, uri: str, written_in: str) -> Path | None:  # noqa: ARG002
+        return None
 
 
 class UnreadMeshes(MeshFiles):

@@ -91,7 +91,7 @@ def load(path: str | Path, scale: Vector = (1.0, 1.0, 1.0)) -> Triangles:
             _check_size(len(content), _MOST_BYTES_OF_TEXT, path)
             vertices, faces = _obj(content, path) if kind == ".obj" else _dae(content, path)
     except (ValueError, IndexError, ArithmeticError) as error:
-        raise BadMesh(f"cannot read the mesh: {str(error).strip() or type(error).__name__}", path) from None
+        raise BadMesh(f"cannot read the mesh: {_without_content(error)}", path) from None
     except RecursionError:
         raise BadMesh("cannot read the mesh: it is nested too deep", path) from None
     except MemoryError:
@@ -108,6 +108,14 @@ def load(path: str | Path, scale: Vector = (1.0, 1.0, 1.0)) -> Triangles:
         raise BadMesh(f"the mesh has coordinates of more than {_FARTHEST:g} m", path)
     # Mirroring turns triangles inside out; reversing their corners corrects that.
     return Triangles(vertices, faces[:, ::-1].copy() if np.prod(scale) < 0 else faces)
+
+
+def _without_content(error: Exception) -> str:
+    """The reason of an error. Python and numpy quote what they cannot convert: a client that may name a file, and may
+    not read it, would see its content.
+    """
+    text = str(error).strip() or type(error).__name__
+    return "what should be a number is none" if "convert" in text or "literal" in text else text
 
 
 def is_flat(vertices: NDArray[np.float64]) -> bool:

@@ -122,6 +122,11 @@ def package_name(folder: Path) -> str:
     return match.group(1) if match else folder.name
 
 
+def package_of(file: Path) -> Path | None:
+    """The folder of the package that a file is in, by its path as written; None when it is in none."""
+    return next((folder for folder in file.absolute().parents if _is_package(folder)), None)
+
+
 def _folder(path: str | Path) -> Path:
     return Path(os.path.expanduser(path)).absolute()
 

@@ -15,7 +15,7 @@ from typing import Any, cast, get_args
 
 from slidectl.description import element_values, xml_tree
 from slidectl.description.gazebo_tags import GazeboReader
-from slidectl.description.mesh_files import SUFFIXES, MeshFiles, MissingMesh, UnknownMesh
+from slidectl.description.mesh_files import SUFFIXES, ForbiddenMeshes, MeshFiles, MissingMesh, UnknownMesh
 from slidectl.description.packages import Packages
 from slidectl.description.report import Report, one_line
 from slidectl.description.rigid_bodies import WORLD, InertiaCorrector
@@ -65,17 +65,20 @@ def parse(
     packages: Packages | None = None,
     base: Path | None = None,
     strict: bool = False,
+    *,
+    may_use_files: bool = True,
 ) -> Robot:
     """Parse the robot that a URDF text describes.
 
     `file` is its name in messages, unless the text has a note of its sources. `packages` and `base` (the folder for
-    relative paths) find meshes. Impossible masses and inertias are corrected, and shapes without a size are left out,
-    each with a notice; `strict` refuses them.
+    relative paths) find meshes; without `may_use_files` none is looked up, and all are missing. Impossible masses and
+    inertias are corrected, and shapes without a size are left out, each with a notice; `strict` refuses them.
 
     Raises:
         BadFile: with file and line, and the link or joint by name.
     """
-    return parse_tree(xml_tree.read(xml, file), MeshFiles(packages or Packages(start=base), base), Report(), strict)
+    meshes = MeshFiles(packages or Packages(start=base), base) if may_use_files else ForbiddenMeshes()
+    return parse_tree(xml_tree.read(xml, file), meshes, Report(), strict)
 
 
 def parse_tree(root: Element, meshes: MeshFiles, report: Report, strict: bool = False) -> Robot:

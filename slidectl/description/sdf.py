@@ -22,6 +22,7 @@ from urllib.parse import unquote
 
 from slidectl.description import models, xml_tree
 from slidectl.description.element_values import child_text, parse_number
+from slidectl.description.mesh_files import FORBIDDEN
 from slidectl.description.missing import Missing
 from slidectl.description.packages import Packages, UnknownPackage, is_file, shown
 from slidectl.description.robot import Notice, Verdict
@@ -140,6 +141,19 @@ class SdfFiles:
         yield Path(os.path.expanduser(_HOME))
 
 
+class ForbiddenFiles(SdfFiles):
+    """For the SDF of clients that may name no files: nothing is looked up, so nothing is learned about the disk."""
+
+    def __init__(self) -> None:
+        super().__init__(Packages(), None)
+
+    def model_file(self, uri: str, element: Element) -> Path:
+        return self.resolve(uri, element)
+
+    def resolve(self, uri: str, element: Element) -> Path:
+        raise NotThere(f"{uri!r}: {FORBIDDEN}", element.file, element.line)
+
+
 def is_scene(source: str) -> bool:
     """True when the text means SDF: a file with such a suffix, or `model://NAME`."""
     return source.startswith(SCHEME) or source.lower().endswith(SUFFIXES)
@@ -181,12 +195,15 @@ def parse(
     packages: Packages | None = None,
     base: Path | None = None,
     missing: Missing | None = None,
+    *,
+    may_use_files: bool = True,
 ) -> Scene:
-    """As read, for a text; `base` is the folder for relative paths."""
+    """As read, for a text; `base` is the folder for relative paths. Without `may_use_files` all files are missing."""
     root = xml_tree.read(text, file)
     if root.tag not in ("sdf", "gazebo", "world", "model"):
         raise root.error(f"this is no SDF: its outermost element is <{root.tag}>, expected <sdf>")
-    reader = _SceneReader(SdfFiles(packages or Packages(start=base), base), missing)
+    files = SdfFiles(packages or Packages(start=base), base) if may_use_files else ForbiddenFiles()
+    reader = _SceneReader(files, missing)
     reader.take(root, root.get("version") or "1.6")
     is_empty = not reader.scene.models and not reader.scene.has_ground and not missing
     if is_empty and root.tag != "world" and root.find("world") is None:

@@ -21,13 +21,17 @@ Place = tuple[str, int]
 
 
 class Note(NamedTuple):
-    """`places` has file and line of each element; `meshes` the files of `<mesh>` elements, by the element's number."""
+    """`places` has file and line of each element; `meshes` the files of `<mesh>` elements, by the element's number.
+
+    `folder` is the absolute folder of the model's file, empty for a text.
+    """
 
     places: list[Place]
     meshes: dict[int, str]
+    folder: str
 
 
-def encode(places: Sequence[Place], meshes: Mapping[int, str]) -> str:
+def encode(places: Sequence[Place], meshes: Mapping[int, str], folder: str) -> str:
     """The instruction `<?slidectl-source ...?>` on one line."""
     files = list(dict.fromkeys(file for file, _ in places))
     runs: list[list[int]] = []
@@ -36,7 +40,7 @@ def encode(places: Sequence[Place], meshes: Mapping[int, str]) -> str:
         if not runs or runs[-1][0] != index:
             runs.append([index])
         runs[-1].append(line)
-    note = {"files": files, "lines": runs, "meshes": list(meshes.items())}
+    note = {"files": files, "lines": runs, "meshes": list(meshes.items()), "folder": folder}
     data = json.dumps(note, separators=(",", ":"))
     return f"<?{TARGET} {data.replace('>', chr(92) + 'u003e')}?>"
 
@@ -46,7 +50,8 @@ def decode(data: str) -> Note | None:
     try:
         note = json.loads(data)
         places = [(str(note["files"][run[0]]), int(line)) for run in note["lines"] for line in run[1:]]
-        return Note(places, {int(number): str(file) for number, file in note.get("meshes", ())})
+        meshes = {int(number): str(file) for number, file in note.get("meshes", ())}
+        return Note(places, meshes, str(note.get("folder", "")))
     except (ValueError, LookupError, TypeError, AttributeError, RecursionError, OverflowError):
         return None
 

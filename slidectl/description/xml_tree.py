@@ -7,6 +7,7 @@ so that a line names one element. This module does not know what tags mean.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from xml.parsers import expat
@@ -42,6 +43,8 @@ class Element:
     content: list[Element | str] = field(default_factory=list)
     mesh_name: str | None = None
     """The `filename` of a mesh as written, when the attribute has been replaced by the file that was found."""
+    folder: str = ""
+    """Of a root that was read with a note: the absolute folder of the model's file."""
 
     @property
     def children(self) -> list[Element]:
@@ -243,6 +246,7 @@ def _place(root: Element, note: source_note.Note) -> None:
     elements = list(root.walk())
     if len(elements) != len(note.places):
         return
+    root.folder = note.folder
     for number, (element, (file, line)) in enumerate(zip(elements, note.places, strict=True)):
         element.file, element.line = file, line
         if number in note.meshes and element.tag == "mesh" and "filename" in element.attributes:
@@ -287,7 +291,13 @@ def write(root: Element) -> str:
             pieces.append("/>\n")
 
     put(root, "")
-    return "".join(pieces) + source_note.encode(places, meshes) + "\n"
+    return "".join(pieces) + source_note.encode(places, meshes, root.folder or _folder_of(root.file)) + "\n"
+
+
+def _folder_of(file: str) -> str:
+    """The absolute folder of a file; empty for a text, whose `file` is a description of where it came from."""
+    absolute = os.path.abspath(file)
+    return os.path.dirname(absolute) if os.path.isfile(absolute) else ""
 
 
 def _text(element: Element) -> str:

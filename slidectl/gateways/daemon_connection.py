@@ -8,12 +8,13 @@ from __future__ import annotations
 import asyncio
 import os
 import traceback
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Collection
 from contextlib import suppress
 from typing import Any
 
 from slidectl.client.lines import LONGEST_LINE, BadLine, LineBuffer, decode, encode
 from slidectl.client.link import command, peer
+from slidectl.effects import Effect
 from slidectl.errors import NoDaemon, Refused, SlidectlError, TimedOut
 from slidectl.gateways.tasks import Tasks
 from slidectl.paths import InstancePaths, check_private
@@ -60,9 +61,15 @@ class DaemonConnection(asyncio.Protocol):
 
     @classmethod
     async def open(
-        cls, paths: InstancePaths, node: str = "", on_lost: Callable[[], None] | None = None
+        cls,
+        paths: InstancePaths,
+        permitted: Collection[Effect],
+        node: str = "",
+        on_lost: Callable[[], None] | None = None,
     ) -> DaemonConnection:
         """Connect to the daemon of `paths`; `on_lost` is called when the daemon ends.
+
+        The daemon refuses all but the `permitted` effects on this connection.
 
         Raises:
             NoDaemon: no daemon answers. Refused: the node's name is taken, or the daemon is another user's.
@@ -83,13 +90,14 @@ class DaemonConnection(asyncio.Protocol):
         if uid != os.geteuid():
             transport.close()
             raise Refused(f"the daemon on {paths.socket_text} belongs to another user (uid {uid})")
-        if node:
-            try:
+        try:
+            if node:
                 await made._confirmed("set_node", node=node)
-            except BaseException:
-                made.close()
-                raise
-            made.node = node
+                made.node = node
+            await made._confirmed("restrict", permitted=sorted(permitted))
+        except BaseException:
+            made.close()
+            raise
         return made
 
     # --- asyncio.Protocol ---------------------------------------------------------------------------------------
@@ -177,7 +185,9 @@ class DaemonConnection(asyncio.Protocol):
         if self._takers.pop(topic, None) is not None:
             self._send({"op": "unsubscribe", "topic": topic})
 
-    async def advertise_service(self, service: str, type: str, handler: ServiceHandler) -> None:
+    async def advertise_service(
+        self, service: str, type: str, handler: ServiceHandler, effect: Effect = Effect.WRITES
+    ) -> None:
         """Provide a service. A SlidectlError of the handler is the failure of the call.
 
         Raises:
@@ -185,7 +195,7 @@ class DaemonConnection(asyncio.Protocol):
         """
         self._handlers[service] = handler  # a request may arrive before the confirmation
         try:
-            await self._confirmed("advertise_service", service=service, type=type)
+            await self._confirmed("advertise_service", service=service, type=type, effect=effect)
         except SlidectlError:
             self._handlers.pop(service, None)
             raise

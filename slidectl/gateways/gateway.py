@@ -5,40 +5,28 @@ from __future__ import annotations
 import asyncio
 import signal
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
+from slidectl.effects import Effect
 from slidectl.errors import NoDaemon
 from slidectl.gateways.daemon_connection import DaemonConnection
 from slidectl.paths import InstancePaths
 
 _LOOK_EVERY_S = 0.1
 """Wall seconds between two attempts to connect to the daemon."""
-_READING = frozenset(
-    [
-        *(f"/rosapi/{name}" for name in (
-            "action_servers", "get_param", "get_param_names", "get_ros_version", "get_time", "has_param",
-            "message_details", "node_details", "nodes", "publishers", "search_param", "service_host", "service_node",
-            "service_providers", "service_request_details", "service_response_details", "service_type", "services",
-            "services_for_type", "subscribers", "topic_type", "topics", "topics_and_raw_types", "topics_for_type",
-        )),
-        *(f"/slidectl/{name}" for name in (
-            "fault/kinds", "fault/list", "graph", "joint_states", "list_robots", "resolve", "scene", "snapshots",
-            "sources", "status", "trace", "update_times", "wait",
-        )),
-        *(f"/slidectl/get_{name}" for name in (
-            "entities", "entities_states", "entity_bounds", "entity_info", "entity_state", "simulation_state",
-            "simulator_features", "spawnables",
-        )),
-        *(f"/gazebo/get_{name}" for name in (
-            "joint_properties", "link_properties", "link_state", "model_properties", "model_state",
-            "physics_properties", "world_properties",
-        )),
-    ]
-)  # fmt: skip
-"""The services that change nothing."""
-_READING_ENDS = ("/controller_manager/list_controllers", "/controller_manager/list_controller_types")
+
+
+@dataclass(frozen=True)
+class GatewayOptions:
+    """What the clients of any gateway may do, and who they are."""
+
+    allow: tuple[str, ...] = ()
+    """`files` and `code`: clients may also call services that use files, or run code, that they name."""
+    any_user: bool = False
+    """Accept connections of all users of this machine, without a token too."""
 
 
 class Gateway:
@@ -125,9 +113,10 @@ async def _attached(gateway: Gateway, paths: InstancePaths, address: str) -> Dae
         texts = {"names": list(counts), "values": [str(value) for value in counts.values()]}
         return {"address": address, **texts}
 
-    connection = await DaemonConnection.open(paths, on_lost=gateway.lost.set)
+    connection = await DaemonConnection.open(paths, (Effect.READS, Effect.WRITES), on_lost=gateway.lost.set)
     try:
-        await connection.advertise_service(status_service(gateway.kind), "slidectl/GatewayStatus", status)
+        name = status_service(gateway.kind)
+        await connection.advertise_service(name, "slidectl/GatewayStatus", status, Effect.READS)
         await gateway.attach(paths)
     except BaseException:
         connection.close()
@@ -141,6 +130,6 @@ def status_service(kind: str) -> str:
     return f"/slidectl/gateways/{kind}"
 
 
-def is_reading(service: str) -> bool:
-    """True when a service, by full name, changes nothing: clients of a read-only gateway may call it."""
-    return service in _READING or service.endswith(_READING_ENDS)
+def is_offered(service: dict[str, Any], permitted: Collection[Effect]) -> bool:
+    """True when clients may call a service, given as in /slidectl/graph."""
+    return service["effects"][0] in permitted

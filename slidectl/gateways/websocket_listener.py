@@ -26,7 +26,17 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from slidectl.errors import BadFile, Refused, SlidectlError, UsageError
-from slidectl.web_access import LOOPBACK, check_token, host_of, is_loopback, is_secret, shown_host
+from slidectl.gateways.gateway import GatewayOptions
+from slidectl.gateways.strangers import Strangers
+from slidectl.web_access import (
+    LOOPBACK,
+    check_token,
+    check_users_can_be_told,
+    host_of,
+    is_loopback,
+    is_secret,
+    shown_host,
+)
 
 _HANDSHAKE_S, _CLOSE_S = 10.0, 2.0
 _MORE_HANDSHAKES = 50
@@ -34,7 +44,7 @@ _MORE_HANDSHAKES = 50
 
 
 @dataclass(frozen=True)
-class ListenerOptions:
+class ListenerOptions(GatewayOptions):
     """The address where a gateway listens, and who may connect."""
 
     host: str = "localhost"
@@ -50,23 +60,31 @@ class ListenerOptions:
     token_file: str = ""
     """File with the token, instead of `token`."""
     origins: tuple[str, ...] = ()
-    """Sites whose pages may connect, as https://site:port, besides this machine's; null for files, * for all."""
+    """Sites whose pages may connect, as https://site:port; null for files, * for all. By default no page may."""
     max_connections: int = 200
     """The maximum number of clients at a time."""
 
 
 class ListenerConnection(ServerConnection):
-    """A connection; it is cut at once when the server has more than `most`."""
+    """A connection; it is cut at once when the server has more than `most`, or too many of other users."""
 
-    def __init__(self, *args: Any, most: int, **options: Any) -> None:
+    def __init__(self, *args: Any, most: int, strangers: Strangers, **options: Any) -> None:
         """`most` counts all connections of the server, before and after their handshakes."""
         super().__init__(*args, **options)
         self._most = most
+        self._strangers = strangers
+        self.stranger = ""
+        """Why the connection is one of another user, who may not come in; empty for others."""
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         super().connection_made(transport)
-        if len(self.server.handlers) > self._most:
+        self.stranger = self._strangers.seen(self, transport)
+        if len(self.server.handlers) > self._most or (self.stranger and self._strangers.are_many):
             cast(asyncio.Transport, transport).abort()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._strangers.gone(self)
+        super().connection_lost(exc)
 
 
 class WebSocketListener:
@@ -121,7 +139,10 @@ class WebSocketListener:
         quiet = logging.getLogger("slidectl.gateways")
         quiet.setLevel(logging.CRITICAL)  # connections that are no WebSocket are refused; that is not worth a log entry
 
-        made = partial(kind, most=options.max_connections + _MORE_HANDSHAKES)
+        if not self._token:
+            check_users_can_be_told(options.any_user)
+        strangers = Strangers(lets_all_in=bool(self._token) or options.any_user)
+        made = partial(kind, most=options.max_connections + _MORE_HANDSHAKES, strangers=strangers)
 
         async def count(connection: ServerConnection) -> None:
             if self.connections >= options.max_connections:  # several connected at the same time
@@ -165,7 +186,10 @@ class WebSocketListener:
 
     def _judge(self, browser: ServerConnection, request: Request) -> Response | None:
         """The refusal of a connection request; None to accept it."""
+        assert isinstance(browser, ListenerConnection)
         status, text = self._objection(request)
+        if browser.stranger:
+            status, text = http.HTTPStatus.FORBIDDEN, f"{browser.stranger}; see --token and --any-user"
         if not text:
             return None
         self.refused += 1
@@ -195,13 +219,8 @@ class WebSocketListener:
         return http.HTTPStatus.OK, ""
 
     def _is_allowed_origin(self, origin: str) -> bool:
-        """True for pages of this machine and of the given sites. Programs that are no browser send no origin."""
-        try:
-            parts = urlsplit(origin)
-        except ValueError:
-            return False
-        is_own = parts.scheme in ("http", "https") and host_of(parts.netloc) in LOOPBACK
-        return is_own or "*" in self._origins or origin.lower() in self._origins
+        """True for pages of the given sites. Programs that are no browser send no origin."""
+        return "*" in self._origins or origin.lower() in self._origins
 
 
 def _token(options: ListenerOptions) -> str:

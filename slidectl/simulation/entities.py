@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Literal
 
 from slidectl import file_reads
 from slidectl.description import sdf
+from slidectl.effects import Effect
 from slidectl.errors import AmbiguousName, Refused, SlidectlError, UnknownName
 from slidectl.physics import hulls
 from slidectl.physics.hulls import Hulls
@@ -103,9 +104,13 @@ class Entities:
         check_size("SDF", xml)
         if sdf.is_urdf(xml):
             return [(self._robots.read(xml, name, namespace, is_model=True), place)]
+        may_use_files = Effect.FILES in self._simulation.graph.services.permitted
         parts = file_reads.read_or_raise(
             f"SDF of {name}",  # it may include other files
-            lambda: [(part.xml, part.name, part.pose) for part in sdf.parse(xml, "model_xml").named(name)],
+            lambda: [
+                (part.xml, part.name, part.pose)
+                for part in sdf.parse(xml, "model_xml", may_use_files=may_use_files).named(name)
+            ],
         )
         return [
             (self._robots.read(text, part, namespace, is_model=True), compose(place, (tuple(xyz), tuple(turn))))

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 from slidectl import names
 from slidectl.control.duration import from_seconds
 from slidectl.control.node_handle import Message
+from slidectl.effects import Effect
 from slidectl.errors import Refused, SlidectlError, UnknownName, UsageError, quoted
 from slidectl.fault_kinds import KINDS, OPTIONS, QUANTITIES, REQUIRED, check_span, checked_options
 from slidectl.physics import World
@@ -533,8 +534,8 @@ class Faults:
         node = simulation.graph.node(names.join(names.OWN_NODE, "fault"), names.OWN_NODE)
         node.advertise_service("add", "slidectl/AddFault", self._serve_add)
         node.advertise_service("remove", "slidectl/RemoveFaults", lambda r: {"names": self.remove(*r["names"])})
-        node.advertise_service("list", "slidectl/ListFaults", lambda _: {"faults": self.messages()})
-        node.advertise_service("kinds", "slidectl/ListFaultKinds", _serve_kinds)
+        node.advertise_service("list", "slidectl/ListFaults", lambda _: {"faults": self.messages()}, Effect.READS)
+        node.advertise_service("kinds", "slidectl/ListFaultKinds", _serve_kinds, Effect.READS)
 
     def add(
         self,

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from slidectl.control.duration import header_of
 from slidectl.control.node_handle import Message
+from slidectl.effects import Effect
 from slidectl.errors import Refused
 from slidectl.msgs.schema import nanoseconds
 from slidectl.rotations import IDENTITY, Pose, Vector, add, compose, cross, from_rpy, rotate, subtract
@@ -71,7 +72,12 @@ class GazeboServices:
             "set_physics_properties": ("SetPhysicsProperties", self._set_physics),
         }
         for name, (kind, handler) in answered.items():
-            node.advertise_service(name, f"gazebo_msgs/{kind}", answering(handler, "status_message"))
+            node.advertise_service(
+                name,
+                f"gazebo_msgs/{kind}",
+                answering(handler, "status_message"),
+                Effect.READS if name.startswith("get_") else Effect.WRITES,
+            )
         for name, kind, action in (
             ("clear_joint_forces", "gazebo_msgs/JointRequest", self._clear_joint),
             ("clear_joint_efforts", "gazebo_msgs/JointRequest", self._clear_joint),

@@ -20,6 +20,7 @@ from slidectl.control.node_handle import (
     Publisher,
     Reasons,
 )
+from slidectl.effects import Effect
 from slidectl.errors import Reason, Refused, SlidectlError, cut
 from slidectl.simulation.action_server import ActionServer
 from slidectl.simulation.clock import Clock, ClockTopic, RepeatedCall, Timers
@@ -89,7 +90,13 @@ class Graph:
                 for name, kind in topics.types().items()
             ],
             "services": [
-                {"name": name, "type": kind, "node": services.node_of(name)} for name, kind in services.types().items()
+                {
+                    "name": name,
+                    "type": kind,
+                    "node": services.node_of(name),
+                    "effects": [str(effect) for effect in services.effects_of(name)],
+                }
+                for name, kind in services.types().items()
             ],
         }
 
@@ -221,9 +228,17 @@ class GraphNode:
     def count_publishers(self, topic: str) -> int:
         return len(self._graph.topics.publishers(self._absolute(topic)))
 
-    def advertise_service(self, service: str, type_name: str, handler: Handler) -> None:
+    def advertise_service(
+        self,
+        service: str,
+        type_name: str,
+        handler: Handler,
+        effect: Effect = Effect.WRITES,
+        file_field: str = "",
+    ) -> None:
         name, entering = self._absolute(service), self._entering(handler)
-        self._taken.append(self._graph.services.advertise(name, type_name, self.name, entering).close)
+        services = self._graph.services
+        self._taken.append(services.advertise(name, type_name, self.name, entering, effect, file_field).close)
 
     def advertise_action(self, action: str, type_name: str, on_goal: GoalCallback, on_cancel: GoalCallback) -> None:
         self._servers.append(ActionServer(self.child(action), type_name, on_goal, on_cancel))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from slidectl.control.duration import from_seconds
 from slidectl.control.node_handle import Message
+from slidectl.effects import Effect
 from slidectl.errors import Refused, SlidectlError
 from slidectl.names import OWN_NODE
 from slidectl.simulation.clock import SECOND
@@ -27,7 +28,7 @@ _SAMPLE = struct.Struct("<4d")
 def advertise(simulation: Simulation) -> None:
     """Provide the service."""
     node = simulation.graph.node(OWN_NODE, OWN_NODE)
-    node.advertise_service("trace", "slidectl/TraceJoint", lambda request: _trace(simulation, request))
+    node.advertise_service("trace", "slidectl/TraceJoint", lambda request: _trace(simulation, request), Effect.READS)
 
 
 def _trace(simulation: Simulation, request: Message) -> Pending:

@@ -18,6 +18,7 @@ from slidectl.control.controller_interface import State
 from slidectl.control.controller_manager import STRICT
 from slidectl.control.duration import to_seconds
 from slidectl.control.node_handle import Message, Reasons
+from slidectl.effects import Effect
 from slidectl.errors import Reason, Refused, SlidectlError
 from slidectl.msgs.schema import nanoseconds
 from slidectl.simulation.clock import Timer
@@ -65,7 +66,8 @@ class ManagerServices:
         }
         services = node.child("controller_manager")
         for name, (kind, act) in acts.items():
-            services.advertise_service(name, f"controller_manager_msgs/{kind}", partial(self._take, act))
+            effect = Effect.READS if name.startswith("list_") else Effect.WRITES
+            services.advertise_service(name, f"controller_manager_msgs/{kind}", partial(self._take, act), effect)
         services.advertise_service("switch_controllers", "slidectl/SwitchControllers", self._switch_as_in_ros2)
 
     def settle(self) -> None:

@@ -18,6 +18,7 @@ from slidectl.control.duration import from_seconds
 from slidectl.control.node_handle import Message
 from slidectl.description import interfaces, source_note
 from slidectl.description.robot import MOVING, Joint
+from slidectl.effects import Effect
 from slidectl.errors import Refused, UnknownName, Unused, UsageError, closest, listing
 from slidectl.physics import sensing
 from slidectl.simulation import snapshot_files
@@ -54,32 +55,33 @@ class OwnServices:
         self._snapshots = simulation.snapshots
         self._graph.on_node_closed.append(simulation.run.holders.discard)
         node = simulation.graph.node(names.OWN_NODE, names.OWN_NODE)
-        offers: dict[str, tuple[str, Handler]] = {
-            "status": ("Status", self._status),
-            "step": ("Step", self._step),
-            "sleep": ("Sleep", self._sleep),
-            "set_speed": ("SetSpeed", answering(self._set_speed, "message")),
-            "set_params": ("SetParams", self._set_params),
-            "list_robots": ("ListRobots", self._list_robots),
-            "scene": ("Scene", self._scene),
-            "joint_states": ("JointStates", self._joint_states),
-            "sources": ("Sources", self._sources),
-            "resolve": ("Resolve", self._resolve),
-            "estop": ("EmergencyStop", answering(self._stop, "message")),
-            "rest_joints": ("RestJoints", answering(self._rest, "message")),
-            "start_joints": ("StartJoints", answering(self._start_joints, "message")),
-            "load_controller_file": ("LoadControllerFile", self._load_file),
-            "reload_controller": ("ReloadController", self._reload),
-            "graph": ("GraphState", lambda _: self._graph.state()),
-            "update_times": ("ListUpdateTimes", self._update_times),
-            "save": ("Save", self._save),
-            "load": ("Load", self._load),
-            "snapshots": ("ListSnapshots", self._list_snapshots),
-            "delete_snapshots": ("DeleteSnapshots", self._delete_snapshots),
-            "export_snapshot": ("ExportSnapshot", self._export_snapshot),
+        offers: dict[str, tuple[Effect, str, Handler]] = {
+            "status": (Effect.READS, "Status", self._status),
+            "step": (Effect.WRITES, "Step", self._step),
+            "sleep": (Effect.WRITES, "Sleep", self._sleep),
+            "set_speed": (Effect.WRITES, "SetSpeed", answering(self._set_speed, "message")),
+            "set_params": (Effect.WRITES, "SetParams", self._set_params),
+            "list_robots": (Effect.READS, "ListRobots", self._list_robots),
+            "scene": (Effect.READS, "Scene", self._scene),
+            "joint_states": (Effect.READS, "JointStates", self._joint_states),
+            "sources": (Effect.WRITES, "Sources", self._sources),
+            "resolve": (Effect.READS, "Resolve", self._resolve),
+            "estop": (Effect.WRITES, "EmergencyStop", answering(self._stop, "message")),
+            "rest_joints": (Effect.WRITES, "RestJoints", answering(self._rest, "message")),
+            "start_joints": (Effect.WRITES, "StartJoints", answering(self._start_joints, "message")),
+            "load_controller_file": (Effect.CODE, "LoadControllerFile", self._load_file),
+            "reload_controller": (Effect.CODE, "ReloadController", self._reload),
+            "graph": (Effect.READS, "GraphState", lambda _: self._graph.state()),
+            "update_times": (Effect.READS, "ListUpdateTimes", self._update_times),
+            "save": (Effect.WRITES, "Save", self._save),
+            "load": (Effect.WRITES, "Load", self._load),
+            "snapshots": (Effect.READS, "ListSnapshots", self._list_snapshots),
+            "delete_snapshots": (Effect.WRITES, "DeleteSnapshots", self._delete_snapshots),
+            "export_snapshot": (Effect.FILES, "ExportSnapshot", self._export_snapshot),
         }
-        for name, (kind, handler) in offers.items():
-            node.advertise_service(name, f"slidectl/{kind}", handler)
+        for name, (effect, kind, handler) in offers.items():
+            file_field = {"save": "file", "load": "file", "sources": "note"}.get(name, "")
+            node.advertise_service(name, f"slidectl/{kind}", handler, effect, file_field)
 
     def _status(self, _: Message) -> Message:
         simulation = self._simulation
@@ -203,6 +205,7 @@ class OwnServices:
                 "typedefs": typedefs(msgs.request_type(type_name)),
                 "response_typedefs": typedefs(msgs.response_type(type_name)),
                 "nodes": [services.node_of(full)],
+                "effects": [str(effect) for effect in services.effects_of(full)],
             }
         if kind == "parameter":
             return {"name": self._resolve_parameter(name, namespace)}
@@ -314,6 +317,7 @@ class OwnServices:
             "ground": world.has_ground,
             "robots": [robot.name for robot in robots],
             "serials": [robot.serial for robot in robots],
+            "may_use_files": [robot.may_use_files for robot in robots],
             "descriptions": [source_note.join(robot.xml, robot.note) for robot in robots if request["descriptions"]],
             "links": [f"{robot}::{link}" for robot, link in places],
             "poses": [pose_message(world.link_pose(robot, link)) for robot, link in places],

@@ -12,12 +12,14 @@ from typing import Any
 
 from slidectl import msgs, names
 from slidectl.control.node_handle import MISSING, Message
+from slidectl.effects import Effect
 from slidectl.errors import BadMessage, Refused, quoted
 from slidectl.msgs.schema import TIMES
 from slidectl.simulation.graph import Graph
 from slidectl.simulation.parameters import Parameters
 
 NODE = "/rosapi"
+_WRITING = ("set_param", "delete_param")
 _ACTION = ("cancel", "feedback", "result", "status")
 """The topics of an action, besides its goal."""
 ServiceEntry = tuple[str, Callable[[Message], Message]]
@@ -35,7 +37,8 @@ def advertise(graph: Graph) -> None:
     node = graph.node(NODE, NODE)
     offers = _graph_services(graph) | _type_services() | _parameter_services(graph.parameters)
     for name, (kind, answer) in offers.items():
-        node.advertise_service(name, f"rosapi/{kind}", answer)
+        effect = Effect.WRITES if name in _WRITING else Effect.READS
+        node.advertise_service(name, f"rosapi/{kind}", answer, effect)
 
 
 def _graph_services(graph: Graph) -> dict[str, ServiceEntry]:
@@ -79,7 +82,7 @@ def _graph_services(graph: Graph) -> dict[str, ServiceEntry]:
         "topics_for_type": ("TopicsForType", lambda r: {"topics": _having(topics.types(), r["type"])}),
         "publishers": ("Publishers", lambda r: {"publishers": topics.publishers(r["topic"])}),
         "subscribers": ("Subscribers", lambda r: {"subscribers": topics.subscribers(r["topic"])}),
-        "services": ("Services", lambda _: {"services": services.names()}),
+        "services": ("Services", lambda _: {"services": services.permitted_names()}),
         "service_type": ("ServiceType", lambda r: {"type": services.types().get(r["service"], "")}),
         "services_for_type": ("ServicesForType", lambda r: {"services": _having(services.types(), r["type"])}),
         "service_providers": ("ServiceProviders", lambda r: {"providers": providers(r["service"])}),

@@ -5,11 +5,12 @@ Requests and responses are checked against the type here, so that handlers recei
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any
 
 from slidectl import msgs, names
 from slidectl.control.node_handle import Message
+from slidectl.effects import EVERYTHING, Effect, NotPermitted
 from slidectl.errors import Refused, UnknownName
 from slidectl.simulation.pending import Pending
 
@@ -46,10 +47,19 @@ class Service:
     Raises UnknownName: no such service type.
     """
 
-    __slots__ = ("_on_close", "handler", "name", "node", "open", "request_type", "response_type", "type")
+    __slots__ = (
+        "_on_close", "effect", "file_field", "handler", "name", "node", "open", "request_type", "response_type", "type",
+    )  # fmt: skip
 
     def __init__(
-        self, name: str, type_name: str, node: str, handler: Handler, on_close: Callable[[Service], None]
+        self,
+        name: str,
+        type_name: str,
+        node: str,
+        handler: Handler,
+        on_close: Callable[[Service], None],
+        effect: Effect = Effect.WRITES,
+        file_field: str = "",
     ) -> None:
         self.name = name
         self.type = type_name
@@ -57,6 +67,8 @@ class Service:
         self.response_type = msgs.response_type(type_name)
         self.node = node
         self.handler = handler
+        self.effect = effect
+        self.file_field = file_field
         self.open: dict[Pending, Pending] = {}
         self._on_close = on_close
 
@@ -77,9 +89,21 @@ class Services:
         self._by_node: dict[str, dict[Service, None]] = {}
         self.on_change: Callable[[], None] = lambda: None
         """Called after a service was added or removed."""
+        self.permitted: Collection[Effect] = EVERYTHING
+        """What the caller of the request that is being handled may do."""
 
-    def advertise(self, name: str, type_name: str, node: str, handler: Handler) -> Service:
+    def advertise(
+        self,
+        name: str,
+        type_name: str,
+        node: str,
+        handler: Handler,
+        effect: Effect = Effect.WRITES,
+        file_field: str = "",
+    ) -> Service:
         """Provide a service. The handler raises SlidectlError to fail a call, or returns a Pending to answer later.
+
+        `effect` is the most that it does; with something in the request's field `file_field` it also uses files.
 
         Raises:
             BadName. Refused: the name is in use. UnknownName: no such service type.
@@ -87,7 +111,7 @@ class Services:
         names.check_absolute(name, "service")
         if name in self._services:
             raise Refused(f"service {name} is already provided by {self._services[name].node}")
-        service = self._services[name] = Service(name, type_name, node, handler, self._forget)
+        service = self._services[name] = Service(name, type_name, node, handler, self._forget, effect, file_field)
         self._by_node.setdefault(node, {})[service] = None
         self.on_change()
         return service
@@ -97,16 +121,29 @@ class Services:
 
         def ask() -> Message | Pending:
             service = self._known(name)
-            answer = service.handler(msgs.check(service.request_type, {} if request is None else request))
+            self.require(service.effect, name)
+            checked = msgs.check(service.request_type, {} if request is None else request)
+            if service.file_field and checked[service.file_field]:
+                self.require(Effect.FILES, f"{name} with {service.file_field!r}")
+            answer = service.handler(checked)
             if isinstance(answer, Pending):
                 return _follow(service, answer)
             return msgs.check(service.response_type, answer)
 
         return Pending.attempt(ask)
 
+    def require(self, effect: Effect, what: str) -> None:
+        """Raise NotPermitted unless the present caller may do this; `what` is the subject of the error's sentence."""
+        if effect not in self.permitted:
+            raise NotPermitted(what, effect, self.permitted)
+
     def names(self) -> list[str]:
         """Names of all services, sorted."""
         return sorted(self._services)
+
+    def permitted_names(self) -> list[str]:
+        """Names of the services that the present caller may call, sorted."""
+        return [name for name in self.names() if self._services[name].effect in self.permitted]
 
     def exists(self, name: str) -> bool:
         """True when the service has a provider."""
@@ -119,6 +156,11 @@ class Services:
     def type_of(self, name: str) -> str:
         """The type of a service. Raises UnknownName when it has no provider."""
         return self._known(name).type
+
+    def effects_of(self, name: str) -> list[Effect]:
+        """What a service does, at most and with files. Raises UnknownName when it has no provider."""
+        service = self._known(name)
+        return [service.effect, *([Effect.FILES] if service.file_field else [])]
 
     def node_of(self, name: str) -> str:
         """The provider of a service. Raises UnknownName when there is none."""

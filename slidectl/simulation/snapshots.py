@@ -45,6 +45,7 @@ class SpawnedAs:
     pose: Pose
     note: str
     caller: int
+    may_use_files: bool
     hulls: Hulls
     made_parameters: list[str]
     controllers: list[tuple[str, str]]
@@ -61,6 +62,7 @@ class SpawnedAs:
             robot.body.spawn_pose,
             robot.note,
             robot.caller,
+            robot.may_use_files,
             robot.body.hulls,
             list(robot.made_parameters),
             list(robot.parts.manager.loaded()) if robot.is_controlled else [],
@@ -68,8 +70,11 @@ class SpawnedAs:
 
     def parsed(self) -> ParsedRobot:
         """The parsed robot, to be spawned again."""
-        paper, place = description.parse(source_note.join(self.xml, self.note)), names.check(self.namespace)
-        return ParsedRobot(self.name, place, paper, self.xml, self.note, self.caller, self.is_controlled)
+        paper = description.parse(source_note.join(self.xml, self.note), may_use_files=self.may_use_files)
+        place = names.check(self.namespace)
+        return ParsedRobot(
+            self.name, place, paper, self.xml, self.note, self.caller, self.is_controlled, self.may_use_files
+        )
 
     def is_like(self, other: SpawnedAs) -> bool:
         """True when both spawn the same robot, apart from its controllers."""

@@ -6,7 +6,7 @@ A resource is read in one call, which blocks the world: some tens of millisecond
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,6 +16,7 @@ from slidectl.control.node_handle import Message
 from slidectl.description import models, sdf, xml_tree
 from slidectl.description.document import has_xacro
 from slidectl.description.mesh_files import MeshFiles, MissingMesh, UnknownMesh
+from slidectl.effects import Effect, NotPermitted
 from slidectl.errors import BadFile, NotThere, SlidectlError, UnknownName, listing, quoted
 from slidectl.physics.builder import BadShape
 from slidectl.rotations import ORIGIN, Pose
@@ -48,13 +49,16 @@ class ResourcePart(NamedTuple):
     """True when it came as SDF."""
 
 
-def read(resource: Message, name: str, named: Callable[[str], str]) -> list[ResourcePart]:
+def read(
+    resource: Message, name: str, named: Callable[[str], str], permitted: Collection[Effect]
+) -> list[ResourcePart]:
     """The parts of a simulation_interfaces/Resource; URDF has one.
 
     Args:
         resource: its `uri` has precedence over its `resource_string`.
         name: the requested name; empty for the name in the resource.
         named: returns the name to use.
+        permitted: what the caller may do.
 
     Raises SpawnFailure.
     """
@@ -62,9 +66,13 @@ def read(resource: Message, name: str, named: Callable[[str], str]) -> list[Reso
     if not uri and not text.strip():
         raise SpawnFailure("NO_RESOURCE", "neither uri nor resource_string is set")
 
+    may_use_files = Effect.FILES in permitted
+    if uri and uri not in models.shipped() and not may_use_files:
+        raise failure(NotPermitted(f"spawning {quoted(uri)}", Effect.FILES, permitted))
+
     def look() -> list[Any]:
         try:
-            return _of_file(uri, name, named) if uri else _of_text(text, name, named)
+            return _of_file(uri, name, named) if uri else _of_text(text, name, named, may_use_files)
         except SlidectlError as error:
             raise failure(error) from None
 
@@ -83,11 +91,11 @@ def failure(error: SlidectlError) -> SpawnFailure:
     return error if isinstance(error, SpawnFailure) else SpawnFailure(reason, error.message, error.hint)
 
 
-def _of_text(text: str, name: str, named: Callable[[str], str]) -> list[Any]:
+def _of_text(text: str, name: str, named: Callable[[str], str], may_use_files: bool) -> list[Any]:
     check_size("resource_string", text)
     root = xml_tree.read(text, "resource_string")
     if root.tag in _OF_SCENES:
-        return _of_scene(sdf.parse(text, "resource_string"), name, named)
+        return _of_scene(sdf.parse(text, "resource_string", may_use_files=may_use_files), name, named)
     if root.tag != "robot":
         raise _unsupported(f"the outermost element is <{root.tag}>")
     if has_xacro(root):

@@ -22,6 +22,7 @@ from slidectl.control.user_classes import file_of, raised, watched_for, watched_
 from slidectl.description import source_note
 from slidectl.description.gazebo_tags import TRANSMISSIONS
 from slidectl.description.robot import ControlPlugin, Robot, check_position
+from slidectl.effects import Effect
 from slidectl.errors import BadFile, Refused, UnknownName
 from slidectl.physics import EngineError, Overlap, World
 from slidectl.physics.body import Body
@@ -73,6 +74,8 @@ class SpawnedRobot:
         self.note = parsed.note
         self.caller = parsed.caller
         """The session id of the process that requested it, 0 when it is unknown."""
+        self.may_use_files = parsed.may_use_files
+        """False when it was spawned by a client that may not name files: no file is read or shown for it."""
         self.is_controlled = parsed.is_controlled
         """False for a model without control: it has no hardware, no controllers and no cycle."""
         self.node = node
@@ -175,6 +178,8 @@ class ParsedRobot(NamedTuple):
     caller: int
     """The session id of the process that requests it, 0 when it is unknown."""
     is_controlled: bool
+    may_use_files: bool
+    """Its spawner may name files."""
 
 
 class Sources:
@@ -255,22 +260,24 @@ class Robots:
         With `is_model` it gets no controller manager, unless it has transmissions or the control plugin.
         """
         self._check_name(name)
+        may_use_files = Effect.FILES in self._loop.graph.services.permitted
         urdf, note = source_note.split(xml)
-        note = note or self.sources.get(source_note.digest(urdf))
-        paper = description.parse(source_note.join(urdf, note))
+        # A note says where meshes are: a client that may name no files gives none, and gets none.
+        note = (note or self.sources.get(source_note.digest(urdf))) if may_use_files else ""
+        paper = description.parse(source_note.join(urdf, note), may_use_files=may_use_files)
         asked = (names.join("/", namespace).rstrip("/") or "/") if namespace else description.namespace_of(paper, name)
         place = names.check(asked)
         plugin = paper.plugin or ControlPlugin()
         how = self._loop.graph.parameters.get(names.join(place, TRANSMISSIONS), None)
         if plugin.transmissions is None and how is not None:
             urdf, note = source_note.split(description.with_transmissions(source_note.join(urdf, note), str(how)))
-            paper = description.parse(source_note.join(urdf, note))
+            paper = description.parse(source_note.join(urdf, note), may_use_files=may_use_files)
         try:
             hardware_types.check_known(plugin.robot_sim_type)
         except UnknownName as error:
             raise BadFile(error.message, plugin.file or DESCRIPTION, plugin.line, error.hint) from None
         is_controlled = not is_model or paper.plugin is not None or bool(paper.transmissions)
-        parsed = ParsedRobot(name, place, paper, urdf, note, self._loop.graph.caller, is_controlled)
+        parsed = ParsedRobot(name, place, paper, urdf, note, self._loop.graph.caller, is_controlled, may_use_files)
         self._check_namespace(parsed)
         return parsed
 

@@ -18,6 +18,7 @@ import slidectl
 from slidectl import msgs, names
 from slidectl.control.duration import header_of
 from slidectl.control.node_handle import Message
+from slidectl.effects import Effect
 from slidectl.errors import BadName, Refused, SlidectlError, UnknownName, quoted
 from slidectl.physics import sensing
 from slidectl.rotations import ORIGIN, Pose, compose
@@ -94,8 +95,16 @@ class StandardServices:
         }
         for name, handler in answered.items():
             kind = name.title().replace("_", "")
-            node.advertise_service(name, f"{_PACKAGE}/{kind}", responding(handler, _respond))
-        node.advertise_service("get_simulator_features", f"{_PACKAGE}/GetSimulatorFeatures", lambda _: _features())
+            node.advertise_service(
+                name,
+                f"{_PACKAGE}/{kind}",
+                responding(handler, _respond),
+                Effect.READS if name.startswith("get_") else Effect.WRITES,
+                "sources" if name == "get_spawnables" else "",
+            )
+        node.advertise_service(
+            "get_simulator_features", f"{_PACKAGE}/GetSimulatorFeatures", lambda _: _features(), Effect.READS
+        )
 
     # Spawning and deleting
 
@@ -108,7 +117,12 @@ class StandardServices:
         namespace = request["entity_namespace"]
         if namespace and not names.is_legal(names.join("/", namespace)):
             raise SpawnFailure("NAMESPACE_INVALID", str(BadName(namespace)))
-        parts = read(request["entity_resource"], request["name"], lambda name: self._name(name, request))
+        parts = read(
+            request["entity_resource"],
+            request["name"],
+            lambda name: self._name(name, request),
+            self._simulation.graph.services.permitted,
+        )
         try:
             parsed = [
                 (self._entities.read(one.xml, one.name, namespace or None, is_model=one.is_model), one.pose)

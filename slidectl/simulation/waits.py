@@ -13,6 +13,7 @@ from typing import Any
 from slidectl import msgs
 from slidectl.control.duration import from_seconds
 from slidectl.control.node_handle import Message
+from slidectl.effects import Effect
 from slidectl.errors import BadMessage, Refused, UnknownName
 from slidectl.msgs.field_path import NoElement, select
 from slidectl.names import OWN_NODE
@@ -30,7 +31,7 @@ _LONGEST_SHOWN = 120
 def advertise(graph: Graph) -> None:
     """Provide the service."""
     node = graph.node(OWN_NODE, OWN_NODE)
-    node.advertise_service("wait", "slidectl/Wait", lambda request: Wait(graph, request).pending)
+    node.advertise_service("wait", "slidectl/Wait", lambda request: Wait(graph, request).pending, Effect.READS)
 
 
 def _duration(name: str, value: float) -> float:

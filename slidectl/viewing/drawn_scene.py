@@ -63,7 +63,10 @@ class DrawnScene:
         """`answer` is that of /slidectl/scene, with descriptions. `collisions`: draw collision shapes, not visuals."""
         self.ground = bool(answer["ground"])
         self.robots: dict[str, Robot] = {
-            name: description.parse(xml) for name, xml in zip(answer["robots"], answer["descriptions"], strict=True)
+            name: description.parse(xml, may_use_files=may_use_files)
+            for name, xml, may_use_files in zip(
+                answer["robots"], answer["descriptions"], answer["may_use_files"], strict=True
+            )
         }
         self.notices: list[str] = []
         """Warnings about what is drawn differently than intended."""

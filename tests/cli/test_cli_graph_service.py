@@ -34,15 +34,15 @@ def test_list_n_prints_the_nodes_too(world: World) -> None:
     assert row == {"service": f"{MANAGER}/list_controllers", "node": "/gazebo"}
 
 
-def test_info_prints_the_four_lines_of_rosservice(world: World) -> None:
+def test_info_prints_the_four_lines_of_rosservice_and_the_effects(world: World) -> None:
     uri = f"unix://{world.daemon.paths.socket}"
     assert world.slidectl.ok("service", "info", "list_controllers") == (
-        f"Node: /gazebo\nURI: {uri}\nType: controller_manager_msgs/ListControllers\nArgs: \n"
+        f"Node: /gazebo\nURI: {uri}\nType: controller_manager_msgs/ListControllers\nArgs: \nEffects: reads\n"
     )
     record = json.loads(world.slidectl.ok("service", "info", "load_controller", "--json"))
     assert record == {
         "service": f"{MANAGER}/load_controller", "node": "/gazebo", "uri": uri,
-        "type": "controller_manager_msgs/LoadController", "args": ["name"],
+        "type": "controller_manager_msgs/LoadController", "args": ["name"], "effects": ["writes"],
     }  # fmt: skip
 
 

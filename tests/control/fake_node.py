@@ -21,6 +21,7 @@ from slidectl.control.node_handle import (
     Reasons,
     ServiceHandler,
 )
+from slidectl.effects import Effect
 from slidectl.simulation.action_server import ActionServer
 from slidectl.simulation.clock import RepeatedCall, Timers
 
@@ -51,6 +52,7 @@ class FakeGraph:
         self.publisher_counts: dict[str, int] = {}
         self.services: dict[str, ServiceHandler] = {}
         self.types: dict[str, str] = {}
+        self.effects: dict[str, Effect] = {}
         self.watches: list[tuple[str, Callable[[], None]]] = []
         self.guards: list[tuple[str, ParameterJudge]] = []
         self.reasons: Reasons | None = None
@@ -184,10 +186,13 @@ class FakeNode:
     def count_publishers(self, topic: str) -> int:
         return self.graph.publisher_counts.get(self._full(topic), 0)
 
-    def advertise_service(self, service: str, type_name: str, handler: ServiceHandler) -> None:
+    def advertise_service(
+        self, service: str, type_name: str, handler: ServiceHandler, effect: Effect = Effect.WRITES
+    ) -> None:
         full = self._full(service)
         self.graph.services[full] = handler
         self.graph.types[full] = type_name
+        self.graph.effects[full] = effect
         self._taken.append(lambda: self.graph.services.pop(full))
 
     def advertise_action(self, action: str, type_name: str, on_goal: GoalCallback, on_cancel: GoalCallback) -> None:

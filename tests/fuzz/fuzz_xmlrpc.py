@@ -56,7 +56,7 @@ class XmlRpcCalls:
 
         for _ in range(DOCUMENTS):
             await self._document(rng, answer)
-        server = xmlrpc.XmlRpcServer(answer)
+        server = xmlrpc.XmlRpcServer(answer, any_user=False)
         port = await server.open("127.0.0.1", 0)
         try:
             for _ in range(_REQUESTS):

@@ -53,6 +53,7 @@ from slidectl.control.segments import (
     TOLERANCES,
     sample,
 )
+from slidectl.effects import Effect
 from slidectl.errors import MessageRefused, Refused
 from slidectl.msgs.schema import nanoseconds
 
@@ -378,7 +379,7 @@ class JointTrajectoryController(ActionController[Any]):
         self._numbers: Any = SIZE * [0.0]
         self._start_time(0)
         self._state = node.advertise("state", "control_msgs/JointTrajectoryControllerState")
-        node.advertise_service("query_state", "control_msgs/QueryTrajectoryState", self._query_state)
+        node.advertise_service("query_state", "control_msgs/QueryTrajectoryState", self._query_state, Effect.READS)
         self._serve(node, "follow_joint_trajectory", "control_msgs/FollowJointTrajectory", monitor_period_ns)
         node.subscribe("command", "trajectory_msgs/JointTrajectory", self._take_command)
 

@@ -77,8 +77,8 @@ def _schema(kind: str) -> Message:
 class AdvertisedGraph:
     """The channels and services that apps know. Empty until the first `update`, and after `update({})`."""
 
-    def __init__(self, own_node: str, is_offered: Callable[[str], bool]) -> None:
-        """`is_offered` takes the name of a service and returns whether apps may call it."""
+    def __init__(self, own_node: str, is_offered: Callable[[Message], bool]) -> None:
+        """`is_offered` takes a service of /slidectl/graph and returns whether apps may call it."""
         self._own_node = own_node
         self._is_offered = is_offered
         self.channels: dict[int, AppChannel] = {}
@@ -106,7 +106,7 @@ class AdvertisedGraph:
             each for each in state.get("topics", ()) if each["publishers"] or each["subscribers"] != [self._own_node]
         ]
         types = {each["name"]: each["type"] for each in topics}
-        provided = {each["name"]: each["type"] for each in state.get("services", ()) if self._is_offered(each["name"])}
+        provided = {each["name"]: each["type"] for each in state.get("services", ()) if self._is_offered(each)}
         gone = [channel for channel in self.channels.values() if types.get(channel.topic) != channel.kind]
         ended = [each for each in self.services.values() if provided.get(each.name) != each.type]
         for channel in gone:

@@ -21,6 +21,7 @@ from websockets.typing import Subprotocol
 
 from slidectl import msgs, names
 from slidectl.client.lines import encode, numbers_of_json
+from slidectl.effects import Effect
 from slidectl.errors import BadMessage, NoDaemon, Refused, SlidectlError, TimedOut, quoted
 from slidectl.gateways.daemon_connection import GRAPH_CHANGES, PARAMETER_CHANGES, DaemonConnection
 from slidectl.gateways.foxglove.advertised_graph import AdvertisedGraph, AdvertisedService, AppChannel
@@ -50,11 +51,12 @@ from slidectl.gateways.foxglove.foxglove_frames import (
     wanted_parameter,
 )
 from slidectl.gateways.foxglove.robot_assets import RobotAssets
-from slidectl.gateways.gateway import Gateway, is_reading
+from slidectl.gateways.gateway import Gateway, is_offered
 from slidectl.gateways.ros1.ros1_types import Ros1Type, ros1_type
 from slidectl.gateways.websocket_listener import ListenerOptions, WebSocketListener
 from slidectl.msgs.schema import SCALAR, TIMES, nanoseconds
 from slidectl.paths import InstancePaths
+from slidectl.web_access import check_effects
 
 Message = dict[str, Any]
 
@@ -96,6 +98,7 @@ class FoxgloveGateway(Gateway):
     def __init__(self, options: FoxgloveOptions) -> None:
         super().__init__()
         self._options = options
+        self._permitted = check_effects(options.read_only, options.allow)
         self._listener = WebSocketListener(options, _APP_ORIGINS)
         self._daemon: DaemonConnection | None = None
         """The connection for requests of apps."""
@@ -131,8 +134,8 @@ class FoxgloveGateway(Gateway):
 
     # --- the gateway's life -------------------------------------------------------------------------------------
 
-    def _is_offered(self, service: str) -> bool:
-        return not self._options.read_only or is_reading(service)
+    def _is_offered(self, service: Message) -> bool:
+        return is_offered(service, self._permitted)
 
     async def open(self) -> str:
         return await self._listener.open(
@@ -147,8 +150,8 @@ class FoxgloveGateway(Gateway):
 
     async def attach(self, paths: InstancePaths) -> None:
         self._paths = paths
-        daemon = self._daemon = await DaemonConnection.open(paths, NODE, self.lost.set)
-        watch = self._watch = await DaemonConnection.open(paths, on_lost=self.lost.set)
+        daemon = self._daemon = await DaemonConnection.open(paths, self._permitted, NODE, self.lost.set)
+        watch = self._watch = await DaemonConnection.open(paths, (Effect.READS,), on_lost=self.lost.set)
         daemon.on_refused = self._tell_publishers
         self._session = secrets.token_hex(8)
         for app in self._apps:
@@ -358,7 +361,7 @@ class FoxgloveGateway(Gateway):
 
     async def _bring_latched(self, channel: AppChannel) -> None:
         assert self._paths is not None
-        reader = await DaemonConnection.open(self._paths)
+        reader = await DaemonConnection.open(self._paths, (Effect.READS,))
         try:
             await reader.subscribe(channel.topic, channel.kind, partial(self._take_latched, channel))
         finally:

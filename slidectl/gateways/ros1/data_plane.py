@@ -19,6 +19,7 @@ from slidectl.gateways.ros1.ros1_types import ros1_type
 from slidectl.gateways.ros1.service_bridge import ServiceServer, call_service, service_type
 from slidectl.gateways.ros1.tcpros import Fields, TcprosConnection
 from slidectl.gateways.ros1.topic_bridge import ANY_TYPE, Follower, TopicServer
+from slidectl.gateways.strangers import Strangers
 from slidectl.gateways.tasks import Tasks
 from slidectl.web_access import in_uri
 
@@ -68,8 +69,12 @@ class DataPlane:
     stream. It stays connected while native publishers start and end.
     """
 
-    def __init__(self, node: str, host: str, bind: str) -> None:
-        """`node` is the gateway's own node; other hosts connect to `host`; `bind` is the address to listen on."""
+    def __init__(self, node: str, host: str, bind: str, any_user: bool) -> None:
+        """`node` is the gateway's own node; other hosts connect to `host`; `bind` is the address to listen on.
+
+        `any_user`: connections of other users of this machine are accepted too.
+        """
+        self.strangers = Strangers(any_user)
         self._node = node
         self._host = host
         self._bind = bind
@@ -232,6 +237,11 @@ class DataPlane:
         return connection
 
     def _opened(self, connection: TcprosConnection) -> None:
+        if why := connection.stranger(self.strangers):
+            connection.refuse(why)
+            connection.close()
+            self.strangers.gone(connection)
+            return
         if len(self._connections) >= self._most_connections:
             connection.refuse(f"too many connections: {self._most_connections} are open")
             connection.close()

@@ -11,9 +11,10 @@ import uuid
 from dataclasses import dataclass
 from typing import Any
 
+from slidectl.effects import Effect
 from slidectl.errors import NoDaemon, Refused, SlidectlError, UsageError, cut
 from slidectl.gateways.daemon_connection import GRAPH_CHANGES, PARAMETER_CHANGES, DaemonConnection
-from slidectl.gateways.gateway import Gateway
+from slidectl.gateways.gateway import Gateway, GatewayOptions, is_offered
 from slidectl.gateways.ros1 import xmlrpc
 from slidectl.gateways.ros1.api_calls import Answered, Api
 from slidectl.gateways.ros1.data_plane import DataPlane
@@ -23,7 +24,7 @@ from slidectl.gateways.ros1.native_graph import OWN_NODE, NativeGraph
 from slidectl.gateways.ros1.parameter_server import DaemonParameters, ParameterServer
 from slidectl.gateways.ros1.slave import Slave
 from slidectl.paths import InstancePaths
-from slidectl.web_access import in_uri
+from slidectl.web_access import check_effects, check_users_can_be_told, in_uri
 
 _log = logging.getLogger(__name__)
 
@@ -37,8 +38,8 @@ _ROSOUT = "/rosout"
 """roscore's node, which republishes /rosout on /rosout_agg."""
 
 
-@dataclass
-class Ros1Options:
+@dataclass(frozen=True)
+class Ros1Options(GatewayOptions):
     """The address to listen on, and the master to join."""
 
     port: int = 11311
@@ -58,6 +59,7 @@ class Ros1Gateway(Gateway):
     def __init__(self, options: Ros1Options) -> None:
         super().__init__()
         self._options = options
+        self._permitted = check_effects(False, options.allow)
         self._paths: InstancePaths | None = None
         self._proxies: dict[str, DaemonConnection | None] = {}
         """Node names of connections that represent foreign nodes; None while connecting."""
@@ -79,11 +81,12 @@ class Ros1Gateway(Gateway):
             except Refused:
                 hint = "write it as http://HOST:11311"
                 raise UsageError(f"--master {cut(master, 120)!r} is no URI of a ROS master", hint) from None
+        check_users_can_be_told(self._options.any_user)
         bound, shown = await self._host()
         self._parameters = DaemonParameters()
         self._calls = NodeCalls()
         self._natives = NativeGraph(self._node_uri)
-        self._data = DataPlane(OWN_NODE, shown, bound)
+        self._data = DataPlane(OWN_NODE, shown, bound, self._options.any_user)
         try:
             if self._options.master:
                 joined = self._joined = JoinedMaster(self._options.master, self._natives, self._data, self._parameters)
@@ -135,6 +138,7 @@ class Ros1Gateway(Gateway):
         counts: dict[str, Any] = {"connections": self._data.connections, "dropped": self._data.dropped}
         if self._master is not None:
             counts["nodes"] = len(self._master.registrations.addresses)
+        counts["refused"] = self._data.strangers.refused + sum(server.strangers.refused for server in self._servers)
         return {**counts, "calls": sum(server.connections for server in self._servers)}
 
     # --- opening ------------------------------------------------------------------------------------------------
@@ -167,7 +171,7 @@ class Ros1Gateway(Gateway):
 
     async def _listen(self, answer: xmlrpc.Answer, bound: str, port: int) -> int:
         """Serve XML-RPC. Returns the port. Raises Refused: it is taken."""
-        server = xmlrpc.XmlRpcServer(answer)
+        server = xmlrpc.XmlRpcServer(answer, self._options.any_user)
         try:
             port = await server.open(bound, port)
         except OSError as error:
@@ -219,7 +223,7 @@ class Ros1Gateway(Gateway):
     async def _connect(self, node: str) -> DaemonConnection:
         """Connect to the daemon under this node name. Raises Refused: the name is taken; NoDaemon."""
         assert self._paths is not None
-        return await DaemonConnection.open(self._paths, node, self.lost.set)
+        return await DaemonConnection.open(self._paths, self._permitted, node, self.lost.set)
 
     async def _connect_proxy(self, node: str) -> DaemonConnection:
         """Connect on behalf of a foreign node; under another name when the daemon has a node of this name."""
@@ -261,7 +265,7 @@ class Ros1Gateway(Gateway):
             connection.publish("/rosout_agg", published["msg"])
 
         await connection.subscribe("/rosout", "rosgraph_msgs/Log", take)
-        await connection.advertise_service(f"{_ROSOUT}/get_loggers", "roscpp/GetLoggers", loggers)
+        await connection.advertise_service(f"{_ROSOUT}/get_loggers", "roscpp/GetLoggers", loggers, Effect.READS)
         await connection.advertise_service(f"{_ROSOUT}/set_logger_level", "roscpp/SetLoggerLevel", set_level)
 
     async def _follow_graph(self) -> None:
@@ -290,7 +294,8 @@ class Ros1Gateway(Gateway):
 
     def _set_graph(self, state: dict[str, Any]) -> None:
         natives = self._natives
-        self._data.set_graph(natives.take(state, self._is_hidden))
+        offered = [each for each in state["services"] if is_offered(each, self._permitted)]
+        self._data.set_graph(natives.take({**state, "services": offered}, self._is_hidden))
         if self._master is not None:
             self._master.natives_changed()
         if self._joined is not None:

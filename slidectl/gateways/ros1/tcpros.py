@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 
 from slidectl.client.lines import LONGEST_LINE
 from slidectl.errors import Refused, SlidectlError, TimedOut, UsageError
+from slidectl.gateways.strangers import Strangers
 
 T = TypeVar("T")
 Fields = dict[str, str]
@@ -134,6 +135,10 @@ class TcprosConnection(asyncio.Protocol):
         self.where = f"TCPROS connection on port {own[1]} to [{peer[0]}:{peer[1]} on socket {end.fileno()}]"
         self._limit = asyncio.get_running_loop().call_later(HANDSHAKE_LIMIT_S, self.close)
         self.on_opened(self)
+
+    def stranger(self, strangers: Strangers) -> str:
+        """Why the connection is one of another user, who may not come in; empty when it is not."""
+        return strangers.seen(self, self._transport)
 
     def connection_lost(self, error: Exception | None) -> None:  # noqa: ARG002
         self._end()

@@ -16,6 +16,7 @@ from urllib.parse import urlsplit
 from xml.parsers import expat
 
 from slidectl.errors import Refused, SlidectlError, TimedOut, cut
+from slidectl.gateways.strangers import Strangers, forbid
 
 LONGEST_BODY = 16 * 1024 * 1024
 DEEPEST = 64
@@ -254,8 +255,10 @@ Answer = Callable[[str, str, list[Any]], Awaitable[Any]]
 class XmlRpcServer:
     """Serves calls on one port; calls of one connection are answered in order."""
 
-    def __init__(self, answer: Answer) -> None:
+    def __init__(self, answer: Answer, any_user: bool) -> None:
+        """`any_user`: connections of other users of this machine are served too."""
         self._answer = answer
+        self.strangers = Strangers(any_user)
         self._server: asyncio.Server | None = None
         self._quiet: dict[asyncio.Task[Any], float] = {}
         """Connection -> time since when it is idle, longest idle first; 0 while a request is processed."""
@@ -281,6 +284,14 @@ class XmlRpcServer:
     async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         task = asyncio.current_task()
         assert task is not None
+        if why := self.strangers.seen(task, writer.transport):
+            try:
+                if not self.strangers.are_many:
+                    await forbid(why, reader, writer)
+            finally:
+                self.strangers.gone(task)
+                writer.close()
+            return
         now = asyncio.get_running_loop().time
         if len(self._quiet) >= MOST_CONNECTIONS:
             longest = next((other for other, since in self._quiet.items() if since and now() - since > _SPARE_S), None)

@@ -1,6 +1,6 @@
 """The session of one browser. Most frames pass unchanged: the daemon itself implements rosbridge's protocol.
 
-This module adds encoded messages, fragments and action operations, and enforces the read-only mode.
+This module adds encoded messages, fragments and action operations. What a browser may do is for the daemon to judge.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from slidectl import names
 from slidectl.client.lines import BadLine, check_size, decode, encode
 from slidectl.errors import SlidectlError, UsageError, listing
 from slidectl.gateways.daemon_connection import DaemonConnection
-from slidectl.gateways.gateway import is_reading
 from slidectl.gateways.websocket.action_goals import ActionGoals
 from slidectl.gateways.websocket.encodings import (
     COMPRESSIONS,
@@ -31,7 +30,7 @@ _PUBLISH = b'{"op":"publish","topic":"'
 _STATUS = b'{"op":"status"'
 _LEVELS = ("info", "warning", "error", "none")
 _SERVED_BY_TOPICS = ("advertise_action", "unadvertise_action", "action_feedback", "action_result")
-_READING_OPS = ("subscribe", "unsubscribe", "set_level", "call_service")
+_ACTION_OPS = ("send_action_goal", "cancel_action_goal")
 _LONGEST_ID = 1000
 _MOST_WISHES = 1000
 
@@ -73,11 +72,8 @@ class RosbridgeSession:
         try:
             check_size(frame)
             message = decode(frame)
-        except BadLine as error:
-            if self._is_reader:
-                self._complain(error, message)
-            else:  # the daemon reports the error
-                self._daemon.send_line(frame + b"\n")
+        except BadLine:  # the daemon reports the error
+            self._daemon.send_line(frame + b"\n")
             return
         try:
             if "fragment_size" in message:
@@ -89,7 +85,7 @@ class RosbridgeSession:
                 if (whole := self._fragments.take(message)) is not None:
                     await self.take(whole, is_whole=True)
             elif op != "auth":  # the token was checked when the browser connected
-                if self._is_reader and not _only_reads(message):
+                if self._is_reader and op in _ACTION_OPS:
                     raise UsageError("this gateway is read-only: it was started with --read-only")
                 await self._carry_out(op, message, frame)
         except SlidectlError as error:
@@ -110,8 +106,6 @@ class RosbridgeSession:
             self._level = message["level"]
             # Warnings are always requested, to count drops, except with level none.
             self._daemon.send_line(encode({**message, "level": "warning" if self._level == "error" else self._level}))
-        elif self._is_reader:
-            self._daemon.send_line(encode(message))  # re-encoded, so that the daemon parses exactly what was checked
         else:
             if op == "unsubscribe":
                 await self._unsubscribe(message)
@@ -203,15 +197,6 @@ class RosbridgeSession:
         """Handle the browser's disconnection."""
         self._goals.forget(self._tell)
         self._daemon.close()
-
-
-def _only_reads(message: Message) -> bool:
-    op, service = message.get("op"), message.get("service")
-    if op != "call_service":
-        return op in _READING_OPS
-    if not isinstance(service, str):
-        return False
-    return is_reading(names.join("/", service))
 
 
 def _subscription_id(message: Message) -> str | None:

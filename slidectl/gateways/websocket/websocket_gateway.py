@@ -16,6 +16,7 @@ from typing import Any, ClassVar
 from websockets.asyncio.server import ServerConnection, broadcast
 
 from slidectl.client.lines import LONGEST_LINE
+from slidectl.effects import Effect
 from slidectl.errors import NoDaemon, SlidectlError
 from slidectl.gateways.daemon_connection import DaemonConnection
 from slidectl.gateways.gateway import Gateway
@@ -23,6 +24,7 @@ from slidectl.gateways.websocket.action_goals import ActionGoals
 from slidectl.gateways.websocket.rosbridge_session import RosbridgeSession
 from slidectl.gateways.websocket_listener import ListenerConnection, ListenerOptions, WebSocketListener
 from slidectl.paths import InstancePaths
+from slidectl.web_access import check_effects
 
 _NODE = "/rosbridge_websocket"
 _UNREAD = 256 * 1024
@@ -57,6 +59,7 @@ class WebSocketGateway(Gateway):
         """Raises UsageError, Refused: options that contradict each other, or files that cannot be read."""
         super().__init__()
         self._options = options
+        self._permitted = check_effects(options.read_only, options.allow)
         self._listener = WebSocketListener(options)
         self._daemon: DaemonConnection | None = None
         self._goals: ActionGoals | None = None
@@ -83,7 +86,7 @@ class WebSocketGateway(Gateway):
 
     async def attach(self, paths: InstancePaths) -> None:
         node = f"{_NODE}_{os.getpid()}_0"
-        self._daemon = await DaemonConnection.open(paths, node, self.lost.set)
+        self._daemon = await DaemonConnection.open(paths, (Effect.READS, Effect.WRITES), node, self.lost.set)
         self._goals = ActionGoals(self._daemon)
         self._paths = paths
 
@@ -126,7 +129,7 @@ class WebSocketGateway(Gateway):
             raise NoDaemon("there is no daemon at the moment")
         node = f"{_NODE}_{os.getpid()}_{next(self._serial)}"
         lost = partial(browser.end_soon, _RESTARTS, "the daemon has gone")
-        daemon = await DaemonConnection.open(self._paths, node, lost)
+        daemon = await DaemonConnection.open(self._paths, self._permitted, node, lost)
         session = RosbridgeSession(
             daemon, self._goals, self._type_of, browser.write, self._options.max_size, self._options.read_only
         )

@@ -23,9 +23,11 @@ import msgspec
 import viser
 import websockets.asyncio.server
 from viser import _messages
+from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
+from slidectl import local_peers
 from slidectl.errors import Refused, UnknownName
 from slidectl.web_access import LOOPBACK, host_of, is_secret
 
@@ -77,14 +79,22 @@ def free_port(host: str, first: int) -> int:
 class AccessGuard:
     """Accepts requests that have the token and come from the page itself."""
 
-    def __init__(self, host: str, token: str) -> None:
-        """`token` is empty if none is needed."""
+    def __init__(self, host: str, token: str, any_user: bool = False) -> None:
+        """`token` is empty if none is needed; then only browsers of this process's user may come, or `any_user`."""
+        self._any_user = any_user
         self.opened: SimpleQueue[Mapping[str, Sequence[str]]] = SimpleQueue()
         """The query of each page that was opened."""
         self._host = host
         self._token = token
         self._word = ""
         self._cookie = f"slidectl-{secrets.token_hex(4)}"  # cookies are shared by all ports of a host
+
+    def stranger(self, connection: ServerConnection) -> Response | None:
+        """The refusal of a connection of another user of this machine, who has no token to show; None for others."""
+        if self._token or self._any_user:
+            return None
+        why = local_peers.stranger(connection.remote_address[:2], connection.local_address[:2])
+        return _refused(f"{why}; see --token and --any-user") if why else None
 
     def answer(self, request: Request) -> Response | None:
         """The response that replaces the page: a refusal or redirect; None to serve the page."""
@@ -232,7 +242,7 @@ def _guarded(guard: AccessGuard, server: GuardedServer) -> Iterator[None]:
         page = options.pop("process_request")
 
         def process_request(connection: Any, request: Request) -> Response | None:
-            answer = guard.answer(request) or page(connection, request)
+            answer = guard.stranger(connection) or guard.answer(request) or page(connection, request)
             if answer is not None:
                 for name, value in _KEPT_OUT.items():
                     if name not in answer.headers:

@@ -12,8 +12,7 @@ from typing import Any
 from waiting import DEADLINE_S
 from websockets.sync.client import ClientConnection, connect
 
-sys.path.append(str(Path(__file__).parent.parent))
-sys.path.append(str(Path(__file__).parent.parent.parent / "cli"))
+sys.path.append(str(Path(__file__).parent.parent / "cli"))
 
 Message = dict[str, Any]
 
