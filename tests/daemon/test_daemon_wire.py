@@ -319,3 +319,43 @@ def test_one_that_says_no_more_is_let_go_when_its_last_message_is_published(conn
     half.socket.shutdown(socket.SHUT_WR)
     driver.call("/slidectl/step", seconds=1.5)
     assert half.socket.recv(1) == b""
+
+
+def test_a_restricted_connection_keeps_what_it_may_do_and_never_gets_more(connect: Connect) -> None:
+    wire = connect()
+    wire.send(op="restrict", permitted=["reads", "writes"])
+    assert wire.call("/slidectl/export_snapshot", name="a", file="/a")["cause"] == "NotPermitted"
+    assert wire.call("/rosapi/set_param", name="/a_note", value="1")["result"]
+    wire.send(op="restrict", permitted=["reads", "code"])  # what was given up does not come back
+    refused = wire.call("/slidectl/load_controller_file", robot="", file="/c.py")
+    assert refused["cause"] == "NotPermitted"
+    assert wire.call("/rosapi/set_param", name="/a_note", value="2")["cause"] == "NotPermitted"
+    assert wire.call("/rosapi/get_param", name="/a_note")["values"] == {"value": "1"}
+    for op in ({"op": "publish", "topic": "/x", "type": "std_msgs/Empty"}, {"op": "advertise", "topic": "/x"}):
+        wire.send(id="r", **op)
+        assert "not permitted on this connection" in wire.until("status")["msg"]
+    wire.send(op="subscribe", topic="/clock")
+    assert wire.call("/rosapi/get_time")["result"]
+    connect().call("/rosapi/delete_param", name="/a_note")
+
+
+def test_a_list_of_effects_that_is_none_is_refused(wire: Wire) -> None:
+    for permitted in ("reads", None, ["everything"], [["reads"]], {"reads": 1}):
+        wire.send(op="restrict", id="r", permitted=permitted)
+        assert "effects: reads, writes, files, code" in wire.until("status")["msg"]
+    assert wire.call("/rosapi/set_param", name="/still", value="1")["result"]
+    wire.call("/rosapi/delete_param", name="/still")
+
+
+def test_the_graph_tells_what_each_service_does(connect: Connect) -> None:
+    provider, caller = connect(), connect()
+    provider.send(op="advertise_service", service="/look", type="std_srvs/Trigger", effect="reads")
+    provider.send(op="advertise_service", service="/act", type="std_srvs/Trigger")
+    provider.send(op="advertise_service", id="bad", service="/no", type="std_srvs/Trigger", effect="code")
+    assert "effects: reads, writes" in provider.until("status")["msg"]
+    graph = caller.call("/slidectl/graph")["values"]["services"]
+    effects = {service["name"]: service["effects"] for service in graph}
+    assert effects["/look"] == effects["/slidectl/status"] == effects["/rosapi/topics"] == ["reads"]
+    assert effects["/act"] == effects["/gazebo/pause_physics"] == ["writes"]
+    assert effects["/slidectl/save"] == ["writes", "files"]
+    assert effects["/slidectl/load_controller_file"] == ["code"]
