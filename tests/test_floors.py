@@ -31,6 +31,7 @@ FLOORS = {
 SAME_FLOOR = {
     ("client", "description"),
     ("control", "description"),
+    *(("web_access", room) for room in ("effects", "local_peers")),
     *(("msgs", room) for room in ("expressions", "names")),
     *((room, "errors") for room in FLOORS if not FLOORS[room]),
 }

@@ -117,7 +117,7 @@ class Session:
             op = message.get("op")
             if op not in _OPERATIONS:
                 what = "a message without an op" if op is None else f"unknown op {_shortened(op)}"
-                raise UsageError(what, f"ops: {listing(_OPERATIONS)}")
+                raise UsageError(what, f"ops: {listing(_OPERATIONS, len(_OPERATIONS))}")
         except SlidectlError as error:
             self.send_error(error, message)
         else:

@@ -10,11 +10,14 @@ from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
+from urllib.error import HTTPError
 from urllib.parse import urlsplit
+from urllib.request import urlopen
 
 import msgspec.msgpack
 import pytest
 from daemon_fixture import Runtime, running_daemon
+from other_user import as_nobody, needs_root
 from page_browser import CommandLine, PageBrowser, served_page
 from websockets.exceptions import ConnectionClosed, InvalidHandshake
 from websockets.sync.client import connect
@@ -178,3 +181,17 @@ def memory(pid: int) -> int:
     found = re.search(r"VmRSS:\s+(\d+)", Path(f"/proc/{pid}/status").read_text("utf-8"))
     assert found is not None
     return int(found[1])
+
+
+@needs_root
+def test_another_user_of_the_machine_does_not_get_the_page(page: str, other: PageBrowser) -> None:  # noqa: ARG001
+    def status() -> tuple[int, str]:
+        try:
+            with urlopen(page, timeout=20) as answer:
+                return answer.status, ""
+        except HTTPError as error:
+            return error.code, error.read().decode()
+
+    assert status()[0] == 200
+    code, text = as_nobody(status)
+    assert (code, "the connection comes from the user 65534" in text) == (403, True)

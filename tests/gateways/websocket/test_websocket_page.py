@@ -26,7 +26,8 @@ pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not instal
 def site(tmp_path: Path) -> Iterator[str]:
     """The page with roslib beside it, by the commands of docs/websocket.md; gives its port. npm packs what is here."""
     shutil.copy(ROOT / "examples" / "roslib_page.html", tmp_path)
-    get, (*serve, port) = shown("websocket.md", "npm pack")
+    get, start, (*serve, port) = shown("websocket.md", "npm pack")
+    assert start[-2:] == ["--origin", f"http://localhost:{port}"]
     unpack = get[get.index("&&") + 1 :]
     assert [*get[:2], port] == ["npm", "pack", "8000"]
     pack = ["npm", "pack", "--ignore-scripts", str(node_scripts.modules() / "roslib-1")]
@@ -49,14 +50,15 @@ def world() -> Iterator[Runtime]:
 
 
 def test_the_page_moves_the_block_and_draws_it(world: Runtime, site: str) -> None:
-    with running_gateway(world, "websocket") as url, sync_playwright() as playwright:
+    origin = f"http://localhost:{site}"
+    with running_gateway(world, "websocket", origins=[origin]) as url, sync_playwright() as playwright:
         with RosbridgeClient(url) as browser:
             assert browser.call("/rosapi/get_time")["result"]
         arguments = ["--no-sandbox", "--host-resolver-rules=MAP evil.example 127.0.0.1"]
         chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=arguments, timeout=1000 * LIMIT_S)
         page = chromium.new_page()
         page.set_default_timeout(1000 * LIMIT_S)
-        page.goto(f"http://localhost:{site}/roslib_page.html?url={url}")
+        page.goto(f"{origin}/roslib_page.html?url={url}")
         page.get_by_text("connected", exact=True).wait_for()
         page.locator("#command").fill("0.9")
 
