@@ -87,6 +87,9 @@ class Run:
     """Robots and models that this run has spawned and that are deleted at its end."""
     _client: Client | None = None
 
+    def __post_init__(self) -> None:
+        self.interrupts.wake(self.watch)
+
     @property
     def client(self) -> Client:
         """The connection to the daemon. It must be open."""

@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
 
 import pytest
 
@@ -172,6 +177,58 @@ def test_a_program_that_cannot_be_started_is_an_error() -> None:
         Child(["/no/such/program"], Watch(), lambda *_: None, lambda _: None)
     with pytest.raises(FileNotFoundError):
         run(["/no/such/program"], {}, 1024)
+
+
+def test_a_signal_that_comes_while_a_command_is_started_ends_the_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    started: list[int] = []
+
+    class Interrupting(subprocess.Popen):  # type: ignore[type-arg]
+        def __init__(self, *arguments: Any, **more: Any) -> None:
+            super().__init__(*arguments, **more)
+            started.append(self.pid)
+            interrupt()
+
+    monkeypatch.setattr(subprocess, "Popen", Interrupting)
+    with Interrupts() as interrupts, pytest.raises(Interrupted), interrupts.raised():
+        run(["sleep", "600"], dict(os.environ), 1024)
+    with pytest.raises(ChildProcessError):
+        os.waitpid(started[0], 0)  # it has ended, and was waited for
+
+
+@contextmanager
+def signals_to_another_thread() -> Iterator[None]:
+    """The kernel interrupts another thread, so that a system call of this one goes on.
+
+    It is the same for a signal that comes just before the call: its handler is called after the call.
+    """
+    ended = threading.Event()
+    other = threading.Thread(target=ended.wait)
+    other.start()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        ended.set()
+        other.join()
+
+
+def test_a_signal_that_comes_just_before_a_command_is_waited_for_ends_the_command() -> None:
+    script = f"kill -INT {os.getpid()}; exec sleep 600"
+    with Interrupts() as interrupts, pytest.raises(Interrupted), signals_to_another_thread(), interrupts.raised():
+        run(["bash", "-c", script], dict(os.environ), 1024)
+
+
+def test_a_signal_that_comes_just_before_a_wait_of_the_loop_ends_the_wait() -> None:
+    with Interrupts() as interrupts, signals_to_another_thread():
+        watch = Watch()
+        interrupts.wake(watch)
+        started, _, codes = child(watch, f"kill -INT {os.getpid()}; exec sleep 600")
+        while not interrupts.received:
+            watch.turn()
+        assert codes == []
+        started.release()
+    assert interrupts.received == [signal.SIGINT]
 
 
 def test_a_command_that_is_left_early_is_ended() -> None:
