@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
+import signal
 import tempfile
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Iterable
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -21,6 +25,24 @@ _CACHE = pytest.StashKey[pytest.MonkeyPatch]()
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    """Signals do what they do in a terminal, and the folder of compiled code is one of this run."""
+    _restore_signals()
+    _share_cache(config)
+
+
+def _restore_signals() -> None:
+    """`nohup` and the background of a script ignore signals, and what ignores one hands that on to what it starts.
+
+    SIGHUP stays ignored here: the run outlives its terminal. Tests that need it set it for what they start.
+    """
+    with suppress(ValueError):  # not in the main thread
+        if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+        if signal.getsignal(signal.SIGQUIT) is signal.SIG_IGN:
+            signal.signal(signal.SIGQUIT, signal.SIG_DFL)
+
+
+def _share_cache(config: pytest.Config) -> None:
     """Compiled code goes into a folder of this run, which all its workers and daemons share: it is compiled once."""
     if not hasattr(config, "workerinput"):
         config.stash[_CACHE] = pytest.MonkeyPatch()
@@ -32,6 +54,23 @@ def pytest_unconfigure(config: pytest.Config) -> None:
     if _CACHE in config.stash:
         shutil.rmtree(os.environ["XDG_CACHE_HOME"], ignore_errors=True)
         config.stash[_CACHE].undo()
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Close with one line that names what is not installed, with the number of tests that were skipped for it."""
+    skipped = [str(report.longrepr[-1]) for report in terminalreporter.stats.get("skipped", ())]
+    if line := missing_programs(skipped):
+        terminalreporter.write_line(line)
+
+
+def missing_programs(reasons: Iterable[str]) -> str:
+    """The line for the reasons of skipped tests; empty where nothing was missing."""
+    found = (
+        re.search(r"^(?:Skipped: )?(.+?) is not installed|there is no (.+) on this machine", one) for one in reasons
+    )
+    counts = Counter(match[1] or match[2] for match in found if match)
+    parts = [f"{name} ({count} {'test' if count == 1 else 'tests'})" for name, count in counts.most_common()]
+    return f"skipped, because it is not installed: {', '.join(parts)}" if parts else ""
 
 
 @pytest.fixture

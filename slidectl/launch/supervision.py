@@ -139,8 +139,12 @@ class Interrupts:
 
     def wake(self, loop: EventLoop) -> None:
         """Let a signal end a wait of the loop, also one that comes after the loop looked and before it waits."""
+
+        def drain(_: int) -> None:
+            self._wakeup.drain()
+
         if self._wakeup.descriptor >= 0:
-            loop.watch(self._wakeup.descriptor, READ, lambda _: self._wakeup.drain())
+            loop.watch(self._wakeup.descriptor, READ, drain)
 
     def ignore(self) -> None:
         """Ignore signals from now on, also after `__exit__`: the process is about to end."""
@@ -355,16 +359,17 @@ def _woken_by_signals() -> Iterator[_Wakeup]:
 def _signals_deferred() -> Iterator[Action]:
     """Keep signals for later: the function that is yielded, and the end of the block, let their handlers have them."""
     received: list[int] = []
-    previous: dict[int, Any] = {}
+    handlers: dict[int, Any] = {}
     with suppress(ValueError):  # not in the main thread, which alone handles signals
         for handled in [number for number in SIGNALS if callable(signal.getsignal(number))]:
-            previous[handled] = signal.signal(handled, lambda number, _frame: received.append(number))
+            handlers[handled] = signal.signal(handled, lambda number, _frame: received.append(number))
+    deferred = dict(handlers)
 
     def handle() -> None:
-        while previous:
-            signal.signal(*previous.popitem())
+        while deferred:
+            signal.signal(*deferred.popitem())
         while received:
-            signal.raise_signal(received.pop(0))
+            handlers[number := received.pop(0)](number, None)
 
     try:
         yield handle
