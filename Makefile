@@ -5,7 +5,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: docs help demo test fuzz lint types bench pictures examples wheel clean
+.PHONY: docs help demo test fuzz soak lint types bench pictures examples wheel clean
 .DEFAULT_GOAL := help
 
 help:  ## this list
@@ -27,6 +27,9 @@ test: $(STAMP)  ## all tests, two at a time
 
 fuzz: $(STAMP)  ## attack a daemon and the readers of files for 2 to 3 minutes, with another seed each time
 	@$(BIN)/python tests/fuzz/fuzz.py $(ARGS)
+
+soak: $(STAMP)  ## five simulated hours with all gateways, page, recorder and readers; ARGS='--hours H --factor F'
+	@$(BIN)/python tests/fuzz/soak.py $(ARGS)
 
 lint: $(STAMP)  ## ruff: rules and formatting; vulture: what only tests call
 	@$(BIN)/ruff check .
