@@ -24,12 +24,11 @@ from pathlib import Path
 from typing import NamedTuple
 from xmlrpc.client import ServerProxy
 
-ROOT = Path(__file__).parent.parent
-sys.path.insert(0, str(ROOT.parent))
-sys.path.insert(0, str(ROOT))
-sys.path.insert(0, str(ROOT / "gateways"))
-sys.path.insert(0, str(ROOT / "gateways" / "ros1"))
-sys.path.insert(0, str(ROOT / "cli"))
+sys.path.insert(0, str(Path(__file__).parent.parent.parent))
+sys.path.insert(0, str(Path(__file__).parent.parent))
+sys.path.insert(0, str(Path(__file__).parent.parent / "gateways"))
+sys.path.insert(0, str(Path(__file__).parent.parent / "gateways" / "ros1"))
+sys.path.insert(0, str(Path(__file__).parent.parent / "cli"))
 
 from command_line import CommandLine
 from daemon_fixture import Runtime, running_daemon
