@@ -18,6 +18,7 @@ from typing import Any, TextIO
 
 from slidectl.client.lines import LONGEST_LINE
 from slidectl.errors import BadFile, UsageError
+from slidectl.input_files import opened_text
 
 _WORDS = re.compile(r"[A-Za-z_/][A-Za-z0-9_/.-]*( [A-Za-z0-9_/.-]+)*\Z")
 # `data: 1.0`, `{data: 1.0}` and `name: 'a controller'`, as in every tutorial. No escapes, nothing nested.
@@ -229,7 +230,7 @@ def _checked(value: Any, what: str, left: Iterator[int]) -> Any:
 def text_of(path: str) -> str:
     """The text of a file; `-` is stdin. Raises BadFile when it cannot be read or is too long."""
     try:
-        with nullcontext(sys.stdin) if path == "-" else open(path, encoding="utf-8") as file:
+        with nullcontext(sys.stdin) if path == "-" else opened_text(path, _LONGEST_TEXT, pipes=True) as file:
             text = file.read(_LONGEST_TEXT + 1)
     except (OSError, UnicodeDecodeError) as error:
         raise BadFile(getattr(error, "strerror", None) or str(error), path) from None

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from slidectl import input_files
 from slidectl.cli import completion, output
 from slidectl.cli.commands import command
 from slidectl.cli.context import Context
@@ -115,12 +116,13 @@ def _streamed(source: str) -> bytes | None:
     if source == "-":
         from slidectl.description.xml_tree import is_utf8
 
-        found = sys.stdin.buffer.read()
+        found = input_files.read_stdin()
         return parameter_text(found.decode()).encode() if is_utf8(found) else found
     try:
-        return Path(source).read_bytes() if Path(source).is_fifo() else None
+        is_pipe = Path(source).is_fifo()
     except (OSError, ValueError):
         return None
+    return input_files.read_bytes(source, input_files.MOST_TEXT, pipes=True) if is_pipe else None
 
 
 def _print(ctx: Context, findings: Findings, only: Sequence[str]) -> None:

@@ -19,7 +19,8 @@ from slidectl.cli import completion, output
 from slidectl.cli.commands import command
 from slidectl.cli.context import Context
 from slidectl.cli.main import guard, invoke, root
-from slidectl.errors import EXIT_DONE, EXIT_INTERRUPTED, EXIT_NO_DAEMON, BadFile, UsageError
+from slidectl.errors import EXIT_DONE, EXIT_INTERRUPTED, EXIT_NO_DAEMON, UsageError
+from slidectl.input_files import opened_text
 from slidectl.paths import with_package
 from slidectl.values import bounded
 
@@ -129,12 +130,9 @@ def _run_script(context: Context, file: str | None, keep_going: bool) -> int:
 def _script(file: str | None) -> Iterator[tuple[str, Iterator[str]]]:
     """Yield the name and lines of the script. When it comes from stdin, its commands read an empty stdin."""
     if file is not None and file != "-":
-        try:  # bytes that are not UTF-8 are kept, as on stdin: names of files may have them
-            opened = open(file, encoding="utf-8", errors="surrogateescape")  # noqa: SIM115 - closed below
-        except OSError as error:
-            raise BadFile(error.strerror or str(error), file) from None
-        with opened:
-            yield file, bounded(opened, file)
+        # Bytes that are not UTF-8 are kept, as on stdin: names of files may have them.
+        with opened_text(file, errors="surrogateescape", pipes=True) as lines:
+            yield file, bounded(lines, file)
         return
     stdin, sys.stdin = sys.stdin, io.StringIO()
     try:

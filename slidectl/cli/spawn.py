@@ -6,7 +6,6 @@ The order matters: all checks come before the first change of the world or of th
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,6 +22,7 @@ from slidectl.cli.robots import Robot
 from slidectl.client import spawning
 from slidectl.client.client import SPAWN_LIMIT_S, Manager, configured
 from slidectl.errors import BadFile, NotThere, Refused, UnknownName, UsageError
+from slidectl.input_files import read_stdin
 
 if TYPE_CHECKING:
     from slidectl.description import Document, Packages
@@ -282,7 +282,7 @@ def in_package(
 
 def standard_input() -> str:
     """The model on standard input. Raises BadFile when it is not XML."""
-    text = parameter_text(sys.stdin.buffer.read().decode("utf-8", "replace"))
+    text = parameter_text(read_stdin().decode("utf-8", "replace"))
     if not text.lstrip("\ufeff \t\r\n").startswith("<"):
         raise BadFile("is no XML", "<stdin>", hint="pipe a URDF in, or name a model")
     return text

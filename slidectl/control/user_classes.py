@@ -23,7 +23,8 @@ from slidectl import file_reads
 from slidectl.control import user_modules
 from slidectl.control.controller_interface import Controller, ControllerBase, MultiInterfaceController
 from slidectl.control.hardware_interface import JointHandle, JointStateHandle
-from slidectl.errors import BadFile, Refused, SlidectlError, UnknownName, UsageError, listing
+from slidectl.errors import BadFile, NotThere, Refused, SlidectlError, UnknownName, UsageError, listing
+from slidectl.input_files import MOST_TEXT, read_bytes
 
 ControllerClass = type[ControllerBase]
 
@@ -340,11 +341,11 @@ def run_file(file: str, name: str = "") -> ModuleType:
 def _source(path: Path) -> tuple[str, str]:
     """(the text of a file, with bytes that are not UTF-8 as surrogates; the error, empty if there is none)."""
     try:
-        return path.read_bytes().decode("utf-8", "surrogateescape"), ""
-    except FileNotFoundError:
+        return read_bytes(path, MOST_TEXT).decode("utf-8", "surrogateescape"), ""
+    except NotThere:
         return "", "no such file"
-    except (OSError, ValueError) as error:
-        return "", f"cannot be read: {getattr(error, 'strerror', None) or error}"
+    except BadFile as error:
+        return "", f"cannot be read: {error.reason}"
 
 
 def import_named(name: str) -> ModuleType:

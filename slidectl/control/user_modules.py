@@ -16,6 +16,9 @@ from pathlib import Path
 from types import CodeType, FrameType, ModuleType
 from typing import NamedTuple
 
+from slidectl.errors import BadFile
+from slidectl.input_files import MOST_TEXT, read_bytes
+
 
 class UserModule(NamedTuple):
     """A module as it was when it was imported."""
@@ -53,12 +56,26 @@ def watch(name: str, is_file: bool) -> None:
 
 
 def give(modules: Iterable[UserModule]) -> None:
-    """Replace `given`, and discard the users' modules imported so far."""
+    """Replace `given`, and discard the users' modules imported so far.
+
+    An installed module stays, whatever a journal calls its modules: this process runs on it.
+    """
     given.clear()
     given.update((module.name, module) for module in modules)
-    for name in (*imported, *given):
+    for name in (*imported, *(name for name in given if not _is_installed(sys.modules.get(name)))):
         sys.modules.pop(name, None)
     imported.clear()
+
+
+def _is_installed(module: ModuleType | None) -> bool:
+    """True for a module of Python, slidectl or an installed package."""
+    folders = getattr(module, "__path__", None) or ()
+    path = str(getattr(module, "__file__", None) or next(iter(folders), ""))
+    return not path or _is_place_of_installed(path)
+
+
+def _is_place_of_installed(path: str) -> bool:
+    return path.startswith(_OF_PYTHON) or any(place in path for place in _INSTALLED)
 
 
 def _top(name: str) -> str:
@@ -106,15 +123,14 @@ def _read(spec: ModuleSpec) -> UserModule | None:
     """The module with its source; None if it is not a user's, or not Python. A package without a file has no source."""
     folders = spec.submodule_search_locations
     path = str(spec.origin) if spec.has_location else f"{next(iter(folders or ()), '')}/__init__.py"
-    is_installed = path.startswith(_OF_PYTHON) or any(place in path for place in _INSTALLED)
-    if not path.endswith(".py") or (is_installed and _top(spec.name) not in _packages):
+    if not path.endswith(".py") or (_is_place_of_installed(path) and _top(spec.name) not in _packages):
         return None
     if not spec.has_location:
         return None if folders is None else UserModule(spec.name, path, "", True)
     try:
-        source = Path(path).read_bytes().decode("utf-8", "surrogateescape")
-    except OSError:  # the import statement will raise the error
-        return None
+        source = read_bytes(path, MOST_TEXT).decode("utf-8", "surrogateescape")
+    except BadFile as error:
+        raise ImportError(str(error), name=spec.name, path=path) from None
     return UserModule(spec.name, path, source, folders is not None)
 
 

@@ -6,7 +6,6 @@ ends with a checksum. It is written to the kernel at once, so it survives any en
 
 from __future__ import annotations
 
-import base64
 import binascii
 import json
 import os
@@ -17,19 +16,19 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import slidectl
-from slidectl import file_reads
+from slidectl import file_reads, input_files
 from slidectl.control import user_modules
 from slidectl.control.node_handle import Message
 from slidectl.control.user_modules import UserModule
+from slidectl.daemon import journal_entries
+from slidectl.daemon.journal_entries import mesh_entry
 from slidectl.daemon.options import DaemonOptions
-from slidectl.description.meshes import BadMesh
-from slidectl.errors import BadFile, Refused, UsageError
+from slidectl.errors import BadFile, Refused, UsageError, cut, listing
 from slidectl.names import OWN_NODE
-from slidectl.physics.hulls import Hull, Hulls, MeshSource
+from slidectl.physics.hulls import Hulls, MeshSource
 from slidectl.simulation.clock import SECOND
 from slidectl.simulation.pending import Pending
 
@@ -38,6 +37,9 @@ if TYPE_CHECKING:
     from slidectl.simulation import Simulation
 
 FORMAT = 1
+LARGEST = 2**30
+"""The most bytes of a journal that is replayed: its entries are in memory."""
+_LONGEST_HEADER = 2**20
 _LIBRARIES = ("mujoco", "numpy", "numba")
 PICTURE = "sensor_msgs/Image"
 _PROCESS_OPTIONS = ("child", "journal", "replay", "until")
@@ -47,7 +49,7 @@ _READS = re.compile(
     r"|/slidectl/(status|resolve|list_robots|scene|update_times|shutdown|get_[^/]*)"
 )
 """Services that only read, and answer at once."""
-_LINE = re.compile(rb'\{"cycle":(\d+),"client":(\d+),"line":(.*)\Z', re.DOTALL)
+_LINE = re.compile(rb'\{"cycle":(\d{1,20}),"client":(\d{1,20}),"line":(.*)\Z', re.DOTALL)
 _CHECKSUM = re.compile(rb'(.*),"crc":"([0-9a-f]{8})"\}\Z', re.DOTALL)
 
 
@@ -157,7 +159,7 @@ class Journal:
     def _take_meshes(self, done: Pending) -> Hulls:
         """Record meshes at the time when the world gets them."""
         read: Hulls = done.result()
-        self._note("meshes", [_mesh_entry(source, hull) for source, hull in read.items()])
+        self._note("meshes", [mesh_entry(source, hull) for source, hull in read.items()])
         return read
 
     # --- the file -----------------------------------------------------------------------------------------------
@@ -211,22 +213,6 @@ def written_by() -> dict[str, str]:
     return versions
 
 
-def _mesh_entry(source: MeshSource, hull: Hull | BadMesh) -> dict[str, Any]:
-    entry = {"path": source.path, "scale": list(source.scale)}
-    if isinstance(hull, BadMesh):
-        return {**entry, "bad": hull.reason}
-    return {**entry, "name": hull.name, "hull": base64.b64encode(zlib.compress(hull.stl)).decode()}
-
-
-def mesh_of(entry: dict[str, Any]) -> tuple[MeshSource, Hull | BadMesh]:
-    """The mesh of an entry written by `_mesh_entry`."""
-    x, y, z = entry["scale"]
-    source = MeshSource(entry["path"], (x, y, z))
-    if "bad" in entry:
-        return source, BadMesh(entry["bad"], source.path)
-    return source, Hull(entry["name"], zlib.decompress(base64.b64decode(entry["hull"])))
-
-
 # --- reading ----------------------------------------------------------------------------------------------------------
 
 
@@ -244,57 +230,95 @@ class Contents:
 
 
 def read(path: str) -> Contents:
-    """Read a journal. Raises BadFile: unreadable, not a journal, of another format, or damaged before its end."""
-    try:
-        content = Path(path).read_bytes()
-    except OSError as error:
-        raise BadFile(f"cannot be read: {error.strerror}", path) from None
-    if not content:
+    """Read a journal.
+
+    Raises:
+        BadFile: not a regular file, larger than LARGEST, not a journal, of another format, damaged before its end, or
+            with an entry that no daemon writes; it names the line.
+    """
+    with input_files.opened(path, LARGEST) as file:
+        try:
+            return _contents(path, file)
+        except OSError as error:
+            raise BadFile(f"cannot be read: {error.strerror}", path) from None
+
+
+def _contents(path: str, file: BinaryIO) -> Contents:
+    first = file.readline(_LONGEST_HEADER)
+    if not first:
         raise BadFile("it is empty: the daemon ended before it wrote anything", path)
-    *lines, rest = content.split(b"\n")
-    if not lines and content.startswith(b'{"slidectl_journal"'):
+    is_journal = first.startswith(b'{"slidectl_journal"')
+    if is_journal and not first.endswith(b"\n") and len(first) < _LONGEST_HEADER:
         raise BadFile("it is cut off in its first line", path)
-    header = _entry(lines[0]) if lines and lines[0].startswith(b'{"slidectl_journal"') else None
-    if header is None:
+    body = _checked(first) if is_journal else None
+    if body is None:
         raise BadFile(
             "it is no journal of slidectl", path, hint="one is written by: slidectl daemon start --journal FILE"
         )
+    header = _json(body, path, 1)
     if header["slidectl_journal"] != FORMAT:
-        text = f"it is of format {header['slidectl_journal']}, written by slidectl {header.get('version')}"
+        text = f"it is of format {cut(str(header['slidectl_journal']), 60)}, written by slidectl {_version(header)}"
         raise BadFile(f"{text}; this is {slidectl.__version__}, which reads format {FORMAT}", path)
-    entries = []
-    is_cut = bool(rest)
-    for number, line in enumerate(lines[1:], 2):
-        entry = _entry(line)
-        if entry is None and number == len(lines) and not rest:
-            is_cut = True
-        elif entry is None:
-            hint = f"the entries before it can be replayed: head -n {number - 1} {path} > part.journal"
-            raise BadFile("this entry is damaged: its checksum is another one", path, number, hint)
+    options = _options(path, header)
+    versions = {name: cut(str(header.get(name, "")), 60) for name in written_by()}
+    entries: list[dict[str, Any]] = []
+    damaged = 0
+    """The number of the line that is not whole, 0 if all are."""
+    for number, line in enumerate(file, 2):
+        if damaged:
+            hint = f"the entries before it can be replayed: head -n {damaged - 1} {path} > part.journal"
+            raise BadFile("this entry is damaged: its checksum is another one", path, damaged, hint)
+        body = _checked(line)
+        if body is None or not line.endswith(b"\n"):
+            damaged = number
         else:
-            entries.append(entry)
-    versions = {name: str(header.get(name, "")) for name in written_by()}
-    return Contents(path, _options(path, header), versions, entries, is_cut)
+            entries.append(_entry(body, path, number))
+    return Contents(path, options, versions, entries, bool(damaged))
 
 
-def _entry(line: bytes) -> dict[str, Any] | None:
-    """The entry of a line; None when it is not whole."""
-    match = _CHECKSUM.match(line)
-    if match is None or zlib.crc32(match[1]) != int(match[2], 16):
-        return None
-    of_client = _LINE.match(match[1])
-    if of_client is not None:
-        return {"cycle": int(of_client[1]), "client": int(of_client[2]), "line": of_client[3]}
+def _checked(line: bytes) -> bytes | None:
+    """The part of a line that its checksum is of; None when it is not whole."""
+    match = _CHECKSUM.match(line.removesuffix(b"\n"))
+    return None if match is None or zlib.crc32(match[1]) != int(match[2], 16) else match[1]
+
+
+def _entry(body: bytes, path: str, number: int) -> dict[str, Any]:
+    """The entry in a line. Raises BadFile for one that no daemon writes."""
+    of_client = _LINE.match(body)
+    if of_client is None:
+        entry = _json(body, path, number)
+    else:
+        entry = {"cycle": int(of_client[1]), "client": int(of_client[2]), "line": of_client[3]}
     try:
-        entry: dict[str, Any] = json.loads(match[1] + b"}")
-    except (ValueError, RecursionError):
-        return None
+        journal_entries.check(entry)
+    except ValueError as error:
+        raise BadFile(f"no daemon writes this entry: {error}", path, number) from None
+    return entry
+
+
+def _json(body: bytes, path: str, number: int) -> dict[str, Any]:
+    try:
+        entry: dict[str, Any] = json.loads(body + b"}")
+    except RecursionError:
+        raise BadFile("no daemon writes this entry: it is nested too deep", path, number) from None
+    except ValueError:
+        raise BadFile("no daemon writes this entry: it is no JSON", path, number) from None
     return entry
 
 
 def _options(path: str, header: dict[str, Any]) -> DaemonOptions:
+    text = f"slidectl {_version(header)} wrote it with options that {slidectl.__version__} does not know"
+    options = header.get("options")
+    if not isinstance(options, dict):
+        raise BadFile("it has no options of the world", path, 1)
+    if unknown := options.keys() - journal_entries.OPTIONS.keys():
+        raise BadFile(f"{text}: {listing(unknown)}", path, 1)
     try:
-        return DaemonOptions.read(header["options"])
-    except (TypeError, LookupError, AttributeError, UsageError) as error:
-        text = f"slidectl {header.get('version')} wrote it with options that {slidectl.__version__} does not know"
-        raise BadFile(f"{text}: {error}", path) from None
+        journal_entries.check_fields(options, journal_entries.OPTIONS)
+        return DaemonOptions.read(options)
+    except (ValueError, UsageError) as error:
+        raise BadFile(f"{text}: {error}", path, 1) from None
+
+
+def _version(header: dict[str, Any]) -> str:
+    return cut(str(header.get("version")), 60)

@@ -18,12 +18,13 @@ from slidectl.control import user_classes, user_modules
 from slidectl.control.duration import from_seconds
 from slidectl.control.user_modules import UserModule
 from slidectl.daemon import journal, time_limit
-from slidectl.daemon.journal import Contents, mesh_of
+from slidectl.daemon.journal import Contents
+from slidectl.daemon.journal_entries import mesh_of
 from slidectl.daemon.outbox import Outbox, Publications
 from slidectl.daemon.session import Session
 from slidectl.daemon.time_limit import TimeLimit
 from slidectl.description.robot import Camera
-from slidectl.errors import Refused
+from slidectl.errors import BadFile, Refused
 from slidectl.physics.hulls import MeshSource
 from slidectl.physics.rendering import PictureRequest, RenderProcess
 from slidectl.rotations import Pose
@@ -33,6 +34,8 @@ from slidectl.simulation.pending import Pending
 from slidectl.simulation.simulation import Simulation
 
 _UNREPEATABLE = "code of users that looks at the wall time, random numbers or other files is not repeatable"
+_LONGEST_GAP_NS = 2 * SECOND
+"""The most simulated time without an entry. There is one for each second, so that no number lets a replay run on."""
 _CONSUMED_ENTRIES = frozenset(("limit", "module"))
 """Entries that are not handled as input, but consumed when the world reaches them."""
 
@@ -145,6 +148,10 @@ class Replay:
     def _step_to(self, cycle: int) -> bool:
         """Run the cycles up to that one. Returns False when the requested time comes first."""
         simulation, run = self.simulation, self.simulation.run
+        if cycle - simulation.cycles > _LONGEST_GAP_NS // simulation.timestep_ns:
+            text = f"its cycle {cycle} is too far after the one before it, {simulation.cycles}"
+            where = self.contents.path, self._at + 2
+            raise BadFile(f"no daemon writes this entry: {text}; a journal has a state for each second", *where)
         while (left := cycle - simulation.cycles) > 0:
             allowed = min(left, (self._until_ns - simulation.time_ns) // simulation.timestep_ns)
             if allowed <= 0:
@@ -157,6 +164,8 @@ class Replay:
                 run.hold(f"{FAILED}, see the log", FAILED)
             if not done or run.trouble != trouble:
                 break
+        if simulation.cycles > cycle:
+            self._fail(f"the world is past it now, at cycle {simulation.cycles}")
         if simulation.cycles != cycle:
             self._fail(f"the world is at cycle {simulation.cycles} now{run.trouble and f': {run.trouble}'}")
         return True
@@ -166,6 +175,8 @@ class Replay:
         if "line" in entry:
             self._session(entry["client"]).take(entry["line"])
         elif "client" in entry:
+            if entry["client"] in self._sessions:
+                self._fail(f"there is a client {entry['client']} already")
             self._sessions[entry["client"]] = Session(
                 _DiscardingReader(self._publications),
                 self.simulation.graph,

@@ -11,7 +11,6 @@ of them: they are counted when visited.
 from __future__ import annotations
 
 import math
-import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,10 +18,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from slidectl import input_files
 from slidectl.description import xml_tree
 from slidectl.description.inertia import LEAST
 from slidectl.description.mesh_files import SUFFIXES
-from slidectl.description.models import read_regular
 from slidectl.description.robot import Vector
 from slidectl.description.xml_tree import Element, below
 from slidectl.errors import BadFile
@@ -146,17 +145,11 @@ def _check_faces(count: int, path: str | Path) -> None:
 
 
 def _content(path: Path) -> bytes:
-    """The content of a regular file within the size bound. Never waits for a pipe or a device."""
+    """The content of a regular file within the size bound."""
     try:
-        size = os.stat(path).st_size
-        content = read_regular(path, _MOST_BYTES) if size <= _MOST_BYTES else b""
-    except (BadFile, IsADirectoryError):
-        raise BadMesh("is no file: a mesh is not read from a folder, a pipe or a device", path) from None
-    except (OSError, ValueError) as error:
-        raise BadMesh(f"cannot read the mesh: {getattr(error, 'strerror', None) or error}", path) from None
-    # The file may have grown, or report a wrong size as files in /proc do.
-    _check_size(max(size, len(content)), _MOST_BYTES, path)
-    return content
+        return input_files.read_bytes(path, _MOST_BYTES)
+    except BadFile as error:
+        raise BadMesh(error.reason, path) from None
 
 
 def _check_size(size: int, most: int, path: Path) -> None:

@@ -13,7 +13,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from slidectl import paths
-from slidectl.errors import UnknownName
+from slidectl.errors import BadFile, UnknownName
+from slidectl.input_files import MOST_TEXT, read_bytes
 
 _NAME = re.compile(r"<name\b[^>]*>\s*([^<\s]+)\s*</name>")
 _DEEPEST = 8
@@ -116,8 +117,8 @@ class Packages:
 def package_name(folder: Path) -> str:
     """The `<name>` of a folder's package.xml, else the folder's own name."""
     try:
-        match = _NAME.search((folder / "package.xml").read_text("utf-8", "replace"))
-    except OSError:
+        match = _NAME.search(read_bytes(folder / "package.xml", MOST_TEXT).decode("utf-8", "replace"))
+    except BadFile:
         match = None
     return match.group(1) if match else folder.name
 

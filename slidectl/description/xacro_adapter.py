@@ -22,7 +22,9 @@ from __future__ import annotations
 
 import builtins
 import contextlib
+import errno
 import math
+import os
 import re
 import resource
 import sys
@@ -37,7 +39,8 @@ from xml.dom import minidom
 import xacro
 from xacro import substitution_args
 
-from slidectl.description import models, xml_tree
+from slidectl import input_files
+from slidectl.description import xml_tree
 from slidectl.description.missing import Missing
 from slidectl.description.packages import Packages, UnknownPackage, shown
 from slidectl.description.robot import Notice
@@ -228,10 +231,11 @@ class _Run:
         """Read an included file. For a missing file it raises XacroException, which optional includes catch."""
         assert text is None
         try:
-            content = models.read_regular(Path(filename), xml_tree.MOST_BYTES)
-        except OSError as error:
+            content = input_files.read_bytes(filename, xml_tree.MOST_BYTES)
+        except NotThere as error:
             xacro.filestack.pop()
-            raise xacro.XacroException(f"{error.strerror}: {filename}", exc=error) from None
+            absent = FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), filename)
+            raise xacro.XacroException(f"{error.reason}: {filename}", exc=absent) from None
         return self.prefixed(xml_tree.read(content, shown(Path(filename))))
 
     def warning(self, *words: object, **_: object) -> None:
@@ -278,7 +282,7 @@ class _Run:
 
         for unit in xacro.ConstructUnits:
             Loader.add_constructor(unit.value.tag, self.unit_reader(unit.value.conversion_constant))
-        nodes = yaml_tree.documents(models.read_regular(path, yaml_tree.MOST_BYTES), shown(path), Loader)
+        nodes = yaml_tree.documents(input_files.read_bytes(path, yaml_tree.MOST_BYTES), shown(path), Loader)
         if not nodes:
             return None
         if len(nodes) > 1:

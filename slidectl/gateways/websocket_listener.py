@@ -17,7 +17,6 @@ from collections.abc import Awaitable, Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any, cast
 from urllib.parse import parse_qs, urlsplit
 
@@ -25,6 +24,7 @@ from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
+from slidectl import input_files
 from slidectl.errors import BadFile, Refused, SlidectlError, UsageError
 from slidectl.gateways.gateway import GatewayOptions
 from slidectl.gateways.strangers import Strangers
@@ -40,6 +40,8 @@ from slidectl.web_access import (
 
 _HANDSHAKE_S, _CLOSE_S = 10.0, 2.0
 _MORE_HANDSHAKES = 50
+_MOST_BYTES_OF_KEYS = 2**20
+"""The largest file of a token, a certificate or a key, bytes."""
 """Connections beyond the limit that still get a refusal as answer; further ones are cut."""
 
 
@@ -230,10 +232,9 @@ def _token(options: ListenerOptions) -> str:
     token = options.token
     if options.token_file:
         try:
-            token = Path(options.token_file).read_text(encoding="utf-8").strip()
-        except (OSError, UnicodeDecodeError) as error:
-            reason = getattr(error, "strerror", "it is no text")
-            raise BadFile(f"the token file {options.token_file} cannot be read: {reason}") from None
+            token = input_files.read_text(options.token_file, _MOST_BYTES_OF_KEYS).strip()
+        except BadFile as error:
+            raise BadFile(f"the token file {options.token_file} cannot be read: {error.reason}") from None
         check_token(token)
     return check_token(token) if token else ""
 
@@ -296,6 +297,11 @@ def _server_context(cert: str, key: str) -> ssl.SSLContext:
     def no_password() -> str:
         raise BadFile(f"the key in {key or cert} is encrypted", "write it without: openssl pkey -in KEY -out NEW")
 
+    for file in (cert, key) if key else (cert,):
+        try:
+            input_files.opened(file, _MOST_BYTES_OF_KEYS).close()  # the library would wait for a pipe
+        except BadFile as error:
+            raise BadFile(f"{file} cannot be read: {error.reason}", hint="options: --cert FILE --key FILE") from None
     try:
         context.load_cert_chain(cert, key or None, no_password)
     except ssl.SSLError as error:

@@ -6,12 +6,11 @@ Nothing is parsed here.
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from slidectl import paths
+from slidectl import input_files, paths
 from slidectl.description.models import read_file
 from slidectl.description.packages import Packages, is_file, shown
 from slidectl.description.xml_tree import MOST_BYTES
@@ -64,15 +63,13 @@ def find_in_package(package: str, file: str, packages: Packages, kind: str = "fi
 
 def _given(word: str, packages: Packages) -> LaunchFile:
     if word == "-":
-        return LaunchFile(Path.cwd() / "<stdin>", sys.stdin.buffer.read(MOST_BYTES + 1), "<stdin>")
+        return LaunchFile(Path.cwd() / "<stdin>", input_files.read_stdin(MOST_BYTES), "<stdin>")
     return _source(_single(word, packages))
 
 
 def _source(path: Path) -> LaunchFile:
-    """Read a launch file. A pipe is read only from a shell's `<(...)`: its writer exists, so that it opens at once."""
     absolute = Path(os.path.abspath(path))
-    is_the_shells = absolute.parent in (Path("/dev/fd"), Path("/proc/self/fd"))
-    return LaunchFile(absolute, read_file(absolute, pipes=is_the_shells), shown(absolute))
+    return LaunchFile(absolute, read_file(absolute, pipes=True), shown(absolute))
 
 
 def _in_package(package: str, file: str, packages: Packages) -> Path | None:

@@ -15,6 +15,7 @@ from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 
+from slidectl import input_files
 from slidectl.description.packages import Packages, UnknownPackage, is_file
 from slidectl.errors import BadFile, NotThere, closest, listing
 from slidectl.launch.files import below
@@ -185,8 +186,8 @@ def _compiled(node: Node, folders: list[Path]) -> str:
     """A hint if a build of the package would make the program."""
     built = re.compile(rf"add_executable\(\s*{re.escape(node.type)}\s")
     for folder in folders:
-        with suppress(OSError):
-            if built.search((folder / "CMakeLists.txt").read_text("utf-8", "replace")):
+        with suppress(BadFile):
+            if built.search(input_files.read_bytes(folder / "CMakeLists.txt").decode("utf-8", "replace")):
                 return "it is compiled from C++ (CMakeLists.txt), and with roscpp it needs ROS 1 and its master\n"
     return ""
 
@@ -207,9 +208,9 @@ def _check_ros(node: Node, program: Path) -> None:
 def _ros_library(program: Path) -> str:
     """`rospy` for a script that requires it, `roscpp` for a program linked with it, else empty."""
     try:
-        with program.open("rb") as file:
+        with input_files.opened(program) as file:
             content = file.read(_MOST_BYTES)
-    except OSError:  # reported when the program is run
+    except (BadFile, OSError):  # reported when the program is run
         return ""
     if content.startswith(b"\x7fELF"):
         return "roscpp" if b"libroscpp.so" in content else ""

@@ -101,7 +101,11 @@ def _hull(source: MeshSource) -> Hull:
     count, faces = int(graph[0]), int(graph[1])
     begin = 2 + 2 * count + count + 3 * faces
     corners = graph[begin : begin + 3 * faces].reshape(-1, 3)
-    stl = _stl(vertices[corners])
+    return hull_of(_stl(vertices[corners]))
+
+
+def hull_of(stl: bytes) -> Hull:
+    """The hull with this surface."""
     return Hull(f"{hashlib.blake2b(stl, digest_size=16).hexdigest()}.stl", stl)
 
 

@@ -16,7 +16,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from slidectl import writing
+from slidectl import input_files, writing
 from slidectl.errors import BadFile, Refused, UsageError, cut, listing
 from slidectl.msgs.field_path import NoElement, Selection, select
 from slidectl.recording.recording_files import COMPRESSIONS, Recording, opened, topic_and_field
@@ -31,6 +31,8 @@ _NOTHING = "nothing"
 _UPDATE = "make it of this run: --update-baseline"
 _SECOND = 10**9
 _SHOWN = 60
+_LARGEST_BASELINE = 2**30
+"""The most bytes of a recording that becomes a baseline."""
 
 
 class Difference(NamedTuple):
@@ -117,7 +119,7 @@ def compare_file(
     if update:
         with opened(run) as recording:
             _check_complete(recording)
-        _put(kept, run.read_bytes())
+        _put(kept, input_files.read_bytes(run, _LARGEST_BASELINE))
         return []
     with open_file(run) as one, open_file(kept) as other:
         return compare(one, other, fields, tolerance)
@@ -253,7 +255,7 @@ class GoldenTable:
         """Read a table. Raises BadFile: it cannot be read, is no such table, or is cut off."""
         found, line = cls({}, {}, ""), 1
         try:
-            text = path.read_bytes().decode()
+            text = input_files.read_bytes(path).decode()
             rows = csv.reader(io.StringIO(text, newline=""))
             header = next(rows, [])
             if header[:2] != _FIRST_COLUMNS:
@@ -266,8 +268,6 @@ class GoldenTable:
                     raise BadFile("is cut off", str(path), line, hint=_UPDATE)
                 float(row[0])
                 found.rows.append(dict(zip(header, row, strict=True)))
-        except OSError as error:
-            raise BadFile(error.strerror or str(error), str(path)) from None
         except (ValueError, csv.Error) as error:
             raise BadFile(f"cannot be read as a table: {error}", str(path), line, hint=_UPDATE) from None
         if not text.endswith("\n"):

@@ -19,7 +19,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from slidectl import names
+from slidectl import input_files, names
 from slidectl.errors import BadFile, Refused, SlidectlError, UnknownName, UsageError
 from slidectl.msgs.field_path import Selection, select
 from slidectl.msgs.schema import Schema
@@ -430,9 +430,9 @@ def opened(path: Path) -> Recording:
         BadRecording: no such file, or not a recording. NoMcap.
     """
     try:
-        file = path.open("rb")
-    except OSError as error:
-        raise BadRecording(error.strerror or str(error), str(path)) from None
+        file = input_files.opened(path)
+    except BadFile as error:
+        raise BadRecording(error.reason, str(path), hint=error.hint) from None
     try:
         with _library_errors_as_bad_recording(path):
             magic = file.read(len(_BAG_MAGIC))

@@ -11,7 +11,6 @@ import hashlib
 import json
 import math
 import os
-import stat
 import zlib
 from array import array
 from typing import Any
@@ -19,7 +18,7 @@ from typing import Any
 import numpy as np
 
 import slidectl
-from slidectl import file_reads, names, writing
+from slidectl import file_reads, input_files, names, writing
 from slidectl.description.meshes import BadMesh
 from slidectl.errors import BadFile, Refused, SlidectlError
 from slidectl.fault_kinds import checked_options
@@ -69,8 +68,8 @@ def read(path: str) -> Snapshot:
     text, trouble = file_reads.read(f"snapshot {path}", lambda: _content(path))
     if trouble:
         raise BadFile(trouble, path)
-    first, _, content = base64.b64decode(text).partition(b"\n")
     try:
+        first, _, content = base64.b64decode(text).partition(b"\n")
         about = json.loads(first)
         versions = {name: about[name] for name in ("slidectl", "mujoco")}
         size, digest = int(about["size"]), str(about["sha256"])
@@ -99,14 +98,12 @@ def read(path: str) -> Snapshot:
 def _content(path: str) -> tuple[str, str]:
     """The content after the first line, in base64; or the reason why it cannot be read."""
     try:
-        # O_NONBLOCK: opening a pipe would block the daemon.
-        with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
-            there = os.fstat(file.fileno())
-            if not stat.S_ISREG(there.st_mode) or there.st_size > LARGEST:
-                return "", f"it is no regular file of at most {LARGEST} bytes"
+        with input_files.opened(path, input_files.LARGEST) as file:
             if file.read(len(MAGIC)) != MAGIC:
                 return "", "it is no snapshot of slidectl"
             return base64.b64encode(file.read()).decode(), ""
+    except BadFile as error:
+        return "", f"cannot be read: {error.reason}"
     except OSError as error:
         return "", f"cannot be read: {error.strerror or error}"
 

@@ -15,7 +15,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from slidectl import names
+from slidectl import input_files, names
 from slidectl.errors import AmbiguousName, BadFile, Refused, UnknownName, UsageError, listing
 from slidectl.fault_kinds import QUANTITIES
 from slidectl.msgs.field_path import NoElement, Selection, select
@@ -278,7 +278,7 @@ def of_csv(path: Path, fields: Sequence[str]) -> tuple[float, list[Curve]]:
     header: list[str] = []
     unknown, begin = set(texts), math.inf
     try:
-        with path.open(newline="", encoding="utf-8") as file:
+        with input_files.opened_text(path, input_files.LARGEST, newline="", pipes=True) as file:
             for row in (reader := csv.reader(file)):
                 if row and row[0] == "%time":  # repeated where the length of an array changes
                     header = row

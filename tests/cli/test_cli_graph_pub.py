@@ -144,7 +144,7 @@ def test_json_says_who_got_it(world: World) -> None:
         (["command", "1.0", "-f", "x.yaml"], 2, "a VALUE beside -f or --stdin"),
         (["/new", "std_msgs/Float64", "1", "-f", "x", "--allow-unheard"], 2, "a VALUE beside -f or --stdin"),
         (["command", "-f", "x.yaml", "--stdin"], 2, "-f and --stdin exclude each other"),
-        (["command", "-f", "/no/file.yaml"], 2, "/no/file.yaml: No such file"),
+        (["command", "-f", "/no/file.yaml"], 2, "/no/file.yaml: no such file"),
         ([], 2, "Missing argument"),
         (["-1"], 2, "no TOPIC given"),
         (["command", "1.0", "--bogus"], 2, "No such option"),

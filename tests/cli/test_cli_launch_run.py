@@ -456,7 +456,7 @@ def test_what_never_ends_is_refused_with_its_place_by_every_command(slidectl: Co
         (("launch", text), "text.launch:7: <arg>: value: comes to more than 4096 KiB of text"),
         (("check", pipe), "pipe.launch: is a pipe, and only regular files are read"),
         (("launch", pipe), "pipe.launch: is a pipe, and only regular files are read"),
-        (("param", "load", "/dev/zero"), "/dev/zero: holds more than"),
+        (("param", "load", "/dev/zero"), "/dev/zero: is a device, and only regular files are read, of at most 64 MiB"),
     ):
         done = slidectl(*words)
         assert done.returncode == 2, (words, done.stderr)

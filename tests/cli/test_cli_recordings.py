@@ -466,7 +466,7 @@ BAD = [
     (("record", "-e", "(", "-O", "x.bag"), 2, "is not a regular expression"),
     (("record", "-a", "--split", "-O", "x.bag"), 2, "--split needs --duration or --size"),
     (("record", "-a", "--duration", "soon"), 2, "is not a time above 0"),
-    (("play", "gone.bag"), 2, "gone.bag: No such file or directory"),
+    (("play", "gone.bag"), 2, "gone.bag: no such file or directory"),
     (("play", "README.md"), 2, "neither a bag (of format 2.0) nor an mcap file"),
     (("play", "config/slider_control.yaml:=", "README.md"), 2, "names no topic"),
     (("bag", "info", "/dev/null"), 2, "is empty"),

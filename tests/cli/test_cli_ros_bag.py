@@ -149,7 +149,7 @@ BROKEN = [
         "rostopic echo -b binary.bag -a",
         "ERROR: unable to use bag file: This does not appear to be a bag file\n",
     ),
-    ("rostopic echo -b . -a", "ERROR: unable to use bag file: Is a directory\n"),
+    ("rostopic echo -b . -a", "ERROR: unable to use bag file: is a folder, and only regular files are read\n"),
     ("rosmsg show -b no.bag a/B", "ERROR: unable to use bag file: This does not appear to be a bag file\n"),
     ("rostopic list -b no.bag", "ERROR: unable to use bag file: This does not appear to be a bag file\n"),
     (

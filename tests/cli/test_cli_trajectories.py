@@ -219,7 +219,7 @@ def test_a_wrong_file_is_refused_with_its_line_or_the_controllers_own_text(
 
 
 def test_a_file_that_is_not_there_is_named(world: CommandLine) -> None:
-    failed(world("trajectory", "send", "arm_controller", "none.csv"), 2, "none.csv: No such file or directory")
+    failed(world("trajectory", "send", "arm_controller", "none.csv"), 2, "none.csv: no such file or directory")
 
 
 def test_a_goal_that_is_rejected_at_once_fails_without_wait_too(world: CommandLine) -> None:

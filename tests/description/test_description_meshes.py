@@ -66,7 +66,7 @@ def test_a_mirrored_mesh_is_not_turned_inside_out(folder: Path) -> None:
         ("broken.dae", "<a", "cannot read the mesh"),
         ("bad.obj", "v 1 2", "the mesh"),
         ("a.ply", "ply", "known: .stl, .obj, .dae"),
-        ("missing.stl", None, "No such file"),
+        ("missing.stl", None, "no such file"),
     ],
 )
 def test_what_is_no_mesh_is_refused_by_name(tmp_path: Path, name: str, content: str | None, reason: str) -> None:
@@ -82,8 +82,8 @@ def test_what_is_no_file_is_not_waited_for(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.stl")
     (tmp_path / "zero.stl").symlink_to("/dev/zero")
     (tmp_path / "folder.stl").mkdir()
-    for name in ("pipe.stl", "zero.stl", "folder.stl"):
-        with pytest.raises(meshes.BadMesh, match="is no file: a mesh is not read from a folder, a pipe or a device"):
+    for name, kind in (("pipe.stl", "a pipe"), ("zero.stl", "a device"), ("folder.stl", "a folder")):
+        with pytest.raises(meshes.BadMesh, match=f"{name}: is {kind}, and only regular files are read, of at most 128"):
             meshes.load(tmp_path / name)
 
 
@@ -91,7 +91,7 @@ def test_a_file_is_refused_by_its_size_before_it_is_read(tmp_path: Path) -> None
     for name, most in (("a.stl", 128), ("a.dae", 64), ("a.obj", 64)):
         with (tmp_path / name).open("wb") as file:
             file.truncate((most + 1) * 2**20 if most == 64 else 40 * 2**30)
-        with pytest.raises(meshes.BadMesh, match=rf"MiB, and more than {most} MiB are refused"):
+        with pytest.raises(meshes.BadMesh, match=rf"more than {most} MiB are refused|larger than {most} MiB"):
             meshes.load(tmp_path / name)
 
 

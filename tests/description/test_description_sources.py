@@ -72,7 +72,7 @@ def test_a_file_without_suffix_is_found_when_no_model_has_its_name(
 
 def test_a_folder_is_no_model_and_is_not_left_open(tmp_path: Path) -> None:
     before = os.listdir("/proc/self/fd")
-    with pytest.raises(BadFile, match="is a directory"):
+    with pytest.raises(BadFile, match="is a folder, and only regular files are read, of at most 16 MiB"):
         load(tmp_path)
     assert os.listdir("/proc/self/fd") == before
 

@@ -13,7 +13,8 @@ from slidectl import names
 from slidectl.cli import output, param
 from slidectl.cli.context import Context
 from slidectl.cli.ros.arguments import Failure, Parser, Tool, option, refusals, resolve
-from slidectl.errors import UsageError
+from slidectl.errors import BadFile, UsageError
+from slidectl.input_files import MOST_TEXT, read_bytes
 from slidectl.writing import write_whole
 
 _VERBOSE = option("-v", "say what is done", dest="verbose")
@@ -72,8 +73,10 @@ def _content(parser: Parser, file: str, binary: bool) -> str:
     """The text of a file, or its bytes in base64, because parameters are JSON here."""
     if not os.path.isfile(file):
         parser.error(f"file '{file}' does not exist")
-    with open(file, "rb") as source:
-        content = source.read()
+    try:
+        content = read_bytes(file, MOST_TEXT, pipes=True)
+    except BadFile as error:
+        raise Failure(f"ERROR: {error}") from None
     if binary:
         from base64 import b64encode
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Sequence
+from io import StringIO
 from itertools import chain
 from optparse import Option, OptionParser
 from typing import Any
@@ -18,7 +19,8 @@ from slidectl.cli.ros import genpy
 from slidectl.cli.ros.arguments import Failure, Parser, option, refusals, resolve_remapped, without_remappings
 from slidectl.cli.service import argument_names
 from slidectl.cli.topic_streams import SUBSCRIBERS, Target, details, look_up, users_of
-from slidectl.errors import Refused, SlidectlError, UnknownName, Unused
+from slidectl.errors import BadFile, NotThere, Refused, SlidectlError, UnknownName, Unused
+from slidectl.input_files import read_text
 from slidectl.values import check_quotes
 
 _ONCE = "-1"
@@ -174,13 +176,12 @@ class _Run:
             if file_name is None:
                 yield from genpy.documents(sys.stdin)
                 return
-            with open(file_name, encoding="utf-8") as file:
-                yield from [[document] for document in genpy.read_file(file) if document is not None]
-        except FileNotFoundError:
+            text = read_text(file_name, pipes=True)
+            yield from [[document] for document in genpy.read_file(StringIO(text)) if document is not None]
+        except NotThere:
             raise Failure(f"ERROR: file does not exist: {file_name}") from None
-        except (OSError, UnicodeDecodeError) as error:
-            why = error.strerror if isinstance(error, OSError) else f"it is no text: {error}"
-            raise Failure(f"ERROR: cannot read {file_name}: {why}") from None
+        except BadFile as error:
+            raise Failure(f"ERROR: cannot read {file_name}: {error.reason}") from None
         except genpy.NotYaml as error:
             what = "Invalid YAML" if file_name is None else "ERROR: invalid YAML in file"
             raise Failure(f"{what}: {error}") from None

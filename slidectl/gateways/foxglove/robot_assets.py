@@ -8,14 +8,13 @@ files have none.
 from __future__ import annotations
 
 import asyncio
-import os
 import re
-import stat
 from pathlib import Path
 from posixpath import dirname, join, normpath
 from typing import NamedTuple
 
-from slidectl.errors import Refused, UnknownName
+from slidectl import input_files
+from slidectl.errors import BadFile, Refused, UnknownName
 from slidectl.gateways.daemon_connection import DaemonConnection
 
 LARGEST = 64 * 1024 * 1024
@@ -105,15 +104,9 @@ def _inside(path: str, folders: tuple[Path, ...]) -> Asset | None:
 def _read(path: str) -> bytes:
     """Read a file. `path` was resolved: a link there now has been put in its place since."""
     try:
-        with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC), "rb") as file:
-            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-                raise Refused(f"{path} is no file")
-            data = file.read(LARGEST + 1)
-    except OSError as error:
-        raise Refused(f"{path}: {error.strerror or error}") from None
-    if len(data) > LARGEST:
-        raise Refused(f"{path} is larger than {LARGEST} bytes")
-    return data
+        return input_files.read_bytes(path, LARGEST, links=False)
+    except BadFile as error:
+        raise Refused(error.message) from None
 
 
 def _named_in(path: str, data: bytes) -> list[str]:

@@ -18,6 +18,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import ClassVar
 
+from slidectl import input_files
 from slidectl.errors import Refused
 from slidectl.launch.plan import LaunchPlan, Node
 from slidectl.launch.supervision import Child
@@ -200,7 +201,7 @@ def _why(error: OSError, program: str) -> str:
     """The system's error text; if the interpreter of a script is missing, also the script's first line."""
     if error.errno not in (errno.ENOENT, errno.ENOEXEC, errno.EACCES) or not os.path.isfile(program):
         return str(error.strerror)
-    with open(program, "rb") as file:
+    with input_files.opened(program) as file:
         first = file.readline(_LONGEST_FIRST_LINE).rstrip(b"\n").decode("utf-8", "backslashreplace")
     if not first.startswith("#!"):
         return f"{error.strerror}; a script begins with a line such as #!/usr/bin/env python3"

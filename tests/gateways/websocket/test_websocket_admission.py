@@ -168,7 +168,7 @@ def test_tls_and_certificates_that_nobody_would_take(world: Runtime, tmp_path: P
         ({"cert": cert, "key": expired[1]}, "not that of the certificate"),
         ({"cert": locked[0], "key": locked[1]}, "encrypted"),
         ({"cert": cert}, "PEM"),
-        ({"cert": str(tmp_path / "none.pem"), "key": key}, "No such file"),
+        ({"cert": str(tmp_path / "none.pem"), "key": key}, "no such file"),
         ({"key": key}, "--cert"),
     ):
         assert text in refusal(world, **options)
