@@ -108,6 +108,14 @@ def read_stdin(most_bytes: int = MOST_TEXT) -> bytes:
     return content
 
 
+def is_output(path: str | os.PathLike[str]) -> bool:
+    """True for the shell's `<(...)`, or standard input by its path: the output of a command, to be read once."""
+    try:
+        return _is_of_the_shell(path) and stat.S_ISFIFO(os.stat(path).st_mode)
+    except (OSError, ValueError):
+        return False
+
+
 class _InputFile(io.FileIO):
     """A file that raises BadFile when more is read of it than its bound, and when reading would wait."""
 

@@ -28,13 +28,18 @@ def _socket(path: Path) -> None:
         one.bind(str(path))
 
 
+def _endless(path: Path) -> None:
+    with path.open("wb") as file:
+        file.truncate(2**40)
+
+
 HOSTILE: dict[str, tuple[Callable[[Path], object], str]] = {
     "a pipe without a writer": (_pipe, "is a pipe, and only regular files are read, of at most 16 MiB"),
     "an endless device": (lambda path: path.symlink_to("/dev/zero"), "is a device, and only regular files"),
     "a folder": (Path.mkdir, "is a folder, and only regular files"),
     "a socket": (_socket, "is a socket, and only regular files"),
-    "too large": (lambda path: os.truncate(os.open(path, os.O_CREAT | os.O_WRONLY), 2**40), "is larger than 16 MiB"),
-    "missing": (lambda path: None, "no such file or directory"),
+    "too large": (_endless, "is larger than 16 MiB"),
+    "missing": (lambda _: None, "no such file or directory"),
     "a link to itself": (lambda path: path.symlink_to(path), "too many levels of symbolic links"),
 }
 
@@ -85,7 +90,7 @@ def test_a_file_of_just_the_bound_is_read(tmp_path: Path) -> None:
     path = tmp_path / "full"
     path.write_bytes(b"x" * 2**20)
     assert len(input_files.read_bytes(path, 2**20)) == 2**20
-    with pytest.raises(BadFile, match="is larger than 1048575 bytes|is larger than 0 MiB"):
+    with pytest.raises(BadFile, match="is larger than 1048575 bytes"):
         input_files.read_bytes(path, 2**20 - 1)
 
 
@@ -143,10 +148,12 @@ ELSEWHERE = {
     "physics/rendering.py": "a file in memory for another process",
     "processes.py": "locks and logs of the instance, which slidectl wrote",
     "pytest_plugin.py": "the log of the instance, which slidectl wrote",
+    "recording/rosbags_adapter.py": "bytes of a recording that is open",
     "scenarios/stages.py": "the log of a scenario, which is written, and /dev/null",
     "scenarios/workers.py": "a pipe to the parent process",
     "simulation/compiled/object_file.py": "the package's own code, and the cache of machine code, which slidectl wrote",
     "viewing/world_monitor.py": "the log of the instance, which slidectl wrote",
+    "writing.py": "drafts, which are written",
 }
 """The files that read in another way, and what: nothing that a user or a client can name."""
 _READING = {"read_text", "read_bytes", "fromfile", "loadtxt", "genfromtxt", "memmap", "FileInput", "fdopen"}
@@ -171,7 +178,7 @@ def _opens(call: ast.Call) -> bool:
     if owner == "input_files":
         return False
     if (owner, function.attr) == ("os", "open"):
-        return not any(flag in ast.unparse(call) for flag in ("O_WRONLY",))
+        return "O_WRONLY" not in ast.unparse(call)
     if (owner, function.attr) in _OF_MODULES or function.attr in _READING:
         return True
     # Path.open: with a mode, or with the keywords of a text. Sockets, recordings and gateways are opened without.
@@ -194,7 +201,7 @@ def test_files_are_opened_for_reading_by_one_module() -> None:
         if isinstance(node, ast.Call) and _opens(node)
     }
     assert found - ELSEWHERE.keys() == set(), "read it by slidectl.input_files, or say here what it reads"
-    assert ELSEWHERE.keys() - found == {"input_files.py"} - found, "these read nothing any more"
+    assert ELSEWHERE.keys() - found == set(), "these read nothing in another way any more"
 
 
 @pytest.mark.parametrize(

@@ -68,7 +68,7 @@ def check(
         read = text.decode("utf-8", "replace") if text is not None else source
         if text is None and (path := models.shipped().get(source)) is not None:
             read = shown(path)  # the path in its shortest form
-        texts = {file: models.read_file(file) for file in parameter_files}
+        texts = {file: models.read_file(file, pipes=True) for file in parameter_files}
         asked = _asked([tree for file, content in texts.items() if (tree := _tree(content, str(file))) is not None])
         robot = model.check(read, arguments, packages, findings, ask_others, title, strict, transmissions, asked)
         usable = [controllers.check(file, robot, findings, content) for file, content in texts.items()]

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
@@ -118,11 +117,9 @@ def _streamed(source: str) -> bytes | None:
 
         found = input_files.read_stdin()
         return parameter_text(found.decode()).encode() if is_utf8(found) else found
-    try:
-        is_pipe = Path(source).is_fifo()
-    except (OSError, ValueError):
+    if not input_files.is_output(source):
         return None
-    return input_files.read_bytes(source, input_files.MOST_TEXT, pipes=True) if is_pipe else None
+    return input_files.read_bytes(source, input_files.MOST_TEXT, pipes=True)
 
 
 def _print(ctx: Context, findings: Findings, only: Sequence[str]) -> None:

@@ -511,8 +511,9 @@ def read_parameters(ctx: Context, file: str, namespaces: Sequence[str]) -> Tree:
 
     path = find(file)
     notices: list[Notice] = []
-    tree = controllers_file.read(path, notices)
-    places = controllers_file.places(read_file(path), str(path))
+    text = read_file(path, pipes=True)  # once: it may be the output of a command
+    tree = controllers_file.read(path, notices, text)
+    places = controllers_file.places(text, str(path))
     for notice in [*notices, *unknown(tree, ParameterFile(str(path), places, Findings()))]:
         ctx.warn(str(notice))
     placed, remark, moved = placements(tree, namespaces)

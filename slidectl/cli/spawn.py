@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slidectl import names
+from slidectl import input_files, names
 from slidectl.cli import completion, output, robots
 from slidectl.cli.commands import Variadic, command, looks_like_number
 from slidectl.cli.context import Context
@@ -22,7 +22,6 @@ from slidectl.cli.robots import Robot
 from slidectl.client import spawning
 from slidectl.client.client import SPAWN_LIMIT_S, Manager, configured
 from slidectl.errors import BadFile, NotThere, Refused, UnknownName, UsageError
-from slidectl.input_files import read_stdin
 
 if TYPE_CHECKING:
     from slidectl.description import Document, Packages
@@ -220,6 +219,8 @@ def _document(
     from slidectl.description import source_note
 
     text, title = source, None
+    if input_files.is_output(source):  # which can be read only once
+        text, title = _as_model(input_files.read_bytes(source, input_files.MOST_TEXT, pipes=True), source), source
     if source == "-":  # it may be a parameter, as `slidectl param get` prints it; the daemon knows its sources
         text, title = standard_input(), "<stdin>"
         note = ctx.call("/slidectl/sources", {"digest": source_note.digest(text)})["note"]
@@ -282,9 +283,13 @@ def in_package(
 
 def standard_input() -> str:
     """The model on standard input. Raises BadFile when it is not XML."""
-    text = parameter_text(read_stdin().decode("utf-8", "replace"))
+    return _as_model(input_files.read_stdin(), "<stdin>")
+
+
+def _as_model(content: bytes, title: str) -> str:
+    text = parameter_text(content.decode("utf-8", "replace"))
     if not text.lstrip("\ufeff \t\r\n").startswith("<"):
-        raise BadFile("is no XML", "<stdin>", hint="pipe a URDF in, or name a model")
+        raise BadFile("is no XML", title, hint="pipe a URDF in, or name a model")
     return text
 
 

@@ -16,8 +16,9 @@ ROS_2 = "ros__parameters"
 """The key that holds the parameters of a node in files of ROS 2."""
 
 
-def read(path: str | Path, notices: list[Notice] | None = None) -> Tree:
-    """The tree of parameters in a file; doubtful things are appended to `notices`.
+def read(path: str | Path, notices: list[Notice] | None = None, text: bytes | None = None) -> Tree:
+    """The tree of parameters in a file, which holds `text` if that was read already; doubtful things are appended to
+    `notices`.
 
     Raises:
         BadFile: missing, not YAML, or with values that no parameter can have; names file and line.
@@ -25,7 +26,7 @@ def read(path: str | Path, notices: list[Notice] | None = None) -> Tree:
     from slidectl.description import yaml_tree
 
     replaced: list[str] = []
-    text = read_file(Path(path), pipes=True)
+    text = read_file(Path(path), pipes=True) if text is None else text
     tree = plain(yaml_tree.read(text, str(path), notices), replaced)
     if notices is not None and replaced:
         lines = places(text, str(path))

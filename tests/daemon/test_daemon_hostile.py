@@ -20,7 +20,9 @@ import pytest
 from daemon_fixture import Runtime
 from rosbridge_wire import Wire
 
+from slidectl import Client, description
 from slidectl.client.lines import LONGEST_LINE
+from slidectl.errors import SlidectlError
 
 Connect = Callable[[], Wire]
 NESTED = b"[" * 600 + b"NaN" + b"]" * 600
@@ -452,3 +454,89 @@ def test_a_process_of_another_user_is_turned_away_with_a_word(runtime: Runtime) 
     assert rest == b""
     runtime.paths.folder.chmod(0o700)
     assert "refused a connection" in runtime.log
+
+
+# --- files that clients name ------------------------------------------------------------------------------------------
+
+
+def _socket_file(path: Path) -> None:
+    with socket.socket(socket.AF_UNIX) as one:
+        before = Path.cwd()
+        os.chdir(path.parent)  # a socket's path is short
+        try:
+            one.bind(path.name)
+        finally:
+            os.chdir(before)
+
+
+def _sparse(path: Path) -> None:
+    with path.open("wb") as file:
+        file.truncate(2**40)
+
+
+HOSTILE_FILES: dict[str, tuple[Callable[[Path], object], str]] = {
+    "a pipe without a writer": (os.mkfifo, "is a pipe, and only regular files are read"),
+    "an endless device": (lambda path: path.symlink_to("/dev/zero"), "is a device, and only regular files are read"),
+    "a folder": (Path.mkdir, "is a folder, and only regular files are read"),
+    "a socket": (_socket_file, "is a socket, and only regular files are read"),
+    "a file of a TiB": (_sparse, "is larger than"),
+}
+
+
+@pytest.mark.parametrize("kind", HOSTILE_FILES)
+def test_a_file_that_blocks_or_never_ends_is_refused_and_holds_up_nobody(
+    daemon: Runtime, tmp_path: Path, kind: str
+) -> None:
+    make, said = HOSTILE_FILES[kind]
+    files = {suffix: tmp_path / f"named.{suffix}" for suffix in ("py", "snapshot", "urdf", "sdf", "stl")}
+    for path in files.values():
+        make(path)
+    of_robot = {"class_name": "Law", "robot": "slider"}
+    (tmp_path / "law.py").write_text(LAW)
+    with daemon.client() as client:
+        client.call("/gazebo/spawn_urdf_model", {"model_name": "slider", "model_xml": description.load("slider").xml})
+        parameter = json.dumps({"joint": "joint1"})
+        client.call("/rosapi/set_param", {"name": "/slider/mine", "value": parameter})
+        request = {"name": "mine", "file": str(files["py"]), **of_robot}
+        refused(client, "/slidectl/load_controller_file", request, said)
+        assert client.call("/slidectl/load_controller_file", {**request, "file": str(tmp_path / "law.py")})["ok"]
+        (tmp_path / "law.py").unlink()
+        make(tmp_path / "law.py")
+        refused(client, "/slidectl/reload_controller", {"robot": "slider", "name": "mine"}, said)
+        refused(client, "/slidectl/load", {"file": str(files["snapshot"])}, said)
+        for suffix in ("urdf", "sdf"):
+            resource_of = {"name": "x", "entity_resource": {"uri": str(files[suffix])}}
+            answer = client.call("/slidectl/spawn_entity", resource_of)
+            assert said in answer["result"]["error_message"] or "no resource" in answer["result"]["error_message"]
+        sdf = f'<sdf version="1.6"><include><uri>{files["sdf"]}</uri></include></sdf>'
+        answer = client.call("/gazebo/spawn_sdf_model", {"model_name": "x", "model_xml": sdf})
+        assert not answer["success"]
+        xml = MESH.format(files["stl"])
+        answer = client.call("/gazebo/spawn_urdf_model", {"model_name": "x", "model_xml": xml})
+        assert not answer["success"]
+        client.call("/gazebo/delete_model", {"model_name": "slider"})
+    assert "Traceback" not in daemon.log
+
+
+LAW = """
+from slidectl.control import Controller, EffortJointInterface
+
+class Law(Controller):
+    interface_type = EffortJointInterface
+
+    def init(self, interface, node):
+        return True
+
+    def update(self, time_ns, period_s):
+        pass
+"""
+MESH = (
+    '<robot name="x"><link name="a"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" '
+    'iyz="0"/></inertial><collision><geometry><mesh filename="file://{}"/></geometry></collision></link></robot>'
+)
+
+
+def refused(client: Client, service: str, request: dict[str, Any], said: str) -> None:
+    with pytest.raises(SlidectlError) as caught:
+        client.call(service, request)
+    assert said in str(caught.value)
