@@ -35,6 +35,9 @@ command_class
     foxglove,
 )
 
+# io.BufferedReader calls it of a raw file.
+readall
+
 # cli.ros.command looks the ROS commands up by name.
 roslaunch, roscore, rosmsg, rossrv, rosnode, rosrun, rosservice, rostopic
 

@@ -41,6 +41,12 @@ TEMPORARY = "${tmp}"
 _VARIABLE = re.compile(r"\$(\$)?\{([^}]*)\}")
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
 _MOST_NODES = 100_000
+_MOST_ITEMS = 10_000
+"""The most steps of a section, cases, or items of another list."""
+_MOST_MISTAKES = 100
+"""After so many mistakes the rest of a file is not checked: its author has enough to do, and each takes a search."""
+_MOST_STEPS = 100_000
+"""The most steps of all cases of a file."""
 _UNREADABLE = (yaml.YAMLError, ValueError, OverflowError, LookupError, AttributeError)
 """The exceptions of PyYAML for values that do not fit their tags."""
 _GIVEN = ("dir", "tmp")
@@ -161,7 +167,9 @@ def read(file: str, commands: Commands, mistakes: list[BadFile]) -> list[Case]:
     """Read the cases of a file; its mistakes are added to `mistakes`."""
     reader = _Reader(file, commands, mistakes)
     try:
-        documents = yaml_tree.documents(read_file(Path(file), pipes=True), file, yaml.SafeLoader)
+        text = read_file(Path(file), pipes=True)
+        _check_size(text, file)
+        documents = yaml_tree.documents(text, file, yaml.SafeLoader)
     except BadFile as error:
         mistakes.append(error)
         return []
@@ -171,6 +179,34 @@ def read(file: str, commands: Commands, mistakes: list[BadFile]) -> list[Case]:
         mistakes.append(BadFile(what, file, line))
         return []
     return reader.cases(documents[0])
+
+
+def _check_size(text: bytes, file: str) -> None:
+    """Raise BadFile for a file with too many values, before all of them are read, which takes a minute for a MiB.
+
+    libyaml tells them quickly and one after the other. What is wrong otherwise is left to the reader, which is exact.
+    """
+    counts: list[int] = []
+    """How many values the open lists and mappings have so far."""
+    nodes = 0
+    try:
+        for event in yaml.parse(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader)):
+            if isinstance(event, yaml.CollectionEndEvent):
+                counts.pop()
+            if not isinstance(event, yaml.NodeEvent):
+                continue
+            nodes += 1
+            what = "values" if nodes > _MOST_NODES else ""
+            if counts:
+                counts[-1] += 1
+                what = "items in a list" if counts[-1] > _MOST_ITEMS else what
+            if what:
+                most = _MOST_NODES if what == "values" else _MOST_ITEMS
+                raise BadFile(f"more than {most} {what}: no scenario may have so many", file, event.start_mark.line + 1)
+            if isinstance(event, yaml.CollectionStartEvent):
+                counts.append(0)
+    except (yaml.YAMLError, ValueError, RecursionError):
+        return
 
 
 KeyPath = tuple[str | int, ...]
@@ -187,6 +223,8 @@ class _Reader:
         self._loader = yaml.SafeLoader("")
         self._pairs = yaml_tree.MergedPairs(file).of
         self._nodes = 0
+        self._texts: set[str] = set()
+        """The mistakes found."""
         self._told = 0
         """The number of mistakes found, including repeated ones."""
         self._checked: dict[tuple[str, ...], SlidectlError | CheckedWords] = {(): CheckedWords()}
@@ -196,7 +234,8 @@ class _Reader:
         while path and path not in self._lines:
             path = path[:-1]
         mistake = BadFile(message, self._file, self._lines.get(path), hint)
-        if str(mistake) not in map(str, self._mistakes):  # every case of a table finds the same mistakes
+        if str(mistake) not in self._texts:  # every case of a table finds the same mistakes
+            self._texts.add(str(mistake))
             self._mistakes.append(mistake)
 
     def _value(self, node: yaml.Node, path: KeyPath) -> Any:
@@ -255,10 +294,13 @@ class _Reader:
         )  # fmt: skip
         variables = dict(tree.get("vars") or {})
         self._check_names(variables, ("vars",))
-        return [
-            replace(case, steps=tuple(self._steps(tree, row)))
-            for case, row in self._rows(base, tree.get("cases"), variables)
-        ]
+        rows = list(self._rows(base, tree.get("cases"), variables))
+        count = len(rows) * sum(len(tree.get(section) or ()) for section in SECTIONS)
+        if count > _MOST_STEPS:
+            text = f"{count} steps in {len(rows)} cases: a file may have {_MOST_STEPS} in all"
+            self._add_mistake(("cases",), text, "make several files of it")
+            return []
+        return [replace(case, steps=tuple(self._steps(tree, row))) for case, row in rows]
 
     def _rows(self, base: Case, table: Any, variables: dict[str, Any]) -> Iterator[tuple[Case, dict[str, Any]]]:
         if table is None:
@@ -307,6 +349,8 @@ class _Reader:
         earlier = _EarlierSteps(is_alone=not (tree.get("world") or {}).get("imports"))
         for section in SECTIONS:
             for index, content in enumerate(tree.get(section) or ()):
+                if len(self._texts) >= _MOST_MISTAKES:
+                    return
                 path: KeyPath = (section, index)
                 step = None
                 try:

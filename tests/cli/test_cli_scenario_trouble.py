@@ -5,14 +5,19 @@ from __future__ import annotations
 import json
 import os
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 from command_line import ROOT, CommandLine
 from lxml import etree
 from waiting import eventually
+
+from slidectl.cli.step_runner import StepRunner
+from slidectl.errors import BadFile
+from slidectl.scenarios import scenario_file
 
 Write = Callable[[str, str], Path]
 
@@ -139,6 +144,54 @@ def test_wrong_files_are_named_with_their_lines_and_never_tracebacks(slidectl: C
     assert "is a folder, and ::a is a case of a file" in slidectl("test", f"{paths['key'].parent}::a").stderr
     nothing = write("nothing.yaml", "world: {gravity: null, engine: null}\nsteps: [robots]")
     assert results(slidectl, str(nothing), "--sim-timeout", "1e300")["nothing"]["verdict"] == "passed"
+
+
+def test_a_file_of_too_many_steps_is_refused_before_they_are_read(
+    slidectl: CommandLine, write: Write, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files = {
+        "steps": ("steps:\n" + "- sim step: 1\n" * 100_000, "10002: more than 10000 items in a list"),
+        "deep": ("steps:\n" + "- " * 900 + "robots", "nested too deep"),
+        "values": (
+            "vars:\n" + "".join(f"  a{n}: [{'1, ' * 999}]\n" for n in range(101)) + "steps: [robots]",
+            "101: more than 100000 values",
+        ),
+        "cases": (
+            "cases:\n" + "".join(f"- {{x: {n}}}\n" for n in range(1000)) + "steps:\n" + "- robots\n" * 200,
+            "1: 200000 steps in 1000 cases: a file may have 100000 in all",
+        ),
+    }
+    for name, (text, said) in files.items():
+        file = write(f"{name}.yaml", text)
+        done = slidectl("test", "--list", str(file))
+        assert (done.returncode, "fault of slidectl" in done.stderr) == (2, False)
+        assert f"{file}:" in done.stderr
+        assert said in done.stderr
+    monkeypatch.setattr(scenario_file.yaml_tree, "documents", lambda *_: pytest.fail("it is read"))
+    monkeypatch.setattr(yaml, "parse", counted := Counted(yaml.parse))
+    mistakes: list[BadFile] = []
+    assert scenario_file.read(str(write("steps.yaml", files["steps"][0])), StepRunner(False), mistakes) == []
+    assert len(mistakes) == 1
+    assert counted.events < 50_000  # of 400 000
+
+
+class Counted:
+    """PyYAML's function, which tells of how many events it was asked."""
+
+    def __init__(self, parse: Callable[..., Iterator[yaml.Event]]) -> None:
+        self.events = 0
+        self._parse = parse
+
+    def __call__(self, *arguments: Any) -> Iterator[yaml.Event]:
+        for event in self._parse(*arguments):
+            self.events += 1
+            yield event
+
+
+def test_a_file_with_many_mistakes_is_not_checked_to_its_end(slidectl: CommandLine, write: Write) -> None:
+    file = write("wrong.yaml", "steps:\n" + "".join(f"- wiat{n}: 1\n" for n in range(5000)))
+    done = slidectl("test", "--check", str(file), "--json")
+    assert (done.returncode, len(done.stdout.splitlines())) == (2, 100)
 
 
 def test_only_a_failure_of_the_command_is_one_that_was_to_come(slidectl: CommandLine, write: Write) -> None:
