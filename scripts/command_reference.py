@@ -41,6 +41,13 @@ Every command takes the common options too, before its name or after it:
 Results go to stdout, all else to stderr. With `--json` an error is one object, the last line of stderr, with the keys
 `error` (what failed), `hint` (what to do next, or null) and `exit_code`; warnings before it stay text. A reader that
 closes the pipe ends a command quietly.
+
+Files that are read are regular files, or links to these; a folder, a named pipe, a device or a socket is refused at
+once (2), by commands and by the daemon, and so is what is larger than the bound of its kind: 16 MiB for models, launch
+files, scenarios and code of your own (2 MiB for YAML of controllers and scenarios), 64 MiB for values, trajectories
+and meshes as text, 128 MiB for binary meshes, 256 MiB for tables and snapshots, 1 GiB for journals. Recordings and
+scripts have none. The output of a command, `<(COMMAND)` in bash and zsh, is a file to commands that read a text whole,
+and `-` is standard input where a command says so; to the daemon and to recordings neither is.
 """
 
 

@@ -66,6 +66,7 @@ class Replay:
         self._limit = TimeLimit()
         self._limit.on_end = self._take_limit
         self._sessions: dict[int, Session] = {}
+        self._last_client = 0
         self._meshes: list[tuple[set[MeshSource], Pending]] = []
         """Open requests for meshes."""
         self._renderer = RenderProcess()
@@ -175,8 +176,9 @@ class Replay:
         if "line" in entry:
             self._session(entry["client"]).take(entry["line"])
         elif "client" in entry:
-            if entry["client"] in self._sessions:
-                self._fail(f"there is a client {entry['client']} already")
+            if entry["client"] <= self._last_client:
+                self._fail(f"there was a client {entry['client']} before")
+            self._last_client = entry["client"]
             self._sessions[entry["client"]] = Session(
                 _DiscardingReader(self._publications),
                 self.simulation.graph,

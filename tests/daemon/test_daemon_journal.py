@@ -32,7 +32,7 @@ from slidectl.daemon.journal import Journal
 from slidectl.daemon.journal_replay import Replay, ReplayDiffers
 from slidectl.daemon.options import DaemonOptions
 from slidectl.daemon.time_limit import TimeLimit
-from slidectl.errors import SlidectlError
+from slidectl.errors import BadFile, SlidectlError
 from slidectl.physics import rendering
 from slidectl.recording.recording_files import opened
 from slidectl.simulation import Simulation
@@ -643,6 +643,92 @@ def test_what_is_no_journal_is_refused_with_the_reason(short: Path, runtime: Run
     assert refused.returncode == 2
     assert refused.stderr.startswith(f"error: {short}")
     assert said.format(line=line) in refused.stderr
+
+
+STRANGE: dict[str, tuple[dict[str, Any] | bytes, str]] = {
+    "no cycle": ({"gone": 1}, "it has no 'cycle'"),
+    "a cycle in floats": ({"cycle": 1e308, "limit": ""}, "'cycle' is not a whole number from 0, but 1e+308"),
+    "a cycle before the first": ({"cycle": -1, "limit": ""}, "'cycle' is not a whole number from 0, but -1"),
+    "a cycle that is true": ({"cycle": True, "limit": ""}, "'cycle' is not a whole number from 0, but True"),
+    "a cycle beyond all time": ({"cycle": 2**70, "limit": ""}, "'cycle' is not a whole number from 0, but a whole"),
+    "a line beyond all time": (b'{"cycle":99999999999999999999,"client":1,"line":{}', "'cycle' is not a whole"),
+    "a cycle in the past": ({"cycle": 1, "state": ""}, "in cycle 1: the world is past it now, at cycle 4000"),
+    "a cycle in years": ({"cycle": 10**12, "state": ""}, "its cycle 1000000000000 is too far after the one before it"),
+    "an unknown record": ({"cycle": 1, "wind": 3}, "no entry has the fields wind; entries: client+line, client+node"),
+    "two records in one": ({"cycle": 1, "gone": 1, "limit": ""}, "no entry has the fields gone, limit"),
+    "only a cycle": ({"cycle": 1}, "no entry has the fields none"),
+    "a client by name": ({"cycle": 1, "client": "me", "node": "/me"}, "'client' is not the number of a client"),
+    "a node without a name": ({"cycle": 1, "client": 9, "node": "not//legal"}, "'node' is not the name of a node"),
+    "a client twice": ({"cycle": 4000, "client": 1, "node": "/me"}, "there was a client 1 before"),
+    "a client that is not there": ({"cycle": 4000, "gone": 77}, "in cycle 4000: there is no client 77"),
+    "a state of words": ({"cycle": 1, "state": "not base64!"}, "'state' is not 64-bit floats in base64"),
+    "a state of half a number": ({"cycle": 1, "state": "AAAA"}, "'state' is not 64-bit floats in base64"),
+    "a read of something else": ({"cycle": 1, "read": "the mind", "found": 1}, "'read' is not what the daemon reads"),
+    "a read of another type": ({"cycle": 1, "read": "code of a.py", "found": 1}, "'found' is not what is found"),
+    "a resource of words": ({"cycle": 1, "read": "resource a", "found": [["x"], ""]}, "'found' is not what is found"),
+    "a module of numbers": ({"cycle": 1, "module": [1, 2, 3, 4]}, "'module' is not name, file and text of a module"),
+    "meshes of numbers": ({"cycle": 1, "meshes": [1]}, "'meshes' is not meshes with path, scale and hull, but a list"),
+    "a hull of words": (
+        {"cycle": 1, "meshes": [{"path": "a", "scale": [1, 1, 1], "name": "a.stl", "hull": "?"}]},
+        "'meshes' is not meshes",
+    ),
+    "a hull of another name": (
+        {"cycle": 1, "meshes": [{"path": "a", "scale": [1, 1, 1], "name": "a.stl", "hull": "eJwDAAAAAAE="}]},
+        "'meshes' is not meshes",
+    ),
+    "a picture": ({"cycle": 1, "picture": None}, "'picture' is not a text, but None"),
+    "nested without end": (b'{"cycle":1,"limit":' + b"[" * 200_000, "it is nested too deep"),
+    "no JSON": (b'{"cycle":1,"limit":', "it is no JSON"),
+}
+
+
+@pytest.mark.parametrize("how", STRANGE)
+def test_an_entry_with_its_checksum_that_no_daemon_writes_is_refused_with_its_line(short: Path, how: str) -> None:
+    entry, said = STRANGE[how]
+    content = short.read_bytes()
+    end = content.rindex(b'{"cycle":4000')
+    line = content[:end].count(b"\n") + 1
+    body = sealed(entry) if isinstance(entry, dict) else b'%b,"crc":"%08x"}' % (entry, zlib.crc32(entry))
+    short.write_bytes(content[:end] + body + b"\n" + content[end:])
+    with pytest.raises((BadFile, ReplayDiffers)) as refused:
+        replayed(short)
+    assert str(refused.value).startswith(f"{short}:{line}: ")
+    assert said in str(refused.value)
+
+
+def test_the_command_says_file_line_and_what_is_wrong_with_an_entry(short: Path, runtime: Runtime) -> None:
+    content = short.read_bytes()
+    short.write_bytes(content + sealed({"cycle": 1e308, "gone": 1}) + b"\n")
+    refused = command(runtime, "replay", str(short))
+    place = f"{short}:{content.count(b'}' + bytes([10])) + 1}"
+    assert (refused.returncode, refused.stdout) == (2, "")
+    assert refused.stderr == (
+        f"error: {place}: no daemon writes this entry: 'cycle' is not a whole number from 0, but 1e+308\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("timestep", "x"), ("gravity", [1, 2]), ("imports", [1]), ("rtf", None), ("wind", 3), ("journal", "/tmp/other")],
+)
+def test_odd_options_of_the_world_are_refused_in_the_first_line(short: Path, name: str, value: Any) -> None:
+    first, _, rest = short.read_bytes().partition(b"\n")
+    header = json.loads(first)
+    del header["crc"]
+    header["options"][name] = value
+    short.write_bytes(sealed(header) + b"\n" + rest)
+    with pytest.raises(BadFile, match=f":1: slidectl .*{name}"):
+        journal.read(str(short))
+
+
+def test_modules_of_a_journal_replace_none_that_this_process_runs_on(short: Path) -> None:
+    lines = short.read_bytes().splitlines(keepends=True)
+    before = dict(sys.modules)
+    named = ("os", "json", "numpy", "slidectl.errors", "sys", "mujoco")
+    entries = [sealed({"cycle": 0, "module": [name, "/x.py", "1/0", False]}) + b"\n" for name in named]
+    short.write_bytes(b"".join([lines[0], *entries, *lines[1:]]))
+    assert replayed(short).cycles == 4000
+    assert [name for name in named if sys.modules.get(name) is not before[name]] == []
 
 
 def test_a_journal_without_its_end_is_replayed_as_far_as_it_goes(short: Path, runtime: Runtime) -> None:

@@ -26,8 +26,8 @@ from fuzz_target import Tally, case_random, target
 
 ATTACKS = {**ATTACKS_ON_DAEMON, Frames.kind: Frames}
 SHARES = {
-    "lines": 0.2, "files": 0.2, "robots": 0.15, "meshes": 0.1, "manager": 0.1, "tcpros": 0.05, "xmlrpc": 0.05,
-    "frames": 0.05, "foxglove": 0.05, "patterns": 0.05,
+    "lines": 0.15, "files": 0.15, "journals": 0.1, "robots": 0.15, "meshes": 0.1, "manager": 0.1, "tcpros": 0.05,
+    "xmlrpc": 0.05, "frames": 0.05, "foxglove": 0.05, "patterns": 0.05,
 }  # fmt: skip
 """Of the seconds, by kind."""
 _MOST_FAULTS = 5

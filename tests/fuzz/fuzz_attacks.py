@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import json
-import signal
 import struct
 import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from random import Random
 from typing import Any
 
 from daemon_fixture import ROOT
 from fuzz_foxglove import FoxgloveFrames
+from fuzz_journals import Journals
+from fuzz_limits import limited
 from fuzz_mutations import ODD_VALUES, mutated_bytes, mutated_text, shrunk
 from fuzz_target import RawWire, Target, check_text, write
 from fuzz_tcpros import TcprosStreams
@@ -94,8 +95,6 @@ class Lines:
 
 # --- files -----------------------------------------------------------------------------------------------------------
 
-_CASE_LIMIT_S = 20
-
 
 def _samples() -> list[tuple[str, str]]:
     """Names and texts of sound files of every kind."""
@@ -141,29 +140,13 @@ class Files:
         words, files = ([str(path)], []) if path.suffix != ".yaml" else (["slider"], [path])
         packages = Packages({"here": self.folder}, start=self.folder)
         try:
-            with _limited():
+            with limited():
                 findings = checking.check(words, {}, packages, files, None, ask_others=False)
         except SlidectlError:
             return "refused"
         if findings.broken:
             return "refused"
         return "found wrong" if findings.count("wrong") else "passed"
-
-
-@contextmanager
-def _limited() -> Iterator[None]:
-    """TimeoutError inside, when it takes too long."""
-
-    def ring(*_: Any) -> None:
-        raise TimeoutError(f"took longer than {_CASE_LIMIT_S} s")
-
-    before = signal.signal(signal.SIGALRM, ring)
-    signal.setitimer(signal.ITIMER_REAL, _CASE_LIMIT_S)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, before)
 
 
 # --- robots and meshes -----------------------------------------------------------------------------------------------
@@ -388,5 +371,16 @@ class Patterns:
 
 ATTACKS: dict[str, Callable[[Target], Any]] = {
     attack.kind: attack
-    for attack in (Lines, Files, Robots, Meshes, Manager, TcprosStreams, XmlRpcCalls, FoxgloveFrames, Patterns)
+    for attack in (
+        Lines,
+        Files,
+        Robots,
+        Meshes,
+        Manager,
+        TcprosStreams,
+        XmlRpcCalls,
+        FoxgloveFrames,
+        Patterns,
+        Journals,
+    )
 }
