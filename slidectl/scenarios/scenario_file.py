@@ -202,7 +202,8 @@ def _check_size(text: bytes, file: str) -> None:
                 what = "items in a list" if counts[-1] > _MOST_ITEMS else what
             if what:
                 most = _MOST_NODES if what == "values" else _MOST_ITEMS
-                raise BadFile(f"more than {most} {what}: no scenario may have so many", file, event.start_mark.line + 1)
+                line = event.start_mark.line + 1 if event.start_mark is not None else None
+                raise BadFile(f"more than {most} {what}: no scenario may have so many", file, line)
             if isinstance(event, yaml.CollectionStartEvent):
                 counts.append(0)
     except (yaml.YAMLError, ValueError, RecursionError):

@@ -7,6 +7,7 @@ and this module walks the types to find genpy's error. Field names are genpy's p
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from io import StringIO
 from itertools import chain
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -44,12 +45,13 @@ def read(text: str) -> Any:
         raise _report(text.rstrip("\n"), error) from None
 
 
-def read_file(file: TextIO) -> list[Any]:
-    """The values of all documents of an open file. Raises NotYaml."""
+def read_file(text: str, name: str) -> list[Any]:
+    """The values of all documents of a file of that name. Raises NotYaml."""
     try:
-        return list(typed_values.read_documents(file.read(), "file"))
+        return list(typed_values.read_documents(text, "file"))
     except SlidectlError as error:
-        file.seek(0)
+        file = StringIO(text)
+        file.name = name  # type: ignore[attr-defined]  # PyYAML tells it
         raise _report(file, error) from None
 
 

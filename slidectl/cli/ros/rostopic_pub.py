@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Sequence
-from io import StringIO
 from itertools import chain
 from optparse import Option, OptionParser
 from typing import Any
@@ -177,7 +176,7 @@ class _Run:
                 yield from genpy.documents(sys.stdin)
                 return
             text = read_text(file_name, pipes=True)
-            yield from [[document] for document in genpy.read_file(StringIO(text)) if document is not None]
+            yield from [[document] for document in genpy.read_file(text, file_name) if document is not None]
         except NotThere:
             raise Failure(f"ERROR: file does not exist: {file_name}") from None
         except BadFile as error:
