@@ -67,6 +67,14 @@ def test_a_link_to_a_regular_file_is_read(tmp_path: Path) -> None:
     assert input_files.read_text(tmp_path / "link") == "a robot"
 
 
+def test_a_link_is_refused_where_the_links_of_a_path_were_resolved_before(tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(b"a mesh")
+    (tmp_path / "link").symlink_to(tmp_path / "file")
+    assert input_files.read_bytes(tmp_path / "file", links=False) == b"a mesh"
+    with pytest.raises(BadFile, match="link: is a link, and only regular files are read"):
+        input_files.read_bytes(tmp_path / "link", links=False)
+
+
 def test_a_file_that_tells_no_size_is_counted_while_it_is_read() -> None:
     assert os.stat("/proc/self/maps").st_size == 0
     assert b"python" in input_files.read_bytes("/proc/self/maps")
@@ -143,6 +151,7 @@ ELSEWHERE = {
     "daemon/health.py": "/proc",
     "daemon/mesh_reader.py": "/proc, and a pipe to the daemon",
     "description/xacro_adapter.py": "/proc",
+    "local_peers.py": "/proc",
     "gateways/process.py": "the lock of a gateway, which slidectl wrote, and a pipe to it",
     "msgs/definitions.py": "the package's own definitions of messages",
     "physics/rendering.py": "a file in memory for another process",

@@ -51,7 +51,7 @@ def read_file(text: str, name: str) -> list[Any]:
         return list(typed_values.read_documents(text, "file"))
     except SlidectlError as error:
         file = StringIO(text)
-        file.name = name  # type: ignore[attr-defined]  # PyYAML tells it
+        file.name = name  # PyYAML tells it
         raise _report(file, error) from None
 
 
