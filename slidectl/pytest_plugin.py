@@ -213,7 +213,7 @@ def _options(given: dict[str, Any], folder: Path, journal: Path | None, **more: 
         if "gravity" in given:
             world["gravity"] = tuple(given["gravity"])
         float(given.get("sim_timeout", SIM_TIMEOUT_S))
-        return DaemonOptions(**world, **more, journal="" if journal is None else str(journal))
+        return DaemonOptions(**world, **more, strict=True, journal="" if journal is None else str(journal))
     except (SlidectlError, TypeError, ValueError) as error:
         wrong = error
     pytest.fail(f"@pytest.mark.{_MARKER}: {wrong}", False)
@@ -255,7 +255,7 @@ def slidectl_world(request: pytest.FixtureRequest) -> Iterator[InProcessWorld]:
     journal = None if path is None else Journal(options)
     try:
         with _told():
-            simulation = Simulation(options.timestep, options.gravity, options.ground, options.engine, options.imports)
+            simulation = Simulation(**options.of_simulation())
         world = InProcessWorld(simulation, journal)
         request.node.stash.setdefault(_RUNS, []).append(
             _JournaledRun(path, _path_for(options), world.client, lambda: world.log)

@@ -44,6 +44,7 @@ def _world(function: Callable[..., Any]) -> Callable[..., Any]:
         click.option("--timestep", type=float, default=0.001, metavar="S", help="Length of a cycle (0.001 s)."),
         click.option("--gravity", type=float, nargs=3, default=(0.0, 0.0, -9.8), metavar="X Y Z", help="In m/s^2."),
         click.option("--ground/--no-ground", default=True, help="With a floor at height 0, or without."),
+        click.option("--strict", is_flag=True, help="Stop the world when a robot diverges; else that robot is frozen."),
         click.option(
             "--engine",
             type=click.Choice(["plain", "compiled", "auto"]),
@@ -226,6 +227,7 @@ def _shown(options: DaemonOptions, names: list[str]) -> list[str]:
         "timestep": f"--timestep {options.timestep:g}",
         "gravity": "--gravity " + " ".join(f"{component:g}" for component in options.gravity),
         "ground": "--ground" if options.ground else "--no-ground",
+        "strict": "--strict" if options.strict else "",
         "engine": f"--engine {options.engine}",
         "imports": " ".join(f"--import {module}" for module in options.imports),
     }

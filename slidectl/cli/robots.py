@@ -47,7 +47,7 @@ def robots(ctx: Context, name: str | None) -> None:
     became of each tag of the model. KIND is robot, model (without a controller manager, from SDF), or static (a model
     that does not move). JSON keys: name, namespace, kind, fixed, pose (x y z qx qy qz qw), links, joints (name,
     type, interface, position, velocity, effort, lower, upper, max_velocity, max_effort), controllers, estop (true in
-    an emergency stop), and report (verdict, subject, text, file, line) when a name is given.
+    an emergency stop), frozen (it diverged), and report (verdict, subject, text, file, line) when a name is given.
     """
     found = all_robots(ctx) if name is None else [find(all_robots(ctx), name)]
     warn_stopped(ctx, [robot["name"] for robot in found if robot["estop"]])
@@ -68,7 +68,7 @@ def record(robot: Robot, with_report: bool = True) -> Robot:
     """A slidectl/RobotInfo with the documented JSON keys."""
     joints = [{**joint, "interface": joint["hardware_interface"]} for joint in robot["joints"]]
     shown = {**robot, "joints": [{key: joint[key] for key in _JOINT_COLUMNS} for joint in joints]}
-    keys = ("name", "namespace", "kind", "fixed", "pose", "links", "joints", "controllers", "estop", "report")
+    keys = ("name", "namespace", "kind", "fixed", "pose", "links", "joints", "controllers", "estop", "frozen", "report")
     return {key: shown[key] for key in (keys if with_report else keys[:-1])}
 
 
@@ -97,6 +97,8 @@ def robot_text(robot: Robot, with_report: bool) -> str:
     }
     if robot["estop"]:
         head["estop"] = "on"
+    if robot["frozen"]:
+        head["frozen"] = "it diverged, and is held at rest until a reset"
     movable = [joint for joint in robot["joints"] if joint["type"] != "fixed"]
     rows = [{**joint, "interface": joint["interface"].rpartition("/")[2]} for joint in movable]
     parts = [output.as_lines(head)]

@@ -53,6 +53,7 @@ def status_text(answer: dict[str, Any]) -> str:
         "lateness": f"{late}, {answer['overruns']} overruns",
         "robots": " ".join(answer["robots"]) or "none",
         "estop": answer["estop"] and f"on: {' '.join(answer['estop'])}",
+        "frozen": answer["frozen"] and f"{' '.join(answer['frozen'])}: diverged, held at rest until a reset",
         "faults": " ".join(answer["faults"]),
         "controllers": f"{answer['controllers']} loaded, {answer['controllers_running']} running",
         "connections": str(answer["connections"]),

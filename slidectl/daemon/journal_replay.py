@@ -84,7 +84,7 @@ class Replay:
         """The world in its initial state."""
         options = self.contents.options
         try:
-            simulation = Simulation(options.timestep, options.gravity, options.ground, options.engine, options.imports)
+            simulation = Simulation(**options.of_simulation())
         except BaseException:
             self._close()
             raise

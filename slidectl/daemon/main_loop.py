@@ -99,7 +99,7 @@ class Daemon:
             self._journal = Journal(options)
             limit.on_end = self._journal.took_too_long
         try:
-            return Simulation(options.timestep, options.gravity, options.ground, options.engine, options.imports)
+            return Simulation(**options.of_simulation())
         except SlidectlError:
             if self._journal is not None:  # let the next start use the name
                 os.unlink(options.journal)

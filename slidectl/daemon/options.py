@@ -15,6 +15,7 @@ from typing import Any
 from slidectl import paths
 from slidectl.errors import Refused, UsageError
 
+_OF_SIMULATION = ("timestep", "gravity", "ground", "engine", "imports", "strict")
 ENGINES = ("plain", "compiled", "auto")
 """The interpreter, machine code (when it is ready), or machine code if it is possible."""
 
@@ -34,6 +35,8 @@ class DaemonOptions:
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.8)
     ground: bool = True
     child: bool = False
+    strict: bool = False
+    """A robot that diverges stops the world; else it is frozen and the others go on."""
     engine: str = "auto"
     chosen: tuple[str, ...] = ()
     imports: tuple[str, ...] = ()
@@ -62,6 +65,10 @@ class DaemonOptions:
             name: tuple(value) if isinstance(value, list) else value for name, value in values.items()
         }
         return cls(**options)
+
+    def of_simulation(self) -> dict[str, Any]:
+        """The arguments of `Simulation`."""
+        return {name: getattr(self, name) for name in _OF_SIMULATION}
 
     def of_another(self, **changes: Any) -> DaemonOptions:
         """The options for another daemon like this one, without the journal and the replay, which belong to one run."""

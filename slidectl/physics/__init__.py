@@ -17,10 +17,11 @@ except Exception as error:
 from slidectl.physics.body import Body
 from slidectl.physics.mujoco_library import EngineError, take_warnings
 from slidectl.physics.robot_hw import MujocoRobotHW
-from slidectl.physics.world import GRAVITY, Diverged, Overlap, World
+from slidectl.physics.world import GRAVITY, HUGE, Diverged, Overlap, World
 
 __all__ = [
     "GRAVITY",
+    "HUGE",
     "Body",
     "Diverged",
     "EngineError",

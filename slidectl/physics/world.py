@@ -95,6 +95,7 @@ class _State(NamedTuple):
     """The state of a world, restored when attaching or detaching a robot fails."""
 
     bodies: dict[str, Body]
+    frozen: list[Body]
     model: Any
     data: Any
     loads: dict[str, Any]
@@ -124,6 +125,8 @@ class World:
         self._settings = Settings(positive(timestep), finite(gravity), ground)
         self._bodies: dict[str, Body] = {}
         self._listeners: list[Callable[[], None]] = []
+        self._frozen: list[Body] = []
+        """Robots that diverged; see `freeze`."""
         self.loads = Loads()
         self.clock: Callable[[], int] = lambda: round(float(self.data.time + self._settings.timestep) * 1e9)
         """Time of the cycle in ns, for forces with a start and an end. The simulation sets its own."""
@@ -224,7 +227,7 @@ class World:
         self._spec = spec
 
     def _state(self) -> _State:
-        return _State(self._bodies, self.model, self.data, self.loads.snapshot())
+        return _State(self._bodies, self._frozen, self.model, self.data, self.loads.snapshot())
 
     def _go_back(self, before: _State) -> None:
         """Restore the world before a robot was attached or detached. No step has been made since.
@@ -232,7 +235,7 @@ class World:
         The specification may be half changed, so it is discarded and made anew when it is needed.
         """
         self._spec = None
-        self._bodies = before.bodies
+        self._bodies, self._frozen = before.bodies, before.frozen
         self._use(before.model, before.data)
         for body in before.bodies.values():
             body.bind(before.model, before.data)
@@ -261,7 +264,8 @@ class World:
         self._forces_at = math.nan
         """MuJoCo's time after the step whose accelerations and forces `restore` has copied to `data`."""
         self._advance = partial(mujoco.mj_step, model, data)
-        self.step = self._advance if self.loads.is_empty else self._step_with_loads
+        self._frozen = [body for body in self._frozen if body in self._bodies.values()]
+        self.step = self._chosen_step()
 
     def _bind_loads(self) -> None:
         """Bind loads and views to the model. The robots are bound already."""
@@ -282,7 +286,7 @@ class World:
     def steps_alone(self) -> bool:
         """True while a step needs only MuJoCo and the data of motors in `memory`."""
         loads = self.loads
-        return not loads.has_forces and (loads.motors.is_empty or loads.motors.is_compilable)
+        return not self._frozen and not loads.has_forces and (loads.motors.is_empty or loads.motors.is_compilable)
 
     def memory(self) -> Memory:
         """The addresses of the model and its state, valid until the next rebuild."""
@@ -293,14 +297,68 @@ class World:
         addresses = mujoco_library.struct_address(model), mujoco_library.struct_address(data)
         return Memory(*addresses, model.nq, model.nv, [array.ctypes.data for array in arrays])
 
-    def check(self) -> None:
-        """Raises Diverged when a robot's state is not finite or huge. Takes microseconds; call it once per slice."""
+    def diverged(self) -> list[str]:
+        """The robots whose state is not finite or huge."""
         positions, velocities = np.abs(self.data.qpos) < HUGE, np.abs(self.data.qvel) < HUGE
         if positions.all() and velocities.all():
-            return
-        for body in self._bodies.values():
-            if not (positions[body.coordinates].all() and velocities[body.dofs].all()):
-                raise Diverged(body.name)
+            return []
+        return [
+            body.name
+            for body in self._bodies.values()
+            if not (positions[body.coordinates].all() and velocities[body.dofs].all())
+        ]
+
+    def check(self) -> None:
+        """Raises Diverged when a robot's state is not finite or huge. Takes microseconds; call it once per slice."""
+        for name in self.diverged():
+            raise Diverged(name)
+
+    @property
+    def frozen(self) -> list[str]:
+        """The robots that are held at rest since they diverged, in the order of attaching."""
+        return [body.name for body in self._frozen]
+
+    def freeze(self, name: str, positions: Any) -> None:
+        """Hold a robot at rest from now on, until `reset`, or until it is detached. Forces on it are removed.
+
+        `positions`: the qpos of a sound state of the whole world, of which the robot gets its part; None: its state at
+        spawn. Raises UnknownName.
+        """
+        body = self.body(name)
+        part = None if positions is None else np.asarray(positions)[body.coordinates]
+        if part is not None and (np.abs(part) < HUGE).all():
+            self.data.qpos[body.coordinates] = part
+        else:
+            body.put_at_spawn()
+        for array in (self.data.qvel, self.data.qacc, self.data.qacc_warmstart, self.data.qfrc_applied):
+            array[body.dofs] = 0.0
+        self.loads.motors.velocities[body.dofs] = 0.0
+        self.loads.efforts[body.dofs] = 0.0
+        self.loads.keep(lambda force: force.body is not body)
+        self._frozen = [one for one in self._bodies.values() if one is body or one in self._frozen]
+        self._loads_changed()
+        self._observer.invalidate()
+
+    def _step_with_frozen(self) -> None:
+        """Make a step, after which the frozen robots are where they were, at rest.
+
+        The step computes them too, without forces of their hardware, so that others still touch them.
+        """
+        data, motors = self.data, self.loads.motors
+        held = [data.qpos[body.coordinates].copy() for body in self._frozen]
+        for body in self._frozen:
+            data.qfrc_applied[body.dofs] = 0.0
+            data.qvel[body.dofs] = 0.0
+            data.qacc_warmstart[body.dofs] = 0.0
+            motors.velocities[body.dofs] = 0.0
+        if self.loads.is_empty:
+            self._advance()
+        else:
+            self._step_with_loads()
+        for body, positions in zip(self._frozen, held, strict=True):
+            data.qpos[body.coordinates] = positions
+            data.qvel[body.dofs] = 0.0
+            data.qacc_warmstart[body.dofs] = 0.0
 
     def _step_with_loads(self) -> None:
         self.loads.step(self.model, self.data, self.clock())
@@ -310,7 +368,12 @@ class World:
     def _choose_step(self) -> None:
         if self.loads.is_empty:
             self.loads.clear_efforts()
-        self.step = self._advance if self.loads.is_empty else self._step_with_loads
+        self.step = self._chosen_step()
+
+    def _chosen_step(self) -> Callable[[], None]:
+        if self._frozen:
+            return self._step_with_frozen
+        return self._advance if self.loads.is_empty else self._step_with_loads
 
     def _loads_changed(self) -> None:
         before = self.step
@@ -349,6 +412,7 @@ class World:
     def reset(self) -> None:
         """Restore the state right after attaching for all robots, without external forces."""
         self._replace_broken_data()
+        self._frozen = []
         self.loads.motors.velocities[:] = 0.0
         self.loads.clear_efforts()
         self.loads.keep(lambda _: False)
@@ -392,6 +456,7 @@ class World:
             "data": {name: getattr(self.data, name).copy() for name in (*_OF_DATA, *_OF_LAST_STEP)},
             "model": {name: getattr(self.model, name).copy() for name in _PLACED},
             "loads": self.loads.snapshot(),
+            "frozen": self.frozen,
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
@@ -407,6 +472,7 @@ class World:
         for array, values in pairs:
             array[:] = values
         self.data.time = self._forces_at = snapshot["time"]
+        self._frozen = [self._bodies[name] for name in snapshot.get("frozen", ())]
         self.loads.motors.release(self.model)
         self.loads.restore(snapshot["loads"], self._bodies)
         self._bind_loads()

@@ -64,6 +64,14 @@ class History:
         qpos, qvel, forces, efforts, _ = self._world.views
         self._bytes[at : at + row_bytes] = b"".join((self._time, qpos, qvel, forces, efforts))
 
+    def last_positions(self) -> Any:
+        """All of qpos in the newest row (n,), or None when there is no row yet."""
+        room, taken = int(self._table[ROWS]), int(self._table[TAKEN])
+        if not taken:
+            return None
+        at = HEADER + (taken - 1) % room * self._width + 1
+        return self._table[at : at + self._positions]
+
     def of_joint(self, qpos: int, dof: int, since_ns: int, before_ns: int) -> Any:
         """Time (s), position, velocity and effort of a joint in the rows with since_ns <= time < before_ns, (n, 4)."""
         room, taken = int(self._table[ROWS]), int(self._table[TAKEN])

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from slidectl.errors import Refused, SlidectlError
 from slidectl.physics import Diverged, EngineError, World
 from slidectl.simulation.compiled.engine import Engine
-from slidectl.simulation.cycle import CHECK_EVERY, HardwareFailed, PlainRunner, Runner
+from slidectl.simulation.cycle import CHECK_EVERY, HardwareFailed, PlainRunner, Runner, is_sane
 from slidectl.simulation.graph import WORLD_NODE, Graph
 from slidectl.simulation.history import History
 from slidectl.simulation.pending import Pending
@@ -211,6 +211,8 @@ class Loop:
         self.step_ns = step_ns
         self.run = RunState()
         self.run.on_news = self.end_burst
+        self.strict = True
+        """Stop the world when a robot diverges; else the robot is frozen, and the others go on."""
         self.driven = False
         """True when a driver (the daemon) calls `step` as `run` says; else time moves only on request."""
         self.enough: Callable[[], bool] | None = None
@@ -306,13 +308,23 @@ class Loop:
         before = clock.cycles
         try:
             done = runner.run(count)
-            if clock.cycles % CHECK_EVERY == 0:
-                self.world.check()
+            if clock.cycles % CHECK_EVERY == 0 or not is_sane(self.world.views.qvel):
+                self._check()
         except (Diverged, HardwareFailed) as trouble:
             return clock.cycles - before, trouble
         except EngineError as trouble:
             return clock.cycles - before, Refused(f"MuJoCo cannot go on: {trouble}")
         return done, None
+
+    def _check(self) -> None:
+        """Freeze the robots that have diverged. Raises Diverged when `strict`."""
+        if self.strict:
+            self.world.check()
+            return
+        for name in self.world.diverged():
+            self.world.freeze(name, self.history.last_positions())
+            self.graph.log("fatal", WORLD_NODE, f"{Diverged(name).message}; it is frozen, and the others go on")
+        # What the last steps computed with the robot is replaced by the next step.
 
     def _give_up(self, trouble: SlidectlError) -> None:
         """Hold the world and log the trouble; raise it too when not `driven`."""

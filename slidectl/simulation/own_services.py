@@ -101,6 +101,7 @@ class OwnServices:
             "pictures": simulation.drawn_by(),
             "robots": self._robots.names(),
             "estop": [robot.name for robot in self._robots if robot.emergency_stop],
+            "frozen": simulation.world.frozen,
             "faults": [fault["name"] for fault in simulation.faults.messages() if fault["state"] != "over"],
             "controllers": sum(len(manager.names()) for manager in managers),
             "controllers_running": sum(len(manager.running) for manager in managers),
@@ -284,6 +285,7 @@ class OwnServices:
                 for n in paper.report
             ],
             "estop": robot.emergency_stop,
+            "frozen": robot.name in self._simulation.world.frozen,
             "process_session": robot.caller,
         }
 

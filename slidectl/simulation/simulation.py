@@ -52,6 +52,8 @@ class Simulation:
             `auto`, which changes to compiled as soon as possible. The results are the same to the bit.
         imports: modules with the user's controllers and hardware, by dotted name or as files (`FILE.py`), imported
             first.
+        strict: a robot whose state is no longer a number stops the world, with Diverged; else that robot is held at
+            rest until a reset, and the others go on.
 
     In callbacks of `subscribe` and of `graph.timers` the objects of a robot that the script holds (controllers, joint
     handles) are up to date. A node of the graph that listens in another way must take them from `robots` each time.
@@ -68,6 +70,7 @@ class Simulation:
         ground: bool = True,
         engine: str = "auto",
         imports: Sequence[str] = (),
+        strict: bool = True,
     ) -> None:
         check_timestep(timestep)
         for module in imports:
@@ -75,6 +78,7 @@ class Simulation:
         self.world = World(timestep, gravity, ground)
         self.graph = Graph()
         self.loop = Loop(self.graph, self.world, from_seconds(timestep), engine)
+        self.loop.strict = strict
         self.robots = Robots(self.world, self.loop)
         self.entities = Entities(self)
         self.monitor: Callable[[], dict[str, Any]] = dict

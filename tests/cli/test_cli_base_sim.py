@@ -60,6 +60,7 @@ def test_status_has_all_its_keys(slidectl: CommandLine) -> None:
 
 
 def test_status_tells_of_a_pause_that_nobody_asked_for(slidectl: CommandLine) -> None:
+    slidectl.ok("daemon", "restart", "--strict")
     slidectl.ok("spawn", "rrbot")
     push = '{joint_name: "rrbot::joint1", effort: 1.0e+100, duration: {secs: -1}}'
     slidectl.ok("service", "call", "/gazebo/apply_joint_effort", push)

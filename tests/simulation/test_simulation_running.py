@@ -246,7 +246,7 @@ def test_a_divergence_is_found_in_the_same_cycle_however_stepping_is_cut(driven:
     driven.resume()
     while not driven.run.paused:
         driven.step(cut)
-    assert driven.cycles == 512
+    assert driven.cycles == 301
 
 
 def test_a_timer_may_reset_the_time_in_the_middle_of_a_step(simulation: Simulation) -> None:

@@ -19,7 +19,7 @@ from slidectl.simulation.compiled.object_file import Cycle
 from slidectl.simulation.compiled.own_laws import LawCode
 from slidectl.simulation.compiled.robot_rows import InterpretedUpdate, RobotRows
 from slidectl.simulation.compiled.tables import NEW_CYCLE, Progress, Tables
-from slidectl.simulation.cycle import CHECK_EVERY, Runner
+from slidectl.simulation.cycle import CHECK_EVERY, Runner, is_sane
 from slidectl.simulation.graph import WORLD_NODE
 from slidectl.simulation.history import EVERY
 
@@ -214,14 +214,17 @@ class CompiledRunner(Runner):
         some = _FIRST_LOOK
         while True:
             until = min(end, progress.cycles + some)
-            self._run_turns(until)
+            to_check = self._run_turns(until)
             is_last = progress.cycles >= end or progress.cycles < until or progress.time_ns >= timers.next_ns
-            if is_last or progress.cycles % CHECK_EVERY == 0 or enough():
+            if to_check or is_last or progress.cycles % CHECK_EVERY == 0 or enough():
                 break
             some *= 2
 
-    def _run_turns(self, end: int) -> None:
-        """Call the machine code and do its interpreter turns, until the last cycle, a due timer or a check."""
+    def _run_turns(self, end: int) -> bool:
+        """Call the machine code and do its interpreter turns, until the last cycle, a due timer or a check.
+
+        Returns True when the physics is to be checked.
+        """
         progress, code = self._progress, self._code.run
         world, clock, timers, topics = self._world, self._graph.clock, self._graph.timers, self._graph.topics
         while True:
@@ -240,9 +243,9 @@ class CompiledRunner(Runner):
                 if turn != turns.STEP_IN_PYTHON:  # in the middle of a cycle
                     continue
                 # The machine code checks for divergence only when it makes the step itself.
-                to_check = progress.cycles % CHECK_EVERY == 0
+                to_check = progress.cycles % CHECK_EVERY == 0 or not is_sane(world.views.qvel)
             if to_check or progress.cycles >= end or progress.time_ns >= timers.next_ns:
-                break
+                return to_check
 
     def _allow(self, end: int) -> None:
         """Set how many cycles may run before the interpreter must check again: those up to `end`, and up to and with
