@@ -16,7 +16,7 @@ needs_numba = pytest.mark.skipif(not object_file.is_possible(), reason="numba is
 
 
 def world_of(engine: str, names: tuple[str, ...], strict: bool = False) -> Simulation:
-    """Robots after 300 cycles: RRBot is `bad`, others are carts on their wheels, whose contacts pass wrong numbers on."""
+    """RRBot is `bad`, the others are carts on their wheels, whose contacts pass wrong numbers on; after 300 cycles."""
     simulation = Simulation(engine=engine, strict=strict)
     if engine == "compiled":
         simulation.engine.complete()
