@@ -51,8 +51,8 @@ def test_status_has_all_its_keys(slidectl: CommandLine) -> None:
     assert set(status(slidectl)) == {
         "version", "pid", "instance", "time", "cycles", "paused", "trouble", "speed", "speed_reached", "timestep",
         "chosen", "engine", "pictures", "cycle_mean", "cycle_p99", "cycle_worst", "lateness_p50", "lateness_p99",
-        "overruns", "robots", "estop", "frozen", "faults", "holders", "lockstep", "journal", "journal_trouble", "controllers",
-        "controllers_running", "connections", "memory", "uptime", "log",
+        "overruns", "robots", "estop", "frozen", "faults", "holders", "lockstep", "journal", "journal_trouble",
+        "controllers", "controllers_running", "connections", "memory", "uptime", "log",
     }  # fmt: skip
     text = slidectl.ok("sim", "status")
     assert "state:       paused" in text
