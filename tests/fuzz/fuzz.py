@@ -23,11 +23,12 @@ sys.path.insert(0, str(Path(__file__).parent.parent.parent))
 from fuzz_attacks import ATTACKS as ATTACKS_ON_DAEMON
 from fuzz_frames import Frames
 from fuzz_target import Tally, case_random, target
+from fuzz_times import Times
 
-ATTACKS = {**ATTACKS_ON_DAEMON, Frames.kind: Frames}
+ATTACKS = {**ATTACKS_ON_DAEMON, Frames.kind: Frames, Times.kind: Times}
 SHARES = {
-    "lines": 0.15, "files": 0.15, "journals": 0.1, "robots": 0.15, "meshes": 0.1, "manager": 0.1, "tcpros": 0.05,
-    "xmlrpc": 0.05, "frames": 0.05, "foxglove": 0.05, "patterns": 0.05,
+    "lines": 0.15, "files": 0.15, "journals": 0.1, "robots": 0.1, "times": 0.05, "meshes": 0.1, "manager": 0.1,
+    "tcpros": 0.05, "xmlrpc": 0.05, "frames": 0.05, "foxglove": 0.05, "patterns": 0.05,
 }  # fmt: skip
 """Of the seconds, by kind."""
 _MOST_FAULTS = 5
