@@ -40,7 +40,8 @@ Every command takes the common options too, before its name or after it:
 
 Results go to stdout, all else to stderr. With `--json` an error is one object, the last line of stderr, with the keys
 `error` (what failed), `hint` (what to do next, or null) and `exit_code`; warnings before it stay text. A reader that
-closes the pipe ends a command quietly.
+closes the pipe ends a command quietly. A file that a command makes is there whole, or nothing new is, also on a full
+disk and at Ctrl-C; recordings and journals keep what came before.
 
 Files that are read are regular files, or links to these; a folder, a named pipe, a device or a socket is refused at
 once (2), by commands and by the daemon, and so is what is larger than the bound of its kind: 16 MiB for models, launch

@@ -1,43 +1,125 @@
 """Writing a file as a whole: the old content stays until the new content is complete on the disk.
 
-Also the kind of a file by its name. The content does not matter here.
+Also the kind of a file by its name, and why a file cannot be written. The content does not matter here. Every file of
+a user that a command makes is written here, except those that grow while something happens and are readable at any
+time: recordings that are being recorded, journals and logs.
 """
 
 from __future__ import annotations
 
+import errno
 import os
+import signal
 import stat
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import BinaryIO, NamedTuple, NoReturn, cast
+
+from slidectl.errors import Refused
+
+AnyPath = str | os.PathLike[str]
+_FULL = {errno.ENOSPC: "is full", errno.EDQUOT: "has no more room for this user"}
+_NO_ALLOCATION = (errno.EOPNOTSUPP, errno.EINVAL, errno.ENOSYS)
+_ENDING = (signal.SIGTERM, signal.SIGHUP)
+_LONGEST_STEM = 200
+"""Bytes of a name that its draft has too; a file system takes 255 in all."""
 
 
-def file_kind(path: str | os.PathLike[str]) -> str:
+class CannotWrite(Refused):
+    """A file cannot be written. A full disk is named."""
+
+    def __init__(self, path: AnyPath, error: OSError, what: str = "", more: str = "", then: str = "") -> None:
+        """`what` the file is, such as "the journal"; `more` about it ends the message, and `then` the hint."""
+        named = f"{what} {os.fspath(path)}".strip()
+        advice = "; then ".join(filter(None, (hint(error, path), then)))
+        super().__init__(f"cannot write {named}: {reason(error, path)}{more}", advice or None)
+
+
+def reason(error: OSError, path: AnyPath) -> str:
+    """Why the file cannot be written; of a full disk where it is mounted."""
+    text, disk = error.strerror or str(error), _full_disk(error, path)
+    return f"{text}: the disk at {disk} {_FULL[error.errno or 0]}" if disk else text
+
+
+def hint(error: OSError, path: AnyPath) -> str | None:
+    """What to do about it; None unless a disk is full."""
+    return "make room there, or name a file elsewhere" if _full_disk(error, path) else None
+
+
+def _full_disk(error: OSError, path: AnyPath) -> str:
+    """Where the full disk is mounted; empty when that is not the cause, or the file is no regular one."""
+    place = os.path.realpath(error.filename if isinstance(error.filename, str) else path)
+    if error.errno not in _FULL or (os.path.exists(place) and not os.path.isfile(place) and not os.path.isdir(place)):
+        return ""
+    while not os.path.ismount(place):
+        place = os.path.dirname(place)
+    return place
+
+
+def file_kind(path: AnyPath) -> str:
     """The suffix of a file name in lower case, with its dot; empty when there is none."""
     return os.path.splitext(os.fspath(path))[1].lower()
 
 
-def write_whole(path: str | os.PathLike[str], text: str | bytes) -> None:
-    """Write the text (UTF-8) or the bytes to the file; an existing file keeps its permissions.
+# --- whole files ------------------------------------------------------------------------------------------------------
 
-    A link stays, and its target is written. Pipes, devices, and files that cannot be replaced are written in place.
+
+def write_whole(path: AnyPath, text: str | bytes) -> None:
+    """Write the text (UTF-8) or the bytes to the file, as `whole_file` does.
 
     Raises:
         OSError: it cannot be written.
     """
-    target, content = os.path.realpath(path), text.encode() if isinstance(text, str) else text
-    if not os.path.exists(path):
-        replace(target, content)
-        return
-    there = os.stat(path)
-    is_ours_alone = stat.S_ISREG(there.st_mode) and there.st_uid == os.geteuid() and there.st_nlink == 1
-    if is_ours_alone and os.access(target, os.W_OK) and os.access(os.path.dirname(target), os.W_OK):
-        replace(target, content, stat.S_IMODE(there.st_mode))
+    with whole_file(path) as file:
+        file.write(text.encode() if isinstance(text, str) else text)
+
+
+@contextmanager
+def whole_file(path: AnyPath) -> Iterator[BinaryIO]:
+    """A file to write piece by piece. It is there when the block ends; after an exception the old one is, or none.
+
+    A link stays, and its target is written. An existing file keeps its permissions. Pipes and devices are written as
+    the pieces come. A file that cannot be replaced (of another user, with several names, in a folder that may not be
+    changed) gets the new content at the end, if the disk has room for it.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    target = os.path.realpath(path)
+    there = os.stat(target) if os.path.exists(path) else None
+    is_plain = there is None or stat.S_ISREG(there.st_mode)
+    if there is None or (is_plain and _can_be_replaced(target, there)):
+        with draft(target, None if there is None else stat.S_IMODE(there.st_mode)) as new, _created(new) as file:
+            yield file
+    elif is_plain:
+        with _collected() as file:
+            yield file
+            _overwrite(target, file)
     else:
-        with open(path, "wb") as file:
-            file.write(content)
+        with open(target, "wb") as file:
+            yield file
 
 
-def replace(target: str | os.PathLike[str], content: bytes, mode: int | None = None) -> None:
-    """Write a file in one step: it is complete, or the old file stays.
+def check_writable(path: AnyPath) -> None:
+    """Raise OSError when `whole_file` cannot write a file of one byte. Nothing changes."""
+    if not os.path.exists(path):
+        with suppress(_Discarded), whole_file(path) as file:
+            file.write(b"\n")
+            file.flush()
+            raise _Discarded
+    elif os.path.isfile(path):
+        open(path, "rb+").close()
+    elif os.path.isdir(path):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), path)
+
+
+class _Discarded(Exception):
+    """Ends the writing of a file that is not wanted."""
+
+
+def replace(target: AnyPath, content: bytes, mode: int | None = None) -> None:
+    """Write a file in one step: it is complete, or the old file stays. A link is replaced.
 
     The permissions are `mode` from the start, so that no other user can read it while it is written. Without a mode the
     umask applies to 0666.
@@ -45,18 +127,131 @@ def replace(target: str | os.PathLike[str], content: bytes, mode: int | None = N
     Raises:
         OSError: it cannot be written; nothing is left behind.
     """
-    draft = f"{os.fspath(target)}.{os.urandom(4).hex()}"
-    # O_EXCL: in a folder that others may write to, another user may have put a link of that name.
-    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
-    with open(os.open(draft, flags, 0o666 if mode is None else 0o600), "wb") as file:
+    with draft(target, mode) as new, _created(new) as file:
+        file.write(content)
+
+
+class Draft(NamedTuple):
+    """A file that will take the place of another. Who writes it must make it anew: mode "x"."""
+
+    path: Path
+    """Beside the target, with the same suffix."""
+    mode: int | None
+    """The permissions that it must have from the start; None: what the umask leaves of 0666."""
+
+
+@contextmanager
+def draft(target: AnyPath, mode: int | None = None) -> Iterator[Draft]:
+    """A draft that takes the place of `target` when the block ends, and is removed after an exception.
+
+    SIGTERM and SIGHUP, where they would end the process, end it when the draft is removed.
+
+    Raises:
+        OSError: it cannot be put on the disk.
+    """
+    folder, name = os.path.split(os.fspath(target))
+    stem, suffix = os.path.splitext(name)
+    stem = os.fsdecode(os.fsencode(stem)[:_LONGEST_STEM])
+    new = Draft(Path(folder, f".{stem}.{os.urandom(4).hex()}{suffix}"), mode)
+    with _ended_late():
         try:
-            file.write(content)
-            file.flush()
-            if mode is not None:
-                os.fchmod(file.fileno(), mode)
-            os.fsync(file.fileno())
-            os.replace(draft, target)
+            yield new
+            _sync(new.path)
+            os.replace(new.path, target)
         except BaseException:  # also on an interrupt; on a full disk the space must be freed
             with suppress(OSError):
-                os.unlink(draft)
+                os.unlink(new.path)
             raise
+
+
+@contextmanager
+def _created(new: Draft) -> Iterator[BinaryIO]:
+    # O_EXCL: in a folder that others may write to, another user may have put a link of that name.
+    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
+    with open(os.open(new.path, flags, 0o666 if new.mode is None else 0o600), "wb") as file:
+        if new.mode is not None:
+            os.fchmod(file.fileno(), new.mode)
+        yield file
+
+
+def _sync(path: Path) -> None:
+    file = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        os.fsync(file)
+    finally:
+        os.close(file)
+
+
+class _Ended(BaseException):
+    """A signal that ends the process came."""
+
+
+@contextmanager
+def _ended_late() -> Iterator[None]:
+    """Raise _Ended inside for a signal that would end the process, and end it by that signal afterwards."""
+    caught, received = [], []
+
+    def end(number: int, _: object) -> NoReturn:
+        received.append(number)
+        raise _Ended
+
+    with suppress(ValueError):  # not in the main thread, where signals are handled
+        for number in _ENDING:
+            if signal.getsignal(number) is signal.SIG_DFL:
+                signal.signal(number, end)
+                caught.append(number)
+    try:
+        yield
+    finally:
+        for number in caught:
+            signal.signal(number, signal.SIG_DFL)
+        if received:
+            os.kill(os.getpid(), received[0])
+
+
+# --- files that cannot be replaced ------------------------------------------------------------------------------------
+
+
+def _can_be_replaced(target: str, there: os.stat_result) -> bool:
+    is_ours_alone = there.st_uid == os.geteuid() and there.st_nlink == 1
+    return is_ours_alone and os.access(target, os.W_OK) and os.access(os.path.dirname(target), os.W_OK)
+
+
+@contextmanager
+def _collected() -> Iterator[BinaryIO]:
+    """A file without a name, in the folder for temporary files, which an error names."""
+    import tempfile  # imported here, as shutil: most commands write no such file, and many import this one
+
+    with tempfile.TemporaryFile() as file:
+        try:
+            yield cast("BinaryIO", file)
+        except OSError as error:
+            error.filename = error.filename or tempfile.gettempdir()
+            raise
+
+
+def _overwrite(target: str, content: BinaryIO) -> None:
+    """Give the file this content. The room is taken first, so that a full disk leaves the old content."""
+    import shutil
+
+    content.flush()
+    size = content.seek(0, os.SEEK_END)
+    content.seek(0)
+    held = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, *_ENDING))  # half of it would be worse
+    try:
+        with open(os.open(target, os.O_WRONLY | os.O_CLOEXEC), "wb") as file:
+            before = os.fstat(file.fileno()).st_size
+            try:
+                if size:
+                    os.posix_fallocate(file.fileno(), 0, size)
+            except OSError as error:
+                os.ftruncate(file.fileno(), before)
+                if error.errno not in _NO_ALLOCATION:
+                    error.filename = target
+                    raise
+            shutil.copyfileobj(content, file)
+            file.truncate()
+            file.flush()
+            os.fsync(file.fileno())
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, held)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import csv
+import os
 import sys
-from collections.abc import Callable
-from contextlib import nullcontext, suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
+from io import TextIOWrapper
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 import click
 
@@ -16,6 +18,7 @@ from slidectl.cli import completion, output
 from slidectl.cli.commands import Variadic, finite, group
 from slidectl.cli.context import Context
 from slidectl.errors import Refused, UsageError
+from slidectl.writing import CannotWrite, whole_file, write_whole
 
 if TYPE_CHECKING:
     from slidectl.recording.flat_rows import Rows
@@ -36,7 +39,8 @@ def open_recording(ctx: Context, file: str | Path) -> Recording:
 
     recording = opened(Path(file))
     if recording.damage:
-        ctx.warn(f"{file}: {recording.damage}; it is read as far as it goes (slidectl bag reindex {file} completes it)")
+        count = output.count(recording.summary().counts.total(), "message")
+        ctx.warn(f"{file}: {recording.damage}; {count} in it can be read (slidectl bag reindex {file} completes it)")
     return recording
 
 
@@ -82,6 +86,7 @@ def _info_text(record: dict[str, Any]) -> str:
         "size": output.megabytes(record["size"]),
         "messages": str(record["messages"]),
         "compression": f"{record['compression']} [{record['chunks']} chunks]",
+        **({"damage": record["damage"]} if record["damage"] else {}),
     }
     width = max((len(one["type"]) for one in record["types"]), default=0)
     types = [f"{one['type']:<{width}} [{one['md5sum']}]" for one in record["types"]]
@@ -164,7 +169,7 @@ def reindex(ctx: Context, file: str) -> None:
     """
     from slidectl.recording.recording_files import copy, opened
 
-    path = Path(file)
+    path = Path(os.path.realpath(file))
     with opened(path) as recording:
         if not recording.damage:
             ctx.done({"file": file, "messages": recording.summary().counts.total(), "kept": None}, f"{file}: complete")
@@ -278,7 +283,7 @@ def export(
 def _write_csv(path: Path | None, rows: Rows, columns: list[str]) -> int:
     count = 0
     try:
-        with nullcontext(sys.stdout) if path is None else path.open("w", encoding="utf-8", newline="") as file:
+        with nullcontext(sys.stdout) if path is None else _text_file(path) as file:
             table = csv.DictWriter(file, columns, lineterminator="\n")
             table.writeheader()
             for row in rows:
@@ -288,8 +293,19 @@ def _write_csv(path: Path | None, rows: Rows, columns: list[str]) -> int:
     except BrokenPipeError:
         raise output.ClosedPipe from None
     except OSError as error:
-        raise Refused(f"cannot write {path or 'the output'}: {error.strerror or error}") from None
+        if path is None:
+            raise Refused(f"cannot write the output: {error.strerror or error}") from None
+        raise CannotWrite(path, error) from None
     return count
+
+
+@contextmanager
+def _text_file(path: Path) -> Iterator[TextIO]:
+    """A file of text, written whole."""
+    with whole_file(path) as file:
+        text = TextIOWrapper(file, encoding="utf-8", newline="")
+        yield text
+        text.detach()
 
 
 def _write_parquet(path: Path, rows: Rows, columns: list[str]) -> int:
@@ -304,10 +320,12 @@ def _write_parquet(path: Path, rows: Rows, columns: list[str]) -> int:
     for row in rows:
         for column, cells in content.items():
             cells.append(row.get(column))
+    sink = pyarrow.BufferOutputStream()
     try:
-        parquet.write_table(pyarrow.table(content), path)
-    except (OSError, pyarrow.ArrowException) as error:
-        with suppress(OSError):
-            path.unlink()
+        parquet.write_table(pyarrow.table(content), sink)
+        write_whole(path, sink.getvalue().to_pybytes())
+    except OSError as error:
+        raise CannotWrite(path, error) from None
+    except pyarrow.ArrowException as error:
         raise Refused(f"cannot write {path}: {error}") from None
     return len(content["time"])

@@ -18,6 +18,7 @@ from typing import NoReturn
 
 from slidectl.errors import EXIT_DONE, Refused, TimedOut
 from slidectl.paths import InstancePaths, make_private
+from slidectl.writing import CannotWrite, write_whole
 
 KINDS = ("launch", "recording", "playing")
 LIMIT_S = 30.0
@@ -106,9 +107,9 @@ def pid_file(path: str | None) -> Iterator[None]:
         yield
         return
     try:
-        Path(path).write_text(f"{os.getpid()}\n", encoding="ascii")
+        write_whole(path, f"{os.getpid()}\n")
     except OSError as error:
-        raise Refused(f"cannot write {path}: {error.strerror}") from None
+        raise CannotWrite(path, error) from None
     try:
         yield
     finally:

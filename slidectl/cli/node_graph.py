@@ -7,9 +7,9 @@ import click
 from slidectl.cli import completion, output
 from slidectl.cli.commands import command
 from slidectl.cli.context import Context
-from slidectl.errors import Refused, UsageError
+from slidectl.errors import UsageError
 from slidectl.viewing import graph_drawing
-from slidectl.writing import write_whole
+from slidectl.writing import CannotWrite, write_whole
 
 
 @command(
@@ -51,7 +51,7 @@ def graph(
         try:
             write_whole(file, writer(found))
         except OSError as error:
-            raise Refused(f"cannot write {file}: {error.strerror or error}") from None
+            raise CannotWrite(file, error) from None
         counts = [output.count(len(some), what) for what, some in (("node", found.nodes), ("topic", found.topics))]
         if with_services:
             counts.append(output.count(len(found.services), "service"))

@@ -9,7 +9,8 @@ import errno
 import json
 import os
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any, TextIO
 
 from slidectl.errors import BadFile, Refused
@@ -38,14 +39,23 @@ def write(text: str) -> None:
         raise Refused(f"cannot write the output: {error.strerror or error}") from None
 
 
-def save(path: str, text: str) -> None:
+def save(path: str, text: str | bytes) -> None:
     """Write a result into a file, whole or not at all. Raises BadFile when it cannot be written."""
-    from slidectl.writing import write_whole
+    from slidectl import writing
 
+    with writing_to(path):
+        writing.write_whole(path, text)
+
+
+@contextmanager
+def writing_to(path: str) -> Iterator[None]:
+    """Turn an OSError of a block that writes to `path` into BadFile."""
     try:
-        write_whole(path, text)
+        yield
     except OSError as error:
-        raise BadFile(f"cannot be written: {error.strerror or error}", path) from None
+        from slidectl.writing import hint, reason
+
+        raise BadFile(f"cannot be written: {reason(error, path)}", path, hint=hint(error, path)) from None
 
 
 def reader_has_gone() -> bool:

@@ -24,7 +24,7 @@ from slidectl.msgs.schema import nanoseconds
 from slidectl.viewing import plot_fields, plots
 from slidectl.viewing.plot_fields import TopicCurves
 from slidectl.viewing.plots import Curve, Plot
-from slidectl.writing import file_kind, write_whole
+from slidectl.writing import CannotWrite, file_kind, write_whole
 
 _LIVE_S = 10.0
 """The window of a live plot, and how long the topics of a plot drawn once are followed; simulated seconds."""
@@ -157,7 +157,7 @@ def show(
         try:
             write_whole(save, plots.as_file(drawn, file_kind(save), size))
         except OSError as error:
-            raise Refused(f"cannot write {save}: {error.strerror or error}") from None
+            raise CannotWrite(save, error) from None
     if ctx.format != "text":
         for record in records or [_record(curve, drawn.begin, save) for curve in drawn.curves]:
             ctx.emit(record)

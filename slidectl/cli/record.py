@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 _LOOK_EVERY_S = 0.2
 _FLUSH_EVERY_S = 1.0
+"""So much wall time of messages is lost at the most when the recorder is killed. Each flush ends a chunk of the file,
+which costs some bytes in it and in memory: so not more often, save in the first second, when little is there."""
 _PROGRESS_EVERY_S = 1.0
 _QUEUE = 100_000
 _DURATION = re.compile(r"(\d+\.?\d*|\.\d+)([smh]?)\Z")
@@ -84,10 +86,10 @@ def record(ctx: Context, /, topics: tuple[str, ...], **given: Any) -> None:
 
     Messages are stored with the simulated time at which they were published, in the order in which they came. It ends
     at Ctrl-C, SIGTERM, or what --duration, --size or (where topics are named) --limit say, and exits 0 then; 1 when
-    messages were lost because they came too fast. When the daemon ends meanwhile the file is completed and the exit
-    code is 3. Without -O the file is named after the date. A recorder that is killed leaves a file without its last
-    second, which 'slidectl bag reindex' completes. With --detach the process id is printed; 'kill PID' ends it, and so
-    does the daemon's end.
+    messages were lost because they came too fast, or the disk is full. When the daemon ends meanwhile the file is
+    completed and the exit code is 3. Without -O the file is named after the date. A recorder that is killed loses at
+    most its last second, and 'slidectl bag reindex' completes the file. With --detach the process id is printed;
+    'kill PID' ends it, and so does the daemon's end.
 
     JSON keys: files, messages, topics, seconds (simulated), bytes, dropped; of --progress: messages, topics, seconds.
     """
@@ -119,17 +121,6 @@ def record(ctx: Context, /, topics: tuple[str, ...], **given: Any) -> None:
             recorder.run(lambda: bool(interrupts.received))
         finally:
             recorder.end()
-
-
-def _readable(path: Path) -> int:
-    """The number of readable messages in a file that was not completed."""
-    from slidectl.recording.recording_files import opened
-
-    try:
-        with opened(path) as recording:
-            return recording.summary().counts.total()
-    except SlidectlError:
-        return 0
 
 
 class _Choice:
@@ -229,6 +220,8 @@ class _Recorder:
         kind, latching, time_ns = self._codecs[topic], published.get("latch", False), nanoseconds(published["time"])
         try:
             self._out.write(topic, kind, latching, time_ns, kind.encode(published["msg"]))
+            if self._out.counts.total() == 1:  # a recorder that is killed at once leaves a file that can be read
+                self._out.flush()
         except (OSError, SlidectlError) as error:
             self._failure = error
 
@@ -239,7 +232,7 @@ class _Recorder:
             Refused: the file cannot be written. NoDaemon.
         """
         client = self._ctx.client
-        flush_at = client.monotonic() + _FLUSH_EVERY_S
+        began = flushed = client.monotonic()
         try:
             with status_line(self._ctx, wanted=not self._tells_progress) as show:
                 while not is_over() and not self._is_done():
@@ -248,12 +241,10 @@ class _Recorder:
                         if is_over() or self._is_done() or client.monotonic() >= look_at:
                             break
                     self._look_for_topics()
-                    if client.monotonic() >= flush_at:
-                        try:
-                            self._out.flush()
-                        except OSError as error:
-                            self._failure = error
-                        flush_at = client.monotonic() + _FLUSH_EVERY_S
+                    now = client.monotonic()
+                    if now >= flushed + _FLUSH_EVERY_S or now < began + _FLUSH_EVERY_S:
+                        flushed = now
+                        self._flush()
                     if self._tells_progress:
                         self._progress()
                     else:
@@ -267,6 +258,12 @@ class _Recorder:
             with suppress(NoDaemon):  # before it ended, the daemon sent all that was published
                 deque(client.events(0.0), maxlen=0)
             raise
+
+    def _flush(self) -> None:
+        try:
+            self._out.flush()
+        except OSError as error:
+            self._failure = error
 
     def _look_for_topics(self) -> None:
         client = self._ctx.client
@@ -316,11 +313,7 @@ class _Recorder:
         except OSError as error:
             self._failure = self._failure or error
         if isinstance(self._failure, OSError):
-            kept, why = _readable(out.path), self._failure.strerror or self._failure
-            raise Refused(
-                f"cannot write {out.path}: {why}; of the {self._so_far()} that came, {kept} messages can be read in it",
-                f"complete it with: slidectl bag reindex {out.path}" if kept else None,
-            )
+            raise out.incomplete(self._failure)
         files = [str(path) for path in out.files]
         record = {
             "files": files, "messages": out.counts.total(), "topics": len(out.counts), "seconds": self._seconds(),

@@ -10,9 +10,8 @@ import os
 import re
 import textwrap
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
-from pathlib import Path
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -23,7 +22,7 @@ from slidectl.cli.context import Context
 from slidectl.cli.terminal_progress import progress_bar
 from slidectl.errors import EXIT_INTERRUPTED, EXIT_REFUSED, BadFile, UsageError, listing
 from slidectl.expressions import evaluate, parsed
-from slidectl.writing import write_whole
+from slidectl.writing import check_writable
 
 if TYPE_CHECKING:
     from slidectl.scenarios.case_run import CaseResult
@@ -129,10 +128,11 @@ def test(
     ctx.close()
     stage: InProcess | Live = daemon_stage.Live(ctx.paths.socket_text) if live else stages.InProcess()
     if keep_failed is not None:
-        with _written(keep_failed):
+        with output.writing_to(keep_failed):
             os.makedirs(keep_failed, exist_ok=True)
-    if junitxml is not None and not (Path(junitxml).is_fifo() or Path(junitxml).is_char_device()):
-        _write_junit(junitxml, cases, [])  # report a path that cannot be written before anything runs
+    if junitxml is not None:
+        with output.writing_to(junitxml):
+            check_writable(junitxml)  # before anything runs
     runner = stages.CaseRuns(commands, stage, sim_timeout, keep_failed, baselines)
     count = 1 if live else workers or len(os.sched_getaffinity(0))
     results, interrupted = _run(ctx, cases, lambda: stage.warm(cases, commands), runner, count, timeout, maxfail)
@@ -247,21 +247,11 @@ def _run(
     return results, bool(interrupts.received)
 
 
-@contextmanager
-def _written(path: str) -> Iterator[None]:
-    """Turn an OSError of a block that writes to `path` into BadFile."""
-    try:
-        yield
-    except OSError as error:
-        raise BadFile(f"cannot be written: {error.strerror or error}", path) from None
-
-
 def _write_junit(path: str, cases: Sequence[Case], results: Sequence[CaseResult]) -> None:
     """Write the results as JUnit XML. Raises BadFile."""
     from slidectl.scenarios.junit import junit
 
-    with _written(path):
-        write_whole(path, junit(cases, results))
+    output.save(path, junit(cases, results))
 
 
 # --- output ---------------------------------------------------------------------------------------------------------

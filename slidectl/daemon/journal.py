@@ -31,6 +31,7 @@ from slidectl.names import OWN_NODE
 from slidectl.physics.hulls import Hulls, MeshSource
 from slidectl.simulation.clock import SECOND
 from slidectl.simulation.pending import Pending
+from slidectl.writing import CannotWrite, hint, reason
 
 if TYPE_CHECKING:
     from slidectl.daemon.session import Session
@@ -64,6 +65,7 @@ class Journal:
         self.path = path = options.journal
         self.trouble = ""
         """The reason why writing has ended, else empty."""
+        self._hint: str | None = None
         self._clients: dict[Session, int] = {}
         """The numbers of connected clients that have sent something."""
         self._clients_so_far = 0
@@ -74,14 +76,15 @@ class Journal:
         try:
             self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
         except OSError as error:
-            raise Refused(f"cannot write the journal {path}: {error.strerror}") from None
+            raise CannotWrite(path, error, "the journal") from None
         file_reads.read = self._read
         chosen = {name: value for name, value in asdict(options).items() if name not in _PROCESS_OPTIONS}
         self._write(_text({"slidectl_journal": FORMAT, **written_by(), "options": chosen}))
         for module in user_modules.imported.values():
             self._note_module(module)
         if self.trouble:
-            raise Refused(f"cannot write the journal {path}: {self.trouble}")
+            os.unlink(path)
+            raise Refused(f"cannot write the journal {path}: {self.trouble}", self._hint)
         user_modules.listeners.append(self._note_module)
 
     def watch(self, simulation: Simulation) -> None:
@@ -192,7 +195,7 @@ class Journal:
                 os.write(self._file, line[written:])  # raises with the reason
             self._size += len(line)
         except OSError as error:
-            self.trouble = error.strerror or str(error)
+            self.trouble, self._hint = reason(error, self.path), hint(error, self.path)
             with suppress(OSError):
                 os.ftruncate(self._file, self._size)
             os.close(self._file)

@@ -35,7 +35,7 @@ class ReplayRecording:
         if path.exists():
             raise Refused(f"{path} is there already", "give the recording another name, or remove that file")
         self._files = SplitFiles(path)
-        self._trouble = ""
+        self._trouble: OSError | None = None
         self._begin_s = begin_s
         self._early_ns: range | None = None
         """Clock times to skip in the second in which it begins, ns; None until that second."""
@@ -80,7 +80,7 @@ class ReplayRecording:
         try:
             self._files.write(topic, kind, latched, self._graph.clock.time_ns, kind.encode(message))
         except OSError as error:  # raised at the end: a publisher must not get it
-            self._trouble = error.strerror or str(error)
+            self._trouble = error
 
     @property
     def messages(self) -> int:
@@ -94,6 +94,6 @@ class ReplayRecording:
         try:
             self._files.close()
         except OSError as error:
-            self._trouble = self._trouble or error.strerror or str(error)
-        if self._trouble:
-            raise Refused(f"cannot write {self._files.path}: {self._trouble}")
+            self._trouble = self._trouble or error
+        if self._trouble is not None:
+            raise self._files.incomplete(self._trouble)

@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+from slidectl import writing
 from slidectl.client import Client
 from slidectl.description import source_note
 from slidectl.description.packages import Packages
@@ -23,7 +24,6 @@ from slidectl.launch.nodes.programs import Process, reason
 from slidectl.launch.nodes.spawn_model import SpawnModel
 from slidectl.launch.plan import LaunchPlan, Leaf, Location, Node, RosparamCommand
 from slidectl.launch.task import HOOK_LIMIT_S, Run, StepFailed, Task
-from slidectl.writing import write_whole
 
 # There is no event for a new robot or parameter, so waiting tasks are tried again periodically.
 _LOOK_AGAIN_S = 0.2
@@ -436,9 +436,10 @@ def _carry_out(run: Run, command: RosparamCommand) -> None:
 
     text = yaml.safe_dump(run.parameter(command.name) or {}, allow_unicode=True, default_flow_style=False)
     try:
-        write_whole(command.file, text)
+        writing.write_whole(command.file, text)
     except OSError as error:
-        raise Refused(f"{command.place}: <rosparam>: cannot write {command.file}: {error.strerror}") from None
+        text = f"{command.place}: <rosparam>: cannot write {command.file}: {writing.reason(error, command.file)}"
+        raise Refused(text, writing.hint(error, command.file)) from None
 
 
 def _delete(run: Run, name: str, place: Location) -> None:

@@ -21,6 +21,7 @@ from slidectl.errors import BadFile, Refused, UsageError, cut, listing
 from slidectl.msgs.field_path import NoElement, Selection, select
 from slidectl.recording.recording_files import COMPRESSIONS, Recording, opened, topic_and_field
 from slidectl.recording.records import Record, RecordedTopic
+from slidectl.writing import CannotWrite
 
 LEFT_OUT = ("/rosout",)
 """Topics that are compared only if a field of them is given."""
@@ -159,12 +160,16 @@ def _compare_table(
 
 
 def _put(path: Path, content: bytes) -> None:
-    """Write a file. Raises Refused."""
+    """Write a file, and the folders above it. Raises CannotWrite: none of them was made then."""
+    made = [folder for folder in path.parents if not folder.exists()]
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        writing.replace(path, content)
+        writing.write_whole(path, content)
     except OSError as error:
-        raise Refused(f"cannot write {path}: {error.strerror or error}") from None
+        for folder in made:
+            with suppress(OSError):  # another case may have put its baseline there
+                folder.rmdir()
+        raise CannotWrite(path, error) from None
 
 
 # --- tables -----------------------------------------------------------------------------------------------------------

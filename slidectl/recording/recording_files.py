@@ -9,7 +9,7 @@ from __future__ import annotations
 import fcntl
 import math
 import os
-import struct
+import stat
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Iterable, Iterator
@@ -19,10 +19,11 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from slidectl import input_files, names
+from slidectl import input_files, names, writing
 from slidectl.errors import BadFile, Refused, SlidectlError, UnknownName, UsageError
 from slidectl.msgs.field_path import Selection, select
 from slidectl.msgs.schema import Schema
+from slidectl.recording import cut_chunks
 from slidectl.recording.codec import BadDefinition, Codec
 from slidectl.recording.records import Record, RecordedTopic
 
@@ -32,6 +33,7 @@ EVERY_CYCLE = "/clock|/gazebo/(link|model)_states"
 CHUNK = 768 * 1024
 """Bytes of messages in a chunk, as in rosbag."""
 MEGABYTE = 1_000_000
+_NOT_CLOSED, _CUT_OFF, _DAMAGED = "it was not closed", "it was cut off", "a part of it is damaged"
 _LOOK_AT_SIZE = 64
 """The number of messages between two checks of the file's size."""
 _BAG_MAGIC = b"#ROSBAG V2.0\n"
@@ -99,6 +101,10 @@ class RecordingWriter(ABC):
     def close(self) -> None:
         """Complete the file with its index."""
 
+    @abstractmethod
+    def abandon(self) -> None:
+        """Close the file as it is. After a failed `write` or `flush` nothing else may be called."""
+
     @property
     def size(self) -> int:
         """The present size of the file in bytes."""
@@ -122,22 +128,49 @@ def check_kind(path: Path, compression: str = "none") -> None:
 
 
 def create(path: Path, compression: str = "none", force: bool = False) -> RecordingWriter:
-    """Create a recording of the kind of its suffix; `force` replaces an existing file.
+    """Create a recording of the kind of its suffix, of which the beginning is on the disk then.
+
+    `force` replaces an existing file. A link stays, and its target is written.
 
     Raises:
-        UsageError, NoMcap: as `check_kind` does. Refused: the file exists, or cannot be created.
+        UsageError, NoMcap: as `check_kind` does. Refused: the file exists, is being recorded, or cannot be created.
     """
     check_kind(path, compression)
-    if not force:
-        refuse_existing(path)
+    target = Path(os.path.realpath(path))
     try:
-        if force:  # after all checks, so that the old file is not lost for nothing
-            path.unlink(missing_ok=True)
-        writer = _BagWriter(path, compression) if path.suffix == ".bag" else _McapWriter(path, compression)
-        _lock(writer.file)
+        if not force:
+            refuse_existing(path)
+            return _begun(target, compression)
+        refuse_unreplaceable(path)
+        with writing.draft(target) as new:  # the old file is not lost for nothing
+            writer = _begun(new.path, compression)
+        writer.path = target
         return writer
     except OSError as error:
-        raise Refused(f"cannot write {path}: {error.strerror or error}") from None
+        if isinstance(error, FileExistsError):
+            refuse_existing(path)  # it came just now
+        raise writing.CannotWrite(path, error) from None
+
+
+def _begun(path: Path, compression: str, mode: int | None = None) -> RecordingWriter:
+    """A new recording, locked. Raises OSError: it cannot be begun, and nothing is left."""
+    try:
+        writer = _BagWriter(path, compression) if path.suffix == ".bag" else _McapWriter(path, compression)
+    except FileExistsError:
+        raise
+    except OSError:
+        path.unlink(missing_ok=True)
+        raise
+    try:
+        if mode is not None:
+            os.fchmod(writer.file.fileno(), mode)
+        _lock(writer.file)
+        writer.flush()
+    except BaseException:
+        writer.abandon()
+        path.unlink(missing_ok=True)
+        raise
+    return writer
 
 
 def _lock(file: BinaryIO) -> bool:
@@ -155,6 +188,17 @@ def refuse_existing(path: Path) -> None:
     """Raise Refused when the file exists."""
     if path.exists():
         raise Refused(f"{path} is there already", "give another name, or --force to write over it")
+
+
+def refuse_unreplaceable(path: Path) -> None:
+    """Raise Refused when the path leads to something that no recording replaces, or to one that is being recorded."""
+    if not path.exists():
+        return
+    if not path.is_file():
+        raise Refused(f"{path} is no regular file", "give another name")
+    with suppress(OSError), path.open("rb") as file:  # one that cannot be read can be replaced
+        if not _lock(file):
+            raise Refused(f"{path} is being recorded", "end that first, or give another name")
 
 
 class _BagWriter(RecordingWriter):
@@ -178,12 +222,11 @@ class _BagWriter(RecordingWriter):
         self._writer.flush()
 
     def close(self) -> None:
-        try:
-            self._writer.close()
-        except OSError:
-            with suppress(OSError):
-                self._writer.abort()
-            raise
+        self._writer.close()
+
+    def abandon(self) -> None:
+        with suppress(OSError):
+            self._writer.abort()
 
 
 class _McapWriter(RecordingWriter):
@@ -213,9 +256,11 @@ class _McapWriter(RecordingWriter):
         self._writer.flush()  # type: ignore[no-untyped-call]
 
     def close(self) -> None:
-        try:
-            self._writer.finish()  # type: ignore[no-untyped-call]
-        finally:
+        self._writer.finish()  # type: ignore[no-untyped-call]
+        self.file.close()
+
+    def abandon(self) -> None:
+        with suppress(OSError):
             self.file.close()
 
 
@@ -260,9 +305,13 @@ class SplitFiles:
         self.last_ns = 0
         self.bytes = 0
         """The size of the completed files, bytes."""
+        self.kept = 0
+        """The number of messages that can be read in a last file that could not be completed."""
         self.is_full = False
         self._writer: RecordingWriter | None = None
         """None after `close`, and if the next file could not be opened."""
+        self._has_failed = False
+        """True when something could not be written: no index may follow what is there."""
         self._open()
 
     @property
@@ -286,6 +335,10 @@ class SplitFiles:
 
     def write(self, topic: str, codec: Codec, latching: bool, time_ns: int, raw: bytes) -> None:
         """Write a message; `latching`: it was published before the subscription. Raises OSError, Refused."""
+        with self._noting_failure():
+            self._write(topic, codec, latching, time_ns, raw)
+
+    def _write(self, topic: str, codec: Codec, latching: bool, time_ns: int, raw: bytes) -> None:
         if self._ends(time_ns):
             if not self._split:
                 self.is_full = True
@@ -320,18 +373,47 @@ class SplitFiles:
 
     def flush(self) -> None:
         """Flush the file. Raises OSError."""
-        if self._writer is not None:
-            self._writer.flush()
+        with self._noting_failure():
+            if self._writer is not None:
+                self._writer.flush()
 
     def close(self) -> None:
-        """Complete the file. A second call does nothing. Raises OSError."""
+        """Complete the file. A second call does nothing.
+
+        A file of which something could not be written is left as it is; when nothing in it can be read it is removed.
+
+        Raises OSError.
+        """
         if self._writer is None:
             return
         writer, self._writer = self._writer, None
         try:
-            writer.close()
+            with self._noting_failure():
+                if not self._has_failed:
+                    writer.close()
         finally:
-            self.bytes += self.path.stat().st_size
+            if self._has_failed:
+                writer.abandon()
+                self.kept = readable_messages(self.path)
+                if not self.kept:
+                    self.path.unlink(missing_ok=True)
+            self.bytes += self.path.stat().st_size if self.path.exists() else 0
+
+    def incomplete(self, error: OSError) -> Refused:
+        """The error to raise after `close` when a file could not be completed: what is kept, and what to do next."""
+        of_all = f"of {self.counts.total()} messages that came"
+        if not self.kept:
+            return writing.CannotWrite(self.path, error, more=f"; {of_all}, none could be kept in it")
+        next_step = f"complete it with: slidectl bag reindex {self.path}"
+        return writing.CannotWrite(self.path, error, more=f"; {of_all}, {self.kept} can be read in it", then=next_step)
+
+    @contextmanager
+    def _noting_failure(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError:
+            self._has_failed = True
+            raise
 
 
 # --- reading ----------------------------------------------------------------------------------------------------------
@@ -457,7 +539,7 @@ def _open_bag(path: Path, file: BinaryIO) -> Recording:
             return _BagRecording(path, file)
         except Exception:  # the library raises many classes
             return _TruncatedBag(path, file, "its index is damaged")
-    return _TruncatedBag(path, file, "it was not closed" if not index else "it is cut off")
+    return _TruncatedBag(path, file, _NOT_CLOSED if not index else _CUT_OFF)
 
 
 class _BagRecording(Recording):
@@ -549,11 +631,21 @@ class _TruncatedBag(_SequentialRecording):
 
         self.chunks = 0
         self._file.seek(len(_BAG_MAGIC))
-        with suppress(Exception):  # where the file is cut off, or what follows is no record
-            for compression, records in chunks(self._file, self._known):
-                self.compression = compression
-                self.chunks += 1
+        every = chunks(self._file, self._known)
+        while True:
+            try:
+                compression, is_whole, records = next(every)
+            except StopIteration:
+                return
+            except Exception:  # where the file is cut off, or what follows is no record
+                self.damage = _CUT_OFF
+                return
+            self.compression = compression
+            self.chunks += is_whole
+            try:
                 yield from records
+            except Exception:
+                self.damage = _DAMAGED if is_whole else _CUT_OFF
 
 
 class _McapRecording(_SequentialRecording):
@@ -565,37 +657,68 @@ class _McapRecording(_SequentialRecording):
 
     def _scan(self) -> Iterator[Record]:
         from mcap import records
-        from mcap.exceptions import McapError
+
+        self.damage, self.chunks, schemas = _NOT_CLOSED, 0, {}
+        for one in self._mcap_records():
+            if isinstance(one, records.Schema):
+                schemas[one.id] = one
+            elif isinstance(one, records.Channel) and one.id not in self._known:
+                schema = schemas.get(one.schema_id)
+                if one.message_encoding != "ros1" or schema is None or schema.encoding != "ros1msg":
+                    raise BadRecording(
+                        f"{one.topic} has messages of the encoding {one.message_encoding!r}, not ros1", str(self.path)
+                    )
+                text, about = schema.data.decode("utf-8", "replace"), one.metadata
+                latching = about.get("latching") == "1"
+                self._known[one.id] = RecordedTopic(
+                    one.id, one.topic, schema.name, text, about.get("md5sum", ""), latching, about.get("callerid", "")
+                )
+            elif isinstance(one, records.Message):
+                if (topic := self._known.get(one.channel_id)) is not None:  # unknown if an earlier chunk is damaged
+                    yield Record(topic, one.log_time, one.data)
+            elif isinstance(one, records.Footer) and self.damage == _NOT_CLOSED:
+                self.damage = ""
+
+    def _mcap_records(self) -> Iterator[Any]:
+        """The records of the file, and those in its chunks. Where it is cut off, those that are whole."""
+        from mcap.records import Chunk
         from mcap.stream_reader import StreamReader, breakup_chunk
 
         self._file.seek(0)
-        self.damage, self.chunks, schemas = "it was not closed", 0, {}
-        every = StreamReader(self._file, emit_chunks=True).records
-        with suppress(McapError, struct.error, OSError, ValueError, EOFError, RuntimeError):
-            for outer in every:
-                if isinstance(outer, records.Chunk):
-                    self.chunks += 1
-                    self.compression = outer.compression or "none"
-                for one in breakup_chunk(outer) if isinstance(outer, records.Chunk) else (outer,):
-                    if isinstance(one, records.Schema):
-                        schemas[one.id] = one
-                    elif isinstance(one, records.Channel) and one.id not in self._known:
-                        schema = schemas.get(one.schema_id)
-                        if one.message_encoding != "ros1" or schema is None or schema.encoding != "ros1msg":
-                            raise BadRecording(
-                                f"{one.topic} has messages of the encoding {one.message_encoding!r}, not ros1",
-                                str(self.path),
-                            )
-                        text, about = schema.data.decode("utf-8", "replace"), one.metadata
-                        latching = about.get("latching") == "1"
-                        self._known[one.id] = RecordedTopic(
-                            one.id, one.topic, schema.name, text, about.get("md5sum", ""), latching,
-                            about.get("callerid", ""),
-                        )  # fmt: skip
-                    elif isinstance(one, records.Message):
-                        yield Record(self._known[one.channel_id], one.log_time, one.data)
-                    elif isinstance(one, records.Footer):
-                        self.damage = ""
+        every = iter(StreamReader(self._file, emit_chunks=True).records)
+        while True:
+            place = self._file.tell()
+            try:
+                outer: Any = next(every)
+            except StopIteration:
+                return
+            except Exception:  # besides the library's own classes, struct and others raise theirs
+                break
+            if not isinstance(outer, Chunk):
+                yield outer
+                continue
+            self.chunks += 1
+            self.compression = outer.compression or "none"
+            try:
+                inner = breakup_chunk(outer)
+            except Exception:
+                self.damage = _DAMAGED
+            else:
+                yield from inner
+        if place < os.fstat(self._file.fileno()).st_size:
+            self.damage = _CUT_OFF
+            self._file.seek(place)
+            if (rest := cut_chunks.mcap_chunk(self._file)) is not None:
+                yield from breakup_chunk(rest)
+
+
+def readable_messages(path: Path) -> int:
+    """The number of messages that can be read in a file that may be damaged."""
+    try:
+        with opened(path) as recording:
+            return recording.summary().counts.total()
+    except SlidectlError:
+        return 0
 
 
 # --- copying ----------------------------------------------------------------------------------------------------------
@@ -607,33 +730,55 @@ def copy(
     """Write records of a recording into a new one, which appears when it is complete. Returns their number.
 
     Args:
-        target: the path of the new one; an existing file is replaced.
+        target: the path of the new one; an existing file is replaced, where a link leads too.
         kept: where an existing file is moved instead.
 
     Raises:
         UsageError, Refused: it cannot be written.
     """
-    part = target.with_name(f".{target.stem}.{os.getpid()}{target.suffix}")
+    check_kind(target, compression)
+    if kept is None:
+        refuse_unreplaceable(target)
+    target = Path(os.path.realpath(target))
+    mode = stat.S_IMODE(target.stat().st_mode) if target.exists() else None
     count = 0
     try:
-        with ExitStack() as stack:
-            writer = create(part, compression)
-            stack.callback(part.unlink, missing_ok=True)
-            added: dict[Any, Any] = {}
-            numbers: dict[int, Any] = {}
-            for channel, time_ns, raw in records:
-                if channel.number not in numbers:
-                    codec = recording.codec(channel)
-                    key = channel.topic, codec.type, codec.md5, channel.latching, channel.callerid
-                    if key not in added:  # in rosbag's files a publisher that connected twice has two connections
-                        added[key] = writer.add(channel.topic, codec, channel.latching, channel.callerid)
-                    numbers[channel.number] = added[key]
-                writer.write(numbers[channel.number], time_ns, raw)
-                count += 1
-            writer.close()
-            if kept is not None:
-                target.rename(kept)
-            part.replace(target)
-            return count
+        with ExitStack() as undo:
+            with writing.draft(target, mode) as new, ExitStack() as leaving:
+                writer = _begun(new.path, compression, mode)
+                leaving.callback(writer.abandon)
+                added: dict[Any, Any] = {}
+                numbers: dict[int, Any] = {}
+                for channel, time_ns, raw in records:
+                    if channel.number not in numbers:
+                        codec = recording.codec(channel)
+                        key = channel.topic, codec.type, codec.md5, channel.latching, channel.callerid
+                        if key not in added:  # in rosbag's files a publisher that connected twice has two connections
+                            added[key] = writer.add(channel.topic, codec, channel.latching, channel.callerid)
+                        numbers[channel.number] = added[key]
+                    writer.write(numbers[channel.number], time_ns, raw)
+                    count += 1
+                writer.close()
+                if kept is not None:
+                    _keep(target, kept)
+                    undo.callback(_give_back, target, kept)
+            undo.pop_all()
     except OSError as error:
-        raise Refused(f"cannot write {target}: {error.strerror or error}") from None
+        raise writing.CannotWrite(target, error) from None
+    return count
+
+
+def _keep(target: Path, kept: Path) -> None:
+    """Give the file another name, before another file takes its own. It keeps both until then, where that can be."""
+    try:
+        os.link(target, kept)
+    except OSError:  # a file system without links
+        target.rename(kept)
+
+
+def _give_back(target: Path, kept: Path) -> None:
+    """Undo `_keep`."""
+    if target.exists():
+        kept.unlink()
+    else:
+        kept.rename(target)

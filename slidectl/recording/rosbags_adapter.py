@@ -12,14 +12,17 @@ pyproject.toml names the versions for which this holds, and a test compares thes
 
 from __future__ import annotations
 
+import errno
 import io
+import os
 import struct
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from rosbags.rosbag1 import Reader, Writer, reader
+from rosbags.rosbag1 import Reader, Writer, WriterError, reader
 
+from slidectl.recording import cut_chunks
 from slidectl.recording.records import Record, RecordedTopic
 
 _NO_TIME_NS = 1
@@ -35,7 +38,10 @@ class ChunkWriter(Writer):
     """A new bag, open, with so many bytes of messages in a chunk. `file` is the file."""
 
     def __init__(self, path: Path, compression: str, chunk_size: int) -> None:
-        super().__init__(path)
+        try:
+            super().__init__(path)
+        except WriterError:
+            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path)) from None
         self.chunk_threshold = chunk_size
         if compression != "none":
             self.set_compression(Writer.CompressionFormat[compression.upper()])
@@ -45,7 +51,10 @@ class ChunkWriter(Writer):
             self.compressor = lambda chunk: frame.compress(
                 chunk, 0, block_linked=False, content_checksum=True, store_size=False
             )
-        self.open()
+        try:
+            self.open()
+        except WriterError:
+            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path)) from None
         assert self.bio is not None
         self.file: BinaryIO = self.bio
 
@@ -76,33 +85,55 @@ def chunks_and_compression(bag: Reader) -> tuple[int, str]:
     return len(bag.chunk_infos), next((names[chunk.decompressor] for chunk in bag.chunks.values()), "none")
 
 
-def chunks(file: BinaryIO, known: dict[int, RecordedTopic]) -> Iterator[tuple[str, Iterator[Record]]]:
-    """The compression and the messages of each chunk, from where the file stands; new topics are put into `known`.
+def chunks(file: BinaryIO, known: dict[int, RecordedTopic]) -> Iterator[tuple[str, bool, Iterator[Record]]]:
+    """The compression of each chunk, whether it is whole, and its messages, from where the file stands.
 
-    Any exception ends it: the file does, or is damaged there.
+    Topics are put into `known`. Any exception ends it: the file is cut off or damaged there, and no further chunk can
+    be found. An exception of the messages concerns their chunk alone.
     """
-    while True:
-        header, data = _record(file)
-        if header.get_uint8("op") == reader.RecordType.CHUNK:
+    end = os.fstat(file.fileno()).st_size
+    while file.tell() < end:
+        header, data, is_whole = _record(file, end)
+        kind = header.get_uint8("op")
+        if kind == reader.RecordType.CHUNK:
             compression = header.get_string("compression")
-            yield compression, _messages(reader.decompressors[compression](data), known)
+            content = cut_chunks.decompressed(compression, data, header.get_uint32("size"))
+            yield compression, is_whole, _messages(content, known)
+        elif kind == reader.RecordType.CONNECTION:
+            _note_topic(header, data, known)
+        if not is_whole:
+            raise reader.ReaderError("The last record is cut off.")
 
 
 def _messages(data: bytes, known: dict[int, RecordedTopic]) -> Iterator[Record]:
     chunk = io.BytesIO(data)
     while chunk.tell() < len(data):
-        header, content = _record(chunk)
-        number = header.get_uint32("conn")
-        if header.get_uint8("op") == reader.RecordType.MSGDATA:
-            yield Record(known[number], bag_time(header.get_time("time")), content)
-        elif number not in known:
-            about = reader.Header.read(io.BytesIO(struct.pack("<L", len(content)) + content))
-            latching = about.get("latching", b"0") == b"1"
-            kind, text, md5 = (about.get_string(name) for name in ("type", "message_definition", "md5sum"))
-            callerid = about.get("callerid", b"").decode("utf-8", "replace")
-            known[number] = RecordedTopic(number, header.get_string("topic"), kind, text, md5, latching, callerid)
+        header, content, is_whole = _record(chunk, len(data))
+        if not is_whole:
+            raise reader.ReaderError("The last record of the chunk is cut off.")
+        if header.get_uint8("op") != reader.RecordType.MSGDATA:
+            _note_topic(header, content, known)
+        elif (topic := known.get(header.get_uint32("conn"))) is not None:  # unknown if an earlier chunk is damaged
+            yield Record(topic, bag_time(header.get_time("time")), content)
 
 
-def _record(file: BinaryIO) -> tuple[Any, bytes]:
+def _note_topic(header: Any, content: bytes, known: dict[int, RecordedTopic]) -> None:
+    number = header.get_uint32("conn")
+    if number in known:
+        return
+    about = reader.Header.read(io.BytesIO(struct.pack("<L", len(content)) + content))
+    latching = about.get("latching", b"0") == b"1"
+    kind, text, md5 = (about.get_string(name) for name in ("type", "message_definition", "md5sum"))
+    callerid = about.get("callerid", b"").decode("utf-8", "replace")
+    known[number] = RecordedTopic(number, header.get_string("topic"), kind, text, md5, latching, callerid)
+
+
+def _record(file: BinaryIO, end: int) -> tuple[Any, bytes, bool]:
+    """Header and data of the next record, and whether the data are whole. Raises ReaderError: the header is not."""
+    if reader.read_uint32(file) > end - file.tell():  # the library would ask for so much memory
+        raise reader.ReaderError("The header is cut off.")
+    file.seek(-4, os.SEEK_CUR)
     header = reader.Header.read(file)
-    return header, reader.read_bytes(file, reader.read_uint32(file))
+    size = reader.read_uint32(file)
+    data = file.read(min(size, end - file.tell()))
+    return header, data, len(data) == size

@@ -47,19 +47,19 @@ def write(snapshot: Snapshot, path: str) -> None:
         "sha256": hashlib.sha256(content).hexdigest(),
     }
     whole = MAGIC + json.dumps(about).encode() + b"\n" + content
-    trouble = file_reads.read(f"writing of the snapshot {path}", lambda: _written(path, whole))
+    trouble, _, hint = file_reads.read(f"writing of the snapshot {path}", lambda: _written(path, whole)).partition("\n")
     if trouble:
-        raise Refused(f"cannot write the snapshot {path}: {trouble}")
+        raise Refused(f"cannot write the snapshot {path}: {trouble}", hint or None)
 
 
 def _written(path: str, content: bytes) -> str:
-    """Write the content. Returns the reason of a failure, else an empty text."""
+    """Write the content. Returns the reason of a failure, and in a second line what to do about it; else nothing."""
     if os.path.exists(path) and not os.path.isfile(path):  # opening a pipe would block the daemon
         return "it is no regular file"
     try:
         writing.write_whole(path, content)
     except OSError as error:
-        return error.strerror or str(error)
+        return "\n".join(filter(None, (writing.reason(error, path), writing.hint(error, path))))
     return ""
 
 

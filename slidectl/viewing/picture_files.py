@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 import zlib
+from contextlib import ExitStack, suppress
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -32,7 +33,7 @@ def write_png(path: Path, pixels: Pixels) -> None:
     try:
         writing.write_whole(path, b"\x89PNG\r\n\x1a\n" + b"".join(chunks))
     except OSError as error:
-        raise Refused(f"cannot write {path}: {error.strerror or error}") from None
+        raise writing.CannotWrite(path, error) from None
 
 
 def check_video(path: Path, size: tuple[int, int], rate: Fraction) -> None:
@@ -51,7 +52,7 @@ def check_video(path: Path, size: tuple[int, int], rate: Fraction) -> None:
 
 
 class VideoFile:
-    """A video file with an exact rate. After `close` it can be played."""
+    """A video file with an exact rate. It is there, and can be played, after `close`; after a failure it is not."""
 
     def __init__(self, path: Path, size: tuple[int, int], rate: Fraction) -> None:
         """Takes arguments that `check_video` accepts. Raises Refused: the file cannot be written."""
@@ -63,14 +64,16 @@ class VideoFile:
         """The number of pictures so far."""
         self._av: Any = av
         self._failure: Refused | None = None
+        self._leaving = ExitStack()
         self.rate = rate
         try:
-            self._file = av.open(str(path), "w")
+            file = self._leaving.enter_context(writing.whole_file(path))
+            self._file = av.open(file, "w", format=kind.removeprefix("."))
         except OSError as error:
             raise self._failed(error) from None
         codec, options = ("libx264", {"preset": "veryfast"}) if kind == ".mp4" else ("gif", {})
-        file: Any = self._file
-        self._stream = file.add_stream(codec, rate=rate, options=options)
+        video: Any = self._file
+        self._stream = video.add_stream(codec, rate=rate, options=options)
         self._stream.width, self._stream.height = size
         self._stream.pix_fmt = "yuv420p" if kind == ".mp4" else "pal8"
         self._stream.codec_context.time_base = 1 / rate
@@ -108,12 +111,15 @@ class VideoFile:
         try:
             if self._failure is None:  # encoding into a file that has failed would crash the process
                 self._file.mux(self._stream.encode())
-            self._file.close()
+                self._file.close()
+                self._leaving.close()
         except OSError as error:
             raise self._failed(error) from None
         if self._failure is not None:
             raise self._failure
 
     def _failed(self, error: OSError) -> Refused:
-        self._failure = Refused(f"cannot write {self.path}: {error.strerror or error}")
+        self._failure = writing.CannotWrite(self.path, error)
+        with suppress(OSError):  # so that the file is removed
+            self._leaving.__exit__(type(error), error, error.__traceback__)
         return self._failure

@@ -9,6 +9,7 @@ import json
 import shutil
 import signal
 import subprocess
+import sys
 import zlib
 from collections import Counter
 from collections.abc import Iterator
@@ -24,7 +25,8 @@ from rosbags.typesys import Stores, get_typestore
 from waiting import eventually
 
 from slidectl import msgs
-from slidectl.recording.recording_files import BadRecording, opened
+from slidectl.recording import codec
+from slidectl.recording.recording_files import BadRecording, create, opened
 
 COMMAND = "/slider/joint1_position_controller/command"
 STATES = "/slider/joint_states"
@@ -244,9 +246,113 @@ def test_a_recorder_that_is_killed_leaves_what_came_before(slider: CommandLine, 
     slider.ok(*update)
     shutil.copy(tmp_path / f"killed.orig{suffix}", path)
     done = slider(*update[:-1])
-    assert (done.returncode, f"{path}: it was not closed; it is read as far as it goes" in done.stderr) == (0, True)
+    assert (
+        done.returncode,
+        f"{path}: it was not closed; {record['messages']} messages in it can be read" in done.stderr,
+    ) == (0, True)
     slider.ok("bag", "filter", str(tmp_path / "baselines" / path.name), str(path), "--force")
     assert slider.ok("bag", "reindex", str(path)) == f"{path}: complete\n"
+
+
+_NEVER_FLUSHED = """
+from slidectl.cli import entry, record
+record._LOOK_EVERY_S = 1000.0
+entry()
+"""
+"""The command line with a recorder that comes to no regular flush."""
+
+
+@pytest.mark.parametrize("suffix", [".bag", ".mcap"])
+def test_a_recorder_that_is_killed_at_once_leaves_its_first_message(
+    slider: CommandLine, tmp_path: Path, suffix: str
+) -> None:
+    path = tmp_path / f"killed{suffix}"
+    argv = [sys.executable, "-c", _NEVER_FLUSHED, "record", STATES, "-O", str(path)]
+    with subprocess.Popen(argv, stderr=subprocess.PIPE, text=True, env=slider.environment) as recorder:
+        assert recorder.stderr is not None
+        assert "recording" in recorder.stderr.readline()
+        slider.ok("sim", "step", "20ms")
+        eventually(lambda: len(messages_so_far(path)) == 1, "the first message is not in the file")
+        recorder.kill()
+    assert [topic for topic, _, _ in messages(path)] == [STATES]
+
+
+@pytest.mark.parametrize(
+    ("suffix", "compression"),
+    [(".bag", "none"), (".bag", "lz4"), (".mcap", "none"), (".mcap", "lz4"), (".mcap", "zstd")],
+)
+def test_a_chunk_that_is_cut_off_gives_the_messages_that_are_whole(
+    slider: CommandLine, tmp_path: Path, suffix: str, compression: str
+) -> None:
+    """One chunk of 4000 messages: of a file that is cut in it they are what the user has."""
+    path = tmp_path / f"run{suffix}"
+    write_numbers(path, compression, 4000)
+    whole, content = messages(path), path.read_bytes()
+    before = 0
+    for part in range(1, 50):
+        path.write_bytes(content[: len(content) * part // 50])
+        found = messages_so_far(path)
+        assert found == whole[: len(found)]
+        assert len(found) >= before
+        before = len(found)
+        if compression == "none" and part > 5:
+            assert len(found) >= min(4000, len(whole) * part // 50 - 50)
+    assert before > 3000
+    with opened(path) as recording:
+        assert recording.damage == "it was cut off" or suffix == ".bag"
+    for words in (
+        ("bag", "info"),
+        ("bag", "export", "--csv", "-"),
+        ("plot", "/number/data", "--save", str(tmp_path / "p.csv")),
+    ):
+        done = slider(words[0], *words[1:2], str(path), *words[2:])
+        assert done.returncode == 0, done.stderr
+        assert f"{before} messages in it can be read (slidectl bag reindex {path} completes it)" in done.stderr
+    count = f"{before} of {before} messages"
+    assert count in slider.ok("bag", "filter", str(path), str(tmp_path / f"copy{suffix}"))
+    assert slider("assert", "/number/data", "--from", str(path), "--above", "-1").returncode == 0
+    assert f"{before} messages" in slider.ok("bag", "reindex", str(path))
+    assert messages(path) == whole[:before]
+
+
+@pytest.mark.parametrize("suffix", [".bag", ".mcap"])
+def test_a_file_that_is_cut_at_any_byte_gives_all_whole_messages(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"run{suffix}"
+    write_numbers(path, "none", 12, flush_every=3)
+    whole, content = messages(path), path.read_bytes()
+    least = 0
+    for size in range(len(content)):
+        path.write_bytes(content[:size])
+        found = messages_so_far(path)
+        assert found == whole[: len(found)]
+        assert len(found) >= least, f"of {size} bytes"
+        least = len(found)
+    assert least == 12
+
+
+@pytest.mark.parametrize("suffix", [".bag", ".mcap"])
+def test_a_damaged_chunk_hides_no_other(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"run{suffix}"
+    write_numbers(path, "lz4", 300, flush_every=100, is_closed=False)
+    content = bytearray(path.read_bytes())
+    second = content.index(b"\x04\x22\x4d\x18", content.index(b"\x04\x22\x4d\x18") + 1)  # what an lz4 frame begins with
+    content[second : second + 4] = bytes(4)
+    path.write_bytes(content)
+    with opened(path) as recording:
+        numbers = [int(recording.message(one)["data"]) for one in recording.records()]
+        assert recording.damage
+    assert numbers == [*range(100), *range(200, 300)]
+
+
+def write_numbers(path: Path, compression: str, count: int, flush_every: int = 10**9, is_closed: bool = True) -> None:
+    """A recording of one topic, whose messages have the numbers from 0 on."""
+    writer, kind = create(path, compression), codec.of("std_msgs/Float64")
+    topic = writer.add("/number", kind, latching=False)
+    for number in range(count):
+        writer.write(topic, 10**9 + number * 10**6, kind.encode({"data": float(number)}))
+        if number % flush_every == flush_every - 1:
+            writer.flush()
+    (writer.close if is_closed else writer.abandon)()
 
 
 @pytest.mark.parametrize("suffix", [".bag", ".mcap"])
@@ -397,7 +503,7 @@ def test_copies_keep_the_publishers_of_a_topic_apart(slider: CommandLine, tmp_pa
         with opened(path) as recording:
             assert [(one.callerid, one.latching) for one in recording.channels] == [("/a", True), ("/b", True)]
     path.write_bytes(path.read_bytes()[:-20])  # inside the index
-    assert "its index is damaged; it is read as far as it goes" in slider("bag", "info", str(path)).stderr
+    assert "it was cut off; 2 messages in it can be read" in slider("bag", "info", str(path)).stderr
     slider.ok("bag", "reindex", str(path))
     assert messages(path) == messages(tmp_path / "run.bag")
 

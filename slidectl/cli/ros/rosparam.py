@@ -15,7 +15,7 @@ from slidectl.cli.context import Context
 from slidectl.cli.ros.arguments import Failure, Parser, Tool, option, refusals, resolve
 from slidectl.errors import BadFile, UsageError
 from slidectl.input_files import MOST_TEXT, read_bytes
-from slidectl.writing import write_whole
+from slidectl.writing import reason, write_whole
 
 _VERBOSE = option("-v", "say what is done", dest="verbose")
 _INT32 = range(-(2**31), 2**31)
@@ -212,7 +212,7 @@ def dump(ctx: Context, argv: Sequence[str]) -> None:
     try:
         write_whole(file, param.dumped(value))
     except OSError as error:
-        raise Failure(f"ERROR: cannot write [{file}]: {error.strerror or error}") from None
+        raise Failure(f"ERROR: cannot write [{file}]: {reason(error, file)}") from None
     if given.verbose:
         _show(value, inside)
     return None

@@ -30,7 +30,7 @@ from slidectl.launch.node_kinds import COUNTERPARTS, has_counterpart, tasks
 from slidectl.launch.nodes.controller_nodes import ManagerScript, is_command
 from slidectl.launch.plan import LaunchPlan, Location, Node, Remap, Setting
 from slidectl.values import read
-from slidectl.writing import write_whole
+from slidectl.writing import reason, write_whole
 
 if TYPE_CHECKING:
     from slidectl.client import Client
@@ -259,7 +259,7 @@ def _xacro(ctx: Context, argv: Sequence[str]) -> None:
     try:
         return write_whole(given.file, document.urdf)
     except OSError as error:
-        raise Failure(f"ERROR: cannot write {given.file}: {error.strerror}") from None
+        raise Failure(f"ERROR: cannot write {given.file}: {reason(error, given.file)}") from None
 
 
 def _find(ctx: Context, package: str, executable: str, debug: bool) -> Path:

@@ -137,7 +137,7 @@ def tidy() -> None:
 
     The caller must hold the lock of the report. Others may read meanwhile, and find a file missing.
     """
-    for draft in folder().glob("*.o.*"):
+    for draft in folder().glob(".*.o"):
         draft.unlink(missing_ok=True)
     for pattern, kept in (("cycle-*.o", KEPT), ("law-*.o", KEPT_LAWS)):
         by_use = sorted(folder().glob(pattern), key=lambda path: path.stat().st_mtime, reverse=True)
