@@ -276,3 +276,14 @@ def test_a_daemon_of_another_version_is_told_once_with_what_helps(slidectl: Comm
         process.wait(30)
     slidectl.ok("daemon", "start", "--paused")
     assert slidectl("sim", "status").stderr == ""
+
+
+@pytest.mark.parametrize("words", [("--ros1", "--websocket", "0"), ("--websocket", "0", "--ros1", "0")], ids=" ".join)
+def test_an_option_without_its_value_may_stand_before_another_one(words: tuple[str, ...]) -> None:
+    """Only the words are read here: the port of a gateway that is given none may be taken on this machine."""
+    import click
+
+    from slidectl.cli.daemon import start
+
+    read = start.make_context("start", list(words), parent=click.Context(click.Group("daemon"))).params
+    assert (read["ros1"], read["websocket"]) == (11311 if words[0] == "--ros1" else 0, 0)
