@@ -413,8 +413,8 @@ SLIPS = """<robot name="slips"><link name="world"/>
 <joint name="j" type="revolute"><parent link="world"/><child link="a"/>
 <limit lower="-{turn}" upper="{turn}" effort="1" velocity="1"/></joint>
 <transmission name="t"><type>transmission_interface/SimpleTransmission</type><joint name="j">
-<hardwareInterface>hardware_interface/EffortJointInterface</hardwareInterface></joint><actuator name="m"/></transmission>
-{plugin}</robot>"""
+<hardwareInterface>hardware_interface/EffortJointInterface</hardwareInterface></joint>
+<actuator name="m"/></transmission>{plugin}</robot>"""
 CONTROL = '<gazebo><plugin name="c" filename="libgazebo_ros_control.so"/></gazebo>'
 
 
@@ -472,5 +472,5 @@ def test_a_missing_blank_after_a_colon_is_named(world: CommandLine, tmp_path: Pa
     done = world("spawn", "slider", "--controllers", str(controllers))
     assert done.returncode == 2
     assert "a blank follows the colon: joint: joint1" in done.stderr
-    done = world("pub", "/gazebo/set_link_state", "link_name:1")
-    assert "a blank follows the colon: 'link_name: 1'" in done.stderr
+    done = world("pub", "--allow-unheard", "/numbers", "std_msgs/Float64", "data:1.0")
+    assert "a blank follows the colon: 'data: 1.0'" in done.stderr
