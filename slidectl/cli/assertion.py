@@ -177,7 +177,10 @@ def assert_(
             ctx.emit(verdict.record(trace), f"{trace.name}: {verdict.text}")
     failed = [f"{trace.name}: {verdict.text}" for verdict in verdicts if not verdict.holds]
     if failed:
-        raise Refused("\n".join(failed))
+        from slidectl.client import steady_error
+
+        why = None if file is not None else steady_error.of_target(ctx.client, trace.name)
+        raise Refused("\n".join(failed), why)
 
 
 def _trace(

@@ -468,6 +468,11 @@ def plot(ctx: Context, manager: str | None, name: str, step: float, duration: fl
         ctx.say(f"{paused(status)}; this waits until it goes on: {resume_hint(status)}")
     limit = ctx.wait_limit(wait_for_world_s(duration))
     response = step_response(ctx.client, found.namespace, local, step, duration, limit)
+    from slidectl.client import steady_error
+
+    joint = str(ctx.client.params.get(f"{found.namespace}/{local}/joint", ""))
+    if (why := steady_error.of_joint(ctx.client, found.namespace, joint)) is not None:
+        ctx.say(why)
     measured = {key.replace("-", "_"): value for key, value in response.measured.items()}
     known = {key: value if value is not None and isfinite(value) else None for key, value in measured.items()}
     about = {"controller": local, "set_point": step, "unit": response.unit, "start": response.start}

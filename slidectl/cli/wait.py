@@ -181,4 +181,8 @@ def _tell(ctx: Context, request: dict[str, Any], answer: dict[str, Any]) -> None
         ctx.emit(record)
     seen = f"last {last}, closest {closest}" if answer["last"] else "no message came"
     limit = f" within {request['within']:g} s" if request["within"] else ""
-    raise Refused(f"{where} was not {expected}{limit}", f"{seen}, at {answer['time']:.3f} s")
+    from slidectl.client import steady_error
+
+    why = steady_error.of_field(ctx.client, request["topic"], request["field"])
+    hint = f"{seen}, at {answer['time']:.3f} s"
+    raise Refused(f"{where} was not {expected}{limit}", f"{hint}\n{why}" if why else hint)
