@@ -130,7 +130,7 @@ def _conditions(
         "slidectl assert joint1_position_controller/state/process_value --set-point set_point --iae '<5' --for 5",
     ],
 )
-@click.argument("target", shell_complete=completion.topics)
+@click.argument("target", shell_complete=completion.topics_and_fields)
 @click.option("--near", type=float, callback=finite, metavar="X", help="Within --tol of X.")
 @click.option("--above", type=float, callback=finite, metavar="X", help="Greater than X.")
 @click.option("--below", type=float, callback=finite, metavar="X", help="Less than X.")

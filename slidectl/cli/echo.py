@@ -47,7 +47,7 @@ class MessageFormat(NamedTuple):
         "slidectl echo joint_states --filter 'm.position[0] > 0.5' --json",
     ]
 )
-@click.argument("target", metavar="TOPIC[/FIELD[I]]", shell_complete=completion.topics)
+@click.argument("target", metavar="TOPIC[/FIELD[I]]", shell_complete=completion.topics_and_fields)
 @click.option("-n", "--count", type=click.IntRange(min=0), metavar="COUNT", help="End after so many messages.")
 @click.option("-p", "plot", is_flag=True, help="CSV for plotting: %time in nanoseconds, then the fields.")
 @click.option("--noarr", is_flag=True, help="Leave out the contents of arrays.")

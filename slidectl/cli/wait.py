@@ -43,7 +43,7 @@ def _condition(
         "slidectl wait 'joint_states/velocity[0]' --below -0.05 --within 5 --json",
     ],
 )
-@click.argument("target", metavar="TOPIC/FIELD[I]", shell_complete=completion.topics)
+@click.argument("target", metavar="TOPIC/FIELD[I]", shell_complete=completion.topics_and_fields)
 @click.option("--near", type=float, callback=finite, metavar="X", help="Within --tol of X.")
 @click.option("--above", type=float, callback=finite, metavar="X", help="Greater than X.")
 @click.option("--below", type=float, callback=finite, metavar="X", help="Less than X.")
