@@ -89,7 +89,7 @@ def test_such_nodes_are_left_out_on_demand(slidectl: CommandLine, launch: Path) 
         ("rviz", "rviz", "slidectl echo joint_states"),
         ("rqt_gui", "rqt_gui", "slidectl echo -p"),
         ("rqt_plot", "rqt_plot", "slidectl plot"),
-        ("gazebo_ros", "gzclient", "slidectl sim status"),
+        ("gazebo_ros", "gzclient", "slidectl view"),
         ("joint_state_publisher", "joint_state_publisher", "slidectl spawn MODEL"),
         ("joint_state_publisher_gui", "joint_state_publisher_gui", "slidectl spawn MODEL"),
     ],
