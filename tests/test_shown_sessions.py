@@ -111,7 +111,12 @@ class Shell:
 @pytest.fixture
 def environment() -> Iterator[dict[str, str]]:
     folder = tempfile.mkdtemp(prefix="slidectl-docs-", dir="/tmp")
-    variables = {**os.environ, "XDG_RUNTIME_DIR": folder, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
+    variables = {
+        **os.environ,
+        "XDG_RUNTIME_DIR": folder,
+        "TMPDIR": folder,
+        "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}",
+    }
     for name in ("SLIDECTL_SOCKET", "SLIDECTL_INSTANCE", "SLIDECTL_NAMESPACE", "DISPLAY", "WAYLAND_DISPLAY"):
         variables.pop(name, None)
     yield variables

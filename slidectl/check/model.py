@@ -20,7 +20,7 @@ from slidectl.check.findings import Findings
 from slidectl.check.tags import Tags, Trace, TracedElement, TracedReport, plain
 from slidectl.control import hardware_types
 from slidectl.control.transmission_interface import load
-from slidectl.description import interfaces, xml_tree
+from slidectl.description import interfaces, slips, xml_tree
 from slidectl.description.document import Written
 from slidectl.description.gazebo_tags import set_transmissions, transmissions_named
 from slidectl.description.mesh_files import MeshFiles
@@ -41,7 +41,7 @@ from slidectl.description.transmissions import driving
 from slidectl.description.xml_tree import Element
 from slidectl.errors import BadFile, BadName, SlidectlError, UnknownName
 
-_PLUGIN = "libgazebo_ros_control.so"
+_PLUGIN = slips.PLUGIN
 _TIMESTEP_S = 0.001  # the daemon's own
 _EXPRESSION = re.compile(r"\$\{(.*?)\}", re.DOTALL)
 _WORD = re.compile(r"[A-Za-z_]\w*")
@@ -277,12 +277,8 @@ class _Joints:
 
     def _missing(self, joint: Joint) -> Iterator[str]:
         limit = joint.limit
-        if joint.type == "revolute" and limit is not None:
-            # Multiples of 5, of which one is 15 or more and none is above 720, are probably degrees.
-            bounds = (abs(limit.lower), abs(limit.upper))
-            if all(bound % 5 == 0 and bound <= 720 for bound in bounds) and max(bounds) >= 15:
-                turns = (limit.upper - limit.lower) / math.tau
-                yield f"its limits are {turns:.3g} turns apart; angles are in rad: 90 degrees are 1.5708"
+        if (text := slips.degrees(joint)) is not None:
+            yield text
         if limit is None:
             yield f"a {joint.type} joint without <limit>: neither its effort nor its velocity is bounded"
         if joint.mimic is not None and joint.name in self.driven:
@@ -359,6 +355,11 @@ def _tell_whole(robot: Robot, root: Element, namespace: str, findings: Findings)
         if not any(link.collisions for link in robot.links.values()):
             text = "note: no link has a <collision>: it falls through the ground"
             findings.add("used", f"robot {robot.name!r}", text, root.file, root.line)
+    is_moving = any(joint.type in MOVING for joint in robot.joints.values())
+    if is_moving and (slip := slips.millimetres(robot)) is not None:
+        where, _, what = slip.partition(": ")
+        line = where.rpartition(":")[2]
+        findings.add("used", "sizes", f"note: {what}", where.rpartition(":")[0], int(line) if line.isdigit() else None)
     plugin = robot.plugin
     is_driven = bool(driven_joints(robot))
     if plugin is not None:

@@ -130,7 +130,7 @@ def _conditions(
         "slidectl assert joint1_position_controller/state/process_value --set-point set_point --iae '<5' --for 5",
     ],
 )
-@click.argument("target", shell_complete=completion.topics)
+@click.argument("target", shell_complete=completion.topics_and_fields)
 @click.option("--near", type=float, callback=finite, metavar="X", help="Within --tol of X.")
 @click.option("--above", type=float, callback=finite, metavar="X", help="Greater than X.")
 @click.option("--below", type=float, callback=finite, metavar="X", help="Less than X.")
@@ -177,7 +177,10 @@ def assert_(
             ctx.emit(verdict.record(trace), f"{trace.name}: {verdict.text}")
     failed = [f"{trace.name}: {verdict.text}" for verdict in verdicts if not verdict.holds]
     if failed:
-        raise Refused("\n".join(failed))
+        from slidectl.client import steady_error
+
+        why = None if file is not None else steady_error.of_target(ctx.client, trace.name)
+        raise Refused("\n".join(failed), why)
 
 
 def _trace(

@@ -314,7 +314,7 @@ def _write_parquet(path: Path, rows: Rows, columns: list[str]) -> int:
         from pyarrow import parquet
     except ImportError:
         raise Refused(
-            "Parquet files need the library pyarrow", "install it: pip install pyarrow, or use --csv"
+            "Parquet files need the library pyarrow", "install it: pip install 'slidectl[parquet]', or use --csv"
         ) from None
     content: dict[str, list[Any]] = {column: [] for column in columns}
     for row in rows:

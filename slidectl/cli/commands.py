@@ -217,6 +217,8 @@ class Command(_Shared):
         every = [param for param in self.get_params(ctx) if isinstance(param, click.Option)]
         named = {name: param for param in every for name in (*param.opts, *param.secondary_opts)}
         takes = {name: 0 if param.is_flag or param.count else param.nargs for name, param in named.items()}
+        # click's options that may stand without their value have the value for that case; the others have none.
+        optional = {name for name, param in named.items() if takes[name] and isinstance(param.flag_value, int | str)}
         options: list[str] = []
         values: list[str] = []
         while rest:
@@ -237,6 +239,8 @@ class Command(_Shared):
                 options += [token[:2], token[3:]]
             else:
                 count = takes.get(token, 0)
+                if token in optional and rest and rest[0].startswith("-") and not looks_like_number(rest[0]):
+                    count = 0  # the next word is an option, not this one's value
                 flags, last = token[1:-1], token[-1]
                 if param is None and all(takes.get(f"-{flag}") == 0 for flag in flags):  # several in one word: -vn 5
                     count = takes.get(f"-{last}", 0)

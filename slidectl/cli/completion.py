@@ -65,6 +65,42 @@ def completer(ask: Callable[[Context], Iterable[str]]) -> Completer:
 
 
 topics = completer(lambda context: context.names("topic"))
+
+
+def _topics_and_fields(context: Context, incomplete: str) -> list[str]:
+    """The topics, and behind a whole topic's name its fields; an array also with its first element."""
+    from slidectl.msgs.schema import TIMES, from_typedefs
+
+    known = context.names("topic")
+    words = fitting(known, incomplete)
+    parts = incomplete.split("/")
+    for count in range(len(parts) - 1, 0, -1):
+        topic = "/".join(parts[:count])
+        if topic and topic in fitting(known, topic):
+            schema = from_typedefs(context.resolve("topic", topic)["typedefs"])
+            types = {**schema.types, **TIMES}
+            *inner, begun = parts[count:]
+            kind: str | None = schema.root
+            for name in inner:
+                bare = name.partition("[")[0]
+                kind = next((field.type for field in types.get(kind or "", ()) if field.name == bare), None)
+            for field in types.get(kind or "", ()):
+                forms = [field.name] if field.array < 0 else [field.name, f"{field.name}[0]"]
+                words += ["/".join([topic, *inner, form]) for form in forms if form.startswith(begun)]
+            break
+    return words
+
+
+def topics_and_fields(click_context: click.Context, _param: click.Parameter, incomplete: str) -> list[str]:
+    """Complete a topic, and then its fields."""
+    context = click_context.find_object(Context) or Context()
+    context.timeout = LIMIT_S
+    try:
+        return _topics_and_fields(context, incomplete)
+    except (SlidectlError, OSError):
+        return []
+
+
 services = completer(lambda context: context.names("service"))
 parameters = completer(lambda context: context.names("parameter"))
 robots = completer(lambda context: [robot["name"] for robot in context.client.robots()])

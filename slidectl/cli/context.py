@@ -120,10 +120,7 @@ class Context:
 
     def managers(self) -> list[Manager]:
         """All controller managers, by namespace."""
-        request, name = {"type": "controller_manager_msgs/ListControllers"}, "/controller_manager/list_controllers"
-        services = self.call("/rosapi/services_for_type", request)["services"]
-        found = sorted(service.removesuffix(name) or "/" for service in services if service.endswith(name))
-        return [self.manager(namespace) for namespace in found]
+        return [self.manager(one.namespace) for one in self.client.managers()]
 
     # --- names --------------------------------------------------------------------------------------------------
 

@@ -468,6 +468,11 @@ def plot(ctx: Context, manager: str | None, name: str, step: float, duration: fl
         ctx.say(f"{paused(status)}; this waits until it goes on: {resume_hint(status)}")
     limit = ctx.wait_limit(wait_for_world_s(duration))
     response = step_response(ctx.client, found.namespace, local, step, duration, limit)
+    from slidectl.client import steady_error
+
+    joint = str(ctx.client.params.get(f"{found.namespace}/{local}/joint", ""))
+    if (why := steady_error.of_joint(ctx.client, found.namespace, joint)) is not None:
+        ctx.say(why)
     measured = {key.replace("-", "_"): value for key, value in response.measured.items()}
     known = {key: value if value is not None and isfinite(value) else None for key, value in measured.items()}
     about = {"controller": local, "set_point": step, "unit": response.unit, "start": response.start}
@@ -491,7 +496,7 @@ def config(ctx: Context, manager: str | None, file: str) -> None:
 # --- parameter files --------------------------------------------------------------------------------------------------
 
 
-def read_parameters(ctx: Context, file: str, namespaces: Sequence[str]) -> Tree:
+def read_parameters(ctx: Context, file: str, namespaces: Sequence[str], tells_moves: bool = False) -> Tree:
     """The parameters of a file by full name, moved to the robot's namespace where the file is for another one.
 
     Names that no controller knows, such as `kd` for a gain, are printed as warnings, as in `check`. When the robot
@@ -499,6 +504,7 @@ def read_parameters(ctx: Context, file: str, namespaces: Sequence[str]) -> Tree:
 
     Args:
         namespaces: namespaces of the robots that the file may be for.
+        tells_moves: print it when the file is for another namespace; else only with -v.
 
     Raises:
         BadFile: the file is missing or holds no parameters. UsageError: the robot is ambiguous.
@@ -520,7 +526,7 @@ def read_parameters(ctx: Context, file: str, namespaces: Sequence[str]) -> Tree:
     if moved and len(namespaces) > 1:
         raise UsageError(f"{path} fits none of {', '.join(namespaces)} by its top key", "say which with --cm")
     if remark:
-        (ctx.detail if moved else ctx.warn)(f"{path}: {remark}")
+        (ctx.warn if tells_moves or not moved else ctx.detail)(f"{path}: {remark}")
     return dict(leaves(placed))
 
 

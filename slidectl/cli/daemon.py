@@ -6,6 +6,7 @@ This module does not use the daemon's internals.
 from __future__ import annotations
 
 import os
+import re
 import select
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -257,17 +258,41 @@ def status(ctx: Context) -> None:
 @click.option("-n", "--lines", type=click.IntRange(min=0), metavar="N", help="Begin with the last N lines.")
 @click.pass_obj
 def logs(ctx: Context, following: bool, lines: int | None) -> None:
-    """Print the daemon's log. JSON key: line."""
-    path = ctx.paths.log
+    """Print the daemon's log.
+
+    JSON keys of each line: time (date and time of this machine), level (info, warn, error ...), node (that speaks, or
+    empty), text, line (the whole line). A line that goes on with the entry before has its time, level and node.
+    """
+    path, record = ctx.paths.log, _records()
     with _opened(path) as file:
         *whole, begun = file.read().split("\n")
         for line in whole if lines is None else whole[max(0, len(whole) - lines) :]:
-            ctx.emit({"line": line}, line)
+            ctx.emit(record(line), line)
         if following:
             for line in _growing(file, path, begun):
-                ctx.emit({"line": line}, line)
+                ctx.emit(record(line), line)
         elif begun and lines != 0:
-            ctx.emit({"line": begun}, begun)
+            ctx.emit(record(begun), begun)
+
+
+_ENTRY = re.compile(r"(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\.\d+) (\w+) +(.*)", re.DOTALL)
+_NODE = re.compile(r"(?:\[[\d.]+\] )?(/[\w/]+): (.*)", re.DOTALL)
+"""Simulated time, node and text of an entry."""
+
+
+def _records() -> Callable[[str], dict[str, str]]:
+    """A function from each line of a log to its record."""
+    last = {"time": "", "level": "", "node": ""}
+
+    def record(line: str) -> dict[str, str]:
+        text = line.strip()
+        if entry := _ENTRY.fullmatch(line):
+            speaks = _NODE.fullmatch(entry[3])
+            text = speaks[2] if speaks else entry[3]
+            last.update(time=entry[1], level=entry[2], node=speaks[1] if speaks else "")
+        return {**last, "text": text, "line": line}
+
+    return record
 
 
 def _growing(file: TextIO, path: Path, begun: str) -> Iterator[str]:

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
+from slidectl import names
 from slidectl.cli import completion, output
 from slidectl.cli.commands import command, simulated_seconds
 from slidectl.cli.context import Context
-from slidectl.cli.topic_streams import PUBLISHERS, Event, Stream, Target, look_up
-from slidectl.errors import TimedOut, UsageError
+from slidectl.cli.topic_streams import PUBLISHERS, Event, Stream, Target, look_up, look_up_when_there
+from slidectl.errors import TimedOut, UnknownName, Unused, UsageError
 from slidectl.msgs.field_path import Selection, select
 from slidectl.msgs.forms import CsvForm, YamlForm
 from slidectl.msgs.schema import Schema, nanoseconds
+
+if TYPE_CHECKING:
+    from slidectl.client import Subscription
 
 _CLEAR = "\033[2J\033[;H"
 
@@ -43,7 +47,7 @@ class MessageFormat(NamedTuple):
         "slidectl echo joint_states --filter 'm.position[0] > 0.5' --json",
     ]
 )
-@click.argument("target", metavar="TOPIC[/FIELD[I]]", shell_complete=completion.topics)
+@click.argument("target", metavar="TOPIC[/FIELD[I]]", shell_complete=completion.topics_and_fields)
 @click.option("-n", "--count", type=click.IntRange(min=0), metavar="COUNT", help="End after so many messages.")
 @click.option("-p", "plot", is_flag=True, help="CSV for plotting: %time in nanoseconds, then the fields.")
 @click.option("--noarr", is_flag=True, help="Leave out the contents of arrays.")
@@ -55,6 +59,7 @@ class MessageFormat(NamedTuple):
 @click.option("-c", "--clear", is_flag=True, help="Clear the screen before each message.")
 @click.option("-w", "width", type=click.IntRange(min=2), metavar="N", help="Characters of a number.")
 @click.option("--offset", is_flag=True, help="Times as difference from now.")
+@click.option("--wait", is_flag=True, help="Wait for a topic that is not there yet, and miss none of its messages.")
 @click.pass_obj
 def echo(
     ctx: Context,
@@ -68,12 +73,14 @@ def echo(
     clear: bool,
     width: int | None,
     offset: bool,
+    wait: bool,
 ) -> None:
     """Print the messages of a topic.
 
     One YAML document per message, closed by '---', until -n or --for is reached or Ctrl-C is pressed. A field behind
     the topic's name, with indices and slices as in Python, is printed alone. --json prints one message a line, which
-    'slidectl pub --stdin' reads. With --timeout it exits 4 when no message has come for so long.
+    'slidectl pub --stdin' reads. With --timeout it exits 4 when no message has come for so long. With --wait the topic
+    may come later; its name is then one in --ns (/).
 
     EXPR compares fields of m (m.position[0], m.header.stamp.to_sec()) with the operators of Python and the functions
     of its math module. The time of a CSV line is the header's stamp, else the simulated time at which it came.
@@ -81,7 +88,15 @@ def echo(
     if plot and ctx.format not in ("text", "csv"):
         raise UsageError(f"-p and -o {ctx.format} exclude each other")
     look = MessageFormat("csv" if plot else ctx.format, not noarr, not nostr, width, clear, offset)
-    print_messages(ctx, look_up(ctx, target, PUBLISHERS), look, condition, count, sim_seconds)
+    begun: list[Subscription] = []
+    try:
+        topic = look_up(ctx, target, PUBLISHERS)
+    except (UnknownName, Unused):
+        if not wait:
+            raise
+        full = names.join(ctx.namespace, target)
+        topic, begun = look_up_when_there(ctx, full, lambda name: ctx.say(f"{name} is not there yet; waiting for it"))
+    print_messages(ctx, topic, look, condition, count, sim_seconds, begun)
 
 
 def predicate(condition: str | None, schema: Schema) -> Keep:
@@ -100,8 +115,11 @@ def print_messages(
     condition: str | None,
     count: int | None,
     sim_seconds: float | None = None,
+    begun: Sequence[Subscription] = (),
 ) -> None:
     """Print messages of a topic until `count` are printed or `sim_seconds` of simulated time are over.
+
+    `begun` is its subscription if that has begun already.
 
     Raises:
         TimedOut: no message comes for `--timeout`. UsageError: the field is unknown or the condition is not valid.
@@ -112,7 +130,7 @@ def print_messages(
         return
     needs_clock = look.offset or (look.form == "csv" and not schema.has_header)
     printed = 0
-    with Stream(ctx, [target.topic], with_clock=needs_clock, sim_seconds=sim_seconds) as stream:
+    with Stream(ctx, [target.topic], with_clock=needs_clock, sim_seconds=sim_seconds, begun=begun) as stream:
         while printed != count:
             event = stream.next(stream.monotonic() + patience)
             if event is None and stream.ended:

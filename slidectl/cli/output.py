@@ -142,8 +142,11 @@ def as_lines(record: Record) -> str:
 
 
 def cell(value: Any) -> str:
-    """A value in a table: lists are joined by blanks, an empty value is `-`, floats have six significant digits."""
-    if value is None or value == "" or value == []:
+    """A value in a table: lists are joined by blanks, an empty value is `-`, floats have six significant digits.
+
+    A value that is not there is nan in a world of this process, and null from a daemon: both are `-`.
+    """
+    if value is None or value == "" or value == [] or value != value:
         return "-"
     if isinstance(value, bool):
         return "yes" if value else "no"

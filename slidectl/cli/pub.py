@@ -17,7 +17,7 @@ from slidectl import names
 from slidectl.cli import completion
 from slidectl.cli.commands import Command, command, positive_seconds
 from slidectl.cli.context import Context
-from slidectl.cli.topic_streams import SUBSCRIBERS, Target, details, look_up
+from slidectl.cli.topic_streams import SUBSCRIBERS, Target, details, look_up, users_of
 from slidectl.errors import BadFile, SlidectlError, TimedOut, UnknownName, Unused, UsageError
 from slidectl.msgs.fill import fill, mentions_clock
 from slidectl.msgs.schema import Schema
@@ -94,13 +94,13 @@ def pub(
     _check_options(words, once, rate, file, stdin)
     name, *given = words
     from_documents = file is not None or stdin
-    target, given = _target(ctx, name, given, allow_unheard, from_documents)
+    target, given, is_new = _target(ctx, name, given, allow_unheard, from_documents)
     given, marked = without_once(given, 0 if from_documents else len(target.typedefs[0]["fieldnames"]))
     once = once or marked
     _check_options(words, once, rate, file, stdin)
     sources = _from_documents(target, file, rate) if from_documents else _from_words(target, given, rate, count)
     source = islice(sources, 1 if once else count)
-    advertise, stays = allow_unheard or latch, latch and not once
+    advertise, stays = allow_unheard or latch or is_new, latch and not once
     publish(ctx, target, source, rate, latch=latch, advertise=advertise, stays=stays, from_documents=from_documents)
 
 
@@ -118,8 +118,9 @@ def _check_options(words: Sequence[str], once: bool, rate: float | None, file: s
 
 def _target(
     ctx: Context, name: str, given: list[str], allow_unheard: bool, from_documents: bool
-) -> tuple[Target, list[str]]:
-    """The topic, and the words without TYPE. Raises as `look_up` does."""
+) -> tuple[Target, list[str], bool]:
+    """The topic, the words without TYPE, and whether the topic is new. Raises as `look_up` does."""
+    is_new = False
     try:
         target = look_up(ctx, name, SUBSCRIBERS, with_field=False)
     except Unused as error:
@@ -127,21 +128,22 @@ def _target(
             raise _with_next_step(ctx, name, error, "--allow-unheard publishes all the same") from None
         target = look_up(ctx, name, None, with_field=False)
     except UnknownName as error:
-        if not allow_unheard:
+        full = names.join(ctx.namespace, name)
+        waiting = users_of(ctx, [full], SUBSCRIBERS)[full]  # as of 'echo --wait'
+        if not allow_unheard and not (waiting and given and re.match(_TYPE, given[0])):
             step = "--allow-unheard publishes on a new topic: give its TYPE"
             raise _with_next_step(ctx, name, error, step) from None
         if not given or not re.match(_TYPE, given[0]):
             hint = "slidectl msg list shows the types"
             raise UsageError(f"there is no topic {name!r} yet, so give its TYPE", hint) from None
-        full = names.check(names.join(ctx.namespace, name))
-        target = Target(full, given[0], "", details(ctx, given[0]), [])
+        target, is_new = Target(names.check(full), given[0], "", details(ctx, given[0]), waiting), True
     has_type = bool(given) and _is_type(given, target, from_documents)
     if has_type and given[0] != target.type:
         raise UsageError(f"{target.topic} has the type {target.type}, not {given[0]}", "TYPE may be left out")
     values = given[1:] if has_type else given
     if from_documents and any(word != _ONCE for word in values):
         raise UsageError("a VALUE beside -f or --stdin: give one of them")
-    return target, values
+    return target, values, is_new
 
 
 def _with_next_step(ctx: Context, name: str, error: SlidectlError, step: str) -> SlidectlError:

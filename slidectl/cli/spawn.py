@@ -104,6 +104,7 @@ def spawn(
     """
     if name is not None:
         names.check_robot(name)
+    from slidectl.description import slips
     from slidectl.description.missing import Missing
 
     missing = Missing("all" if keep_going else "nothing")
@@ -118,14 +119,14 @@ def spawn(
     document = _document(ctx, source, given, name, places, missing)
     xml = spawning.with_transmissions(document, transmissions, _rooted(document.xml, document.file, fixed))
     pose = spawning.pose(at, "--at")
-    wanted, namespace = spawning.identity(xml, document, name, strict, positions)
+    wanted, namespace, model_on_paper = spawning.identity(xml, document, name, strict, positions)
     asked = ctx.client.call_async("/rosapi/get_param_names")  # answered in the time of the next call
     present = robots.all_robots(ctx)
     parameters = set(ctx.client.answer(asked)["names"])
     spawning.check_free(present, wanted, namespace)
     if controllers is not None:
         try:
-            tree = read_parameters(ctx, controllers, [namespace])
+            tree = read_parameters(ctx, controllers, [namespace], tells_moves=name is None)
             store(ctx, tree)
             parameters |= tree.keys()
         except NotThere as error:
@@ -137,13 +138,16 @@ def spawn(
     loads = manager.ask_to_load(there)  # the robot is new, so none is loaded yet
     robot = robots.find(robots.all_robots(ctx), wanted)
     _tell_report(ctx, robot, document, positions)
+    for slip in slips.of_robot(model_on_paper):
+        ctx.warn(slip)
     for warning in warnings:
         ctx.warn(warning)
     try:
         there = _bring_up(manager, there, loads, missing)
-    except Refused:
+    except Refused as error:
         _tell(ctx, robot)
-        raise
+        next_step = _how_to_go_on(ctx, robot, controllers, start)
+        raise Refused(error.message, f"{error.hint}\n{next_step}" if error.hint else next_step) from None
     _tell(ctx, robot)
     _tell_left_out(ctx, missing)
     if start and not there:
@@ -376,6 +380,20 @@ def _bring_up(manager: Manager, names: list[str], loads: dict[str, str], missing
         else:
             there.append(name)
     return there
+
+
+def _how_to_go_on(ctx: Context, robot: Robot, controllers: str | None, start: Sequence[str]) -> str:
+    """What to type after a robot has been spawned whose controllers did not start."""
+    from slidectl.client.link import command
+
+    def typed(words: str) -> str:
+        return command(ctx.client.paths, words)
+
+    manager = f"--cm {robot['namespace']}"
+    again = typed(f"controller spawn {' '.join(start)} {manager}")
+    if controllers not in (None, "-"):
+        again = f"correct {controllers}, then {typed(f'controller config {controllers} {manager}')}; {again}"
+    return f"the robot stays in the world: {again}\nor take it out again: {typed('delete ' + robot['name'])}"
 
 
 def _tell_report(ctx: Context, robot: Robot, document: Document, positions: Mapping[str, float]) -> None:

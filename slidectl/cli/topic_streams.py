@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from slidectl.cli.output import check_reader
+from slidectl.errors import TimedOut, UnknownName
 from slidectl.msgs.schema import Schema, Typedefs, from_typedefs, nanoseconds
 
 if TYPE_CHECKING:
@@ -24,6 +25,9 @@ CLOCK = "/clock"
 _SILENCE_S = 1.0
 _ASK_AGAIN_S = 5.0
 _LOOK_EVERY_S = 0.2
+_LOOK_AGAIN_S = 0.1
+ANY_TYPE = "*"
+"""The type of a subscription that begins before the topic exists."""
 
 # --- names ----------------------------------------------------------------------------------------------------------
 
@@ -52,6 +56,40 @@ def look_up(ctx: Context, text: str, role: str | None, *, with_field: bool = Tru
     return Target(found["name"], found["type"], found["field"], found["typedefs"], found["nodes"])
 
 
+def look_up_when_there(ctx: Context, name: str, tell: Callable[[str], None]) -> tuple[Target, list[Subscription]]:
+    """The topic that a full name means, with a field behind it, when it exists; its subscription, if it had to wait.
+
+    The subscription begins before the topic does, so that no message is missed. `tell` takes the full name, when the
+    wait begins.
+
+    Raises:
+        TimedOut: the topic does not exist after `--timeout`; without it the wait has no limit. AmbiguousName.
+    """
+    try:
+        return look_up(ctx, name, None), []
+    except UnknownName:
+        tell(name)
+    limit = ctx.wait_limit(math.inf)
+    deadline = ctx.client.monotonic() + limit
+    # The end of the name may be a field: each of these may be the topic.
+    words = name.partition("[")[0].strip("/").split("/")
+    possible = ["/" + "/".join(words[:count]) for count in range(1, len(words) + 1)]
+    begun = {topic: ctx.client.subscribe(topic, ANY_TYPE) for topic in possible}
+    while True:
+        try:
+            target = look_up(ctx, name, None)  # its publisher may have gone again
+        except UnknownName as error:
+            if ctx.client.monotonic() >= deadline:
+                raise TimedOut(f"nobody published {name} within {limit:g} s", error.hint) from None
+        else:
+            for topic, subscription in begun.items():
+                if topic != target.topic:
+                    subscription.close()
+            return target, [begun[target.topic]]
+        check_reader()
+        ctx.pause(_LOOK_AGAIN_S)
+
+
 def users_of(ctx: Context, topics: Iterable[str], role: str) -> dict[str, list[str]]:
     """Topic -> the nodes in that role. The requests are sent all together."""
     calls = {topic: ctx.client.call_async(f"/rosapi/{role}", {"topic": topic}) for topic in topics}
@@ -77,11 +115,18 @@ class Event(NamedTuple):
 class Stream:
     """The messages of some topics. A context manager, which prints the number of dropped messages on stderr at its end.
 
-    `with_clock` follows /clock too; `sim_seconds` of simulated time end the stream.
+    `with_clock` follows /clock too; `sim_seconds` of simulated time end the stream. `begun` are subscriptions of the
+    topics that have begun before.
     """
 
     def __init__(
-        self, ctx: Context, topics: list[str], *, with_clock: bool = False, sim_seconds: float | None = None
+        self,
+        ctx: Context,
+        topics: list[str],
+        *,
+        with_clock: bool = False,
+        sim_seconds: float | None = None,
+        begun: Sequence[Subscription] = (),
     ) -> None:
         self._ctx = ctx
         self._client = ctx.client
@@ -89,7 +134,7 @@ class Stream:
         self._with_clock = with_clock
         self.sim_seconds = sim_seconds
         self._queue: deque[Event] = deque()
-        self._subscriptions: list[Subscription] = []
+        self._subscriptions: list[Subscription] = list(begun)
         self._sleep: str | None = None
         self._status: str | None = None
         self._ask_at = math.inf
@@ -104,7 +149,8 @@ class Stream:
             topics = [CLOCK, *(topic for topic in topics if topic != CLOCK)]  # the clock before messages at its time
         if self.sim_seconds is not None:  # before the topics: it has begun when a publisher sees the subscriber
             self._sleep = self._client.call_async("/slidectl/sleep", {"duration": self.sim_seconds})
-        for topic in topics:
+        begun = {subscription.topic for subscription in self._subscriptions}
+        for topic in [topic for topic in topics if topic not in begun]:
             self._subscriptions.append(self._client.subscribe(topic))
         self._ask_at = self.monotonic() + _SILENCE_S
         return self
@@ -113,6 +159,7 @@ class Stream:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         for subscription in self._subscriptions:
+            subscription.tells = False  # told below, of all together
             subscription.close()
         dropped = sum(subscription.dropped for subscription in self._subscriptions)
         if dropped:

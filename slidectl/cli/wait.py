@@ -43,7 +43,7 @@ def _condition(
         "slidectl wait 'joint_states/velocity[0]' --below -0.05 --within 5 --json",
     ],
 )
-@click.argument("target", metavar="TOPIC/FIELD[I]", shell_complete=completion.topics)
+@click.argument("target", metavar="TOPIC/FIELD[I]", shell_complete=completion.topics_and_fields)
 @click.option("--near", type=float, callback=finite, metavar="X", help="Within --tol of X.")
 @click.option("--above", type=float, callback=finite, metavar="X", help="Greater than X.")
 @click.option("--below", type=float, callback=finite, metavar="X", help="Less than X.")
@@ -181,4 +181,8 @@ def _tell(ctx: Context, request: dict[str, Any], answer: dict[str, Any]) -> None
         ctx.emit(record)
     seen = f"last {last}, closest {closest}" if answer["last"] else "no message came"
     limit = f" within {request['within']:g} s" if request["within"] else ""
-    raise Refused(f"{where} was not {expected}{limit}", f"{seen}, at {answer['time']:.3f} s")
+    from slidectl.client import steady_error
+
+    why = steady_error.of_field(ctx.client, request["topic"], request["field"])
+    hint = f"{seen}, at {answer['time']:.3f} s"
+    raise Refused(f"{where} was not {expected}{limit}", f"{hint}\n{why}" if why else hint)

@@ -436,7 +436,7 @@ class Client:
             if notice.subject in given:
                 raise UsageError(f"{model}: {notice.subject} {notice.text}")
         xml = spawning.with_transmissions(document, transmissions)
-        chosen, namespace = spawning.identity(xml, document, name, joints=joints or {})
+        chosen, namespace, _ = spawning.identity(xml, document, name, joints=joints or {})
         spawning.check_free(self.robots(), chosen, namespace)
         if controllers is not None:
             self.params.set_all(spawning.controller_parameters(controllers, namespace))
@@ -576,9 +576,25 @@ class Client:
         """Remove these faults, or all without names. Returns the names. Raises Refused: a fault does not exist."""
         return list(self.call("/slidectl/fault/remove", {"names": names})["names"])
 
-    def controllers(self, namespace: str) -> Manager:
-        """The controller manager of a robot's namespace: load, start, switch, list."""
+    def controllers(self, namespace: str | None = None) -> Manager:
+        """The controller manager of a robot's namespace, by default the only one: load, start, stop, switch, list.
+
+        Raises:
+            UsageError: no namespace is given, and there is no controller manager, or more than one.
+        """
+        if namespace is None:
+            found = self.managers()
+            if len(found) != 1:
+                known = listing([manager.namespace for manager in found])
+                raise UsageError(f"which controller manager? there are: {known}", "name its namespace, as '/slider'")
+            return found[0]
         return Manager(self, names.join("/", namespace).rstrip("/") or "/")
+
+    def managers(self) -> list[Manager]:
+        """All controller managers, by namespace."""
+        request, name = {"type": "controller_manager_msgs/ListControllers"}, "/controller_manager/list_controllers"
+        services = self.call("/rosapi/services_for_type", request)["services"]
+        return [Manager(self, one.removesuffix(name) or "/") for one in sorted(services) if one.endswith(name)]
 
     def action(self, name: str) -> Action:
         """An action by its name, or by the name of a controller with one action: send goals, follow and cancel them.
@@ -594,6 +610,18 @@ class Client:
     def params(self) -> Params:
         """The parameters, as a mapping of names to values."""
         return Params(self)
+
+    def pause(self) -> None:
+        """Pause the world; it stays as it is. As `slidectl sim pause`."""
+        self.call("/gazebo/pause_physics")
+
+    def resume(self) -> None:
+        """Let the world go on. Raises Refused: an error has stopped it, and only `reset` goes on."""
+        self.call("/gazebo/unpause_physics")
+
+    def reset(self, *, time: bool = False) -> None:
+        """Put robots and models back where they were spawned, at rest; with `time` also the clock to 0."""
+        self.call("/gazebo/reset_simulation" if time else "/gazebo/reset_world")
 
     def step(self, cycles: int | None = None, *, seconds: float = 0.0, until: float = 0.0) -> float:
         """Pause the world and run `cycles` cycles (1 by default), `seconds` simulated seconds, or up to the time
@@ -807,8 +835,10 @@ class Client:
         return f"{purpose}:{self._serial}"
 
     def close(self) -> None:
-        """Close the connection without waiting. Its advertisements and subscriptions end."""
+        """Close the connection without waiting. Its advertisements and subscriptions end. Warns of dropped messages."""
         self._link.close()
+        for subscription in [one for topic in self._subscriptions.values() for one in topic]:
+            subscription.tell_dropped()
 
     def __enter__(self) -> Client:
         return self
@@ -853,11 +883,15 @@ def _refusal(cause: type[Refused], text: str, answer: Message) -> Refused:
     return error
 
 
+class MessagesDropped(UserWarning):
+    """A subscription was read too slowly: messages were dropped, and the reader did not ask for the newest alone."""
+
+
 class Subscription:
     """Messages of one topic, in order. Iterating waits for each without a limit; `get` waits with one.
 
     `dropped` counts the messages that the daemon or the client discarded, oldest first, because the reader was too
-    slow.
+    slow. With the default `queue_length` the end of the subscription warns of them (MessagesDropped).
     """
 
     def __init__(
@@ -871,6 +905,8 @@ class Subscription:
         self.topic = topic
         self.id = subscription_id
         self.dropped = 0
+        self.tells = not queue_length and take is None
+        """False when nobody is to be warned of dropped messages."""
         self._client = client
         self._take = take
         self._queue: deque[Message] = deque(maxlen=queue_length or DEFAULT_QUEUE)
@@ -906,8 +942,19 @@ class Subscription:
         return len(self._queue)
 
     def close(self) -> None:
-        """Unsubscribe. Messages in the queue can still be read."""
+        """Unsubscribe. Messages in the queue can still be read. Warns of dropped messages."""
         self._client.unsubscribe(self)
+        self.tell_dropped()
+
+    def tell_dropped(self) -> None:
+        """Warn of dropped messages, once."""
+        if self.dropped and self.tells:
+            import warnings
+
+            self.tells = False
+            text = f"{self.dropped} messages of {self.topic} were dropped: {self._queue.maxlen} wait for a slow reader"
+            hint = "read more often, or give subscribe a queue_length (1: the newest alone)"
+            warnings.warn(f"{text}; {hint}", MessagesDropped, stacklevel=3)
 
     def __enter__(self) -> Subscription:
         return self
@@ -1139,6 +1186,21 @@ class Manager:
         self.loaded(self.ask_to_load([name for name in wanted if name not in states]) if loads is None else loads)
         idle = [name for name in dict.fromkeys(wanted) if states.get(name) != "running"]
         return self.start(idle, stop) if start and (idle or stop) else self.states()
+
+    def spawn(self, *wanted: str) -> dict[str, str]:
+        """Load the controllers that are not loaded, and start them in one cycle. Returns the states. Raises Refused."""
+        return self.bring_up(wanted)
+
+    def stop(self, *running: str) -> None:
+        """Stop controllers in one cycle; their joints keep the last commands. Raises Refused."""
+        self.switch((), running)
+
+    def unspawn(self, *wanted: str) -> None:
+        """Stop controllers that run, and unload them. Raises Refused."""
+        states = self.states()
+        if running := [name for name in wanted if states.get(name) in STARTED]:
+            self.switch((), running)
+        each(self.unload, list(wanted)[::-1])
 
     def start(self, wanted: Sequence[str], stop: Sequence[str] = ()) -> dict[str, str]:
         """Start loaded controllers in one strict switch, check that they run, return the states. Raises Refused."""

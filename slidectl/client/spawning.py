@@ -18,6 +18,7 @@ from slidectl.errors import NotThere, Refused, UnknownName, UsageError
 if TYPE_CHECKING:
     from slidectl.description import Document, Packages
     from slidectl.description.missing import Missing
+    from slidectl.description.robot import Robot
     from slidectl.description.sdf import Scene, SdfModel
 
 Tree = dict[str, Any]
@@ -56,8 +57,8 @@ def with_transmissions(model: Document, how: str | None, xml: str | None = None)
 
 def identity(
     xml: str, model: Document, name: str | None, strict: bool = False, joints: Mapping[str, float] | None = None
-) -> tuple[str, str]:
-    """The robot's name and namespace. `joints` holds start positions of joints, rad or m.
+) -> tuple[str, str, Robot]:
+    """The robot's name and namespace, and the robot. `joints` holds start positions of joints, rad or m.
 
     Raises:
         BadFile: the model is broken. BadName. UnknownName: no such moving joint. Refused: a position out of range.
@@ -72,7 +73,7 @@ def identity(
         if joint not in moving:
             raise UnknownName("moving joint", joint, list(moving), f"on robot {chosen!r}")
         check_position(moving[joint], position)
-    return chosen, description.namespace_of(robot, chosen)
+    return chosen, description.namespace_of(robot, chosen), robot
 
 
 def check_free(robots: Sequence[Mapping[str, Any]], name: str, namespace: str) -> None:

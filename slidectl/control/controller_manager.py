@@ -7,6 +7,7 @@ It does not know the names of the services that call it, nor the clients that wa
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from time import perf_counter_ns
@@ -16,7 +17,13 @@ from slidectl import names
 from slidectl.control import registry
 from slidectl.control.controller_interface import ControllerBase, State
 from slidectl.control.duration import NANOSECONDS, to_seconds
-from slidectl.control.hardware_interface import ControllerInfo, RobotHW, SwitchState
+from slidectl.control.hardware_interface import (
+    ControllerInfo,
+    JointStateInterface,
+    RobotHW,
+    SwitchState,
+    UnknownResource,
+)
 from slidectl.control.node_handle import NodeHandle, Reasons
 from slidectl.control.params import UPDATE_BUDGET, judge, value_of
 from slidectl.control.ros2_names import counterpart
@@ -330,7 +337,7 @@ def _known(
         if name in loaded:
             found.append(loaded[name])
         elif strict:
-            raise UnknownName("controller", name, list(loaded), f"to {verb}")
+            raise _not_loaded(loaded, name, verb, node)
         else:
             unknown += 1
             if unknown <= _MOST_WARNINGS:
@@ -340,6 +347,15 @@ def _known(
     if len(found) > MOST_NAMES:
         raise Refused(f"{len(found)} controllers to {verb}, and {MOST_NAMES} is the most in one request")
     return found
+
+
+def _not_loaded(loaded: Mapping[str, LoadedController], name: str, verb: str, node: NodeHandle) -> SlidectlError:
+    """The error for a controller that is not loaded: whether it could be, by its parameters."""
+    with suppress(SlidectlError):  # the name may be none
+        if node.get_param(f"{name}/type", None) is not None:
+            hint = f"load and start it: slidectl controller spawn {name}; load it only: slidectl controller load {name}"
+            return Refused(f"controller {quoted(name)} is not loaded, so there is nothing to {verb}", hint)
+    return UnknownName("controller", name, list(loaded), f"to {verb}")
 
 
 @dataclass
@@ -563,8 +579,10 @@ class ControllerManager:
             self._hw.joint_handles(only_new=True)
             with watched(type(controller), of_all):
                 controller.init_request(self._hw, self._node, node)
-        except BaseException:
+        except BaseException as failure:
             node.shutdown()
+            if isinstance(failure, UnknownResource) and failure.kind == JointStateInterface.kind:
+                failure.hint = f"{failure.hint}\n{self._hw.about_joint(failure.name)}"
             raise
         node.guard_params(partial(judge, node, controller.parameters))
         if guard is None:

@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Generic, NamedTuple, Protocol, TypeVar
 
 from slidectl.description import interfaces
 from slidectl.description.interfaces import JointInterface
-from slidectl.errors import UnknownName
+from slidectl.errors import UnknownName, listing, quoted
 from slidectl.rotations import Quaternion, Vector
 
 
@@ -337,6 +337,17 @@ class RobotHW:
     def interface_names(self) -> list[str]:
         """The type names of all interfaces, alphabetical."""
         return sorted(self._interfaces)
+
+    def about_joint(self, name: str) -> str:
+        """How controllers can command that joint: its interfaces, or that it has none."""
+        found = [kind.type_name.rpartition("::")[2] for kind in COMMAND_INTERFACES.values() if self._has(kind, name)]
+        if found:
+            return f"{quoted(name)} has {listing(found)}"
+        return f"no interface has a command for {quoted(name)}"
+
+    def _has(self, kind: type[AnyInterface], name: str) -> bool:
+        interface = self._interfaces.get(kind.type_name)
+        return interface is not None and name in interface.names()
 
     def check_for_conflict(self, infos: Sequence[ControllerInfo]) -> list[Conflict]:
         """Resources claimed more than once if these controllers ran together, over all interfaces."""

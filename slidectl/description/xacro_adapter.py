@@ -309,6 +309,12 @@ class _Run:
                 f"{names} without the prefix are taken as <{_PREFIX}...>; xacro itself does so only until ROS Kinetic"
             )
             self.notices.append(Notice("wrong", "xacro", text, root.file, bare[0].line))
+        elif f"xmlns:{_PREFIX[:-1]}" not in root.attributes:
+            used = next((element for element in root.walk() if element.tag.startswith(_PREFIX)), None)
+            if used is not None:
+                declared = 'xmlns:xacro="http://www.ros.org/wiki/xacro"'
+                text = f"<{root.tag}> lacks {declared}, without which xacro itself does not read the file"
+                self.notices.append(Notice("wrong", "xacro", text, root.file, root.line))
         for element in bare:
             if element.tag == "macro":
                 self.bare_macros.add(element.attributes["name"].removeprefix(_PREFIX))

@@ -36,6 +36,8 @@ class _Loader(yaml.SafeLoader):
 
 
 add_to(_Loader)
+_NO_BLANK = re.compile(r"\s*(?:- )?([A-Za-z_]\w*):([^\s/].*)")
+"""A line with a name and a value without a blank between them; not `http://`."""
 
 
 def read(text: str | bytes, file: str, notices: list[Notice] | None = None, *, rooted: bool = False) -> Tree:
@@ -94,7 +96,7 @@ def documents(text: str | bytes, file: str, loader: type[yaml.SafeLoader] = _Loa
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         problem = " ".join(part for part in (error.context, error.problem) if part)
-        raise BadFile(f"not YAML: {problem}", file, mark.line + 1 if mark else None, _advice(error)) from None
+        raise BadFile(f"not YAML: {problem}", file, mark.line + 1 if mark else None, _advice(error, text)) from None
     except (yaml.YAMLError, ValueError) as error:
         raise BadFile(f"not YAML: {_problem(error)}", file) from None
     except RecursionError:
@@ -257,9 +259,16 @@ def _is_empty(node: yaml.Node) -> bool:
     return isinstance(node, yaml.ScalarNode) and node.tag == "tag:yaml.org,2002:null"
 
 
-def _advice(error: yaml.MarkedYAMLError) -> str | None:
+def _advice(error: yaml.MarkedYAMLError, text: str | bytes) -> str | None:
     """A hint about frequent mistakes."""
     problem = str(error.problem)
+    if "could not find expected ':'" in problem:
+        # The parser notices a name without a value one line later, at the next colon.
+        shown = text.decode("utf-8", "replace") if isinstance(text, bytes) else text
+        last = error.problem_mark.line if error.problem_mark else 0
+        for line in reversed(shown.splitlines()[: last + 1]):
+            if found := _NO_BLANK.fullmatch(line):
+                return f"a blank follows the colon: {found[1]}: {found[2]}"
     if "'\\t'" in problem:
         return "a tab is no blank in YAML: use spaces"
     if "expected <block end>" in problem or "mapping values are not allowed" in problem:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import binascii
 import math
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache, partial
 from itertools import islice
@@ -105,6 +106,10 @@ def at(step: str, convert: Callable[..., Any], *arguments: Any) -> Any:
         raise
 
 
+_NO_BLANK = re.compile(r"([a-z_]\w{0,30}):(\S{1,30})")
+"""A field and its value without a blank between them: to YAML that is one text."""
+
+
 def describe(value: Any) -> str:
     """The value in words: `the text 'abc'`, `a list of 3`, `null`."""
     if value is None:
@@ -112,7 +117,9 @@ def describe(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
-        return f"the text {_short(repr(value[:_LONGEST_SHOWN]))}"
+        found = _NO_BLANK.fullmatch(value)
+        advice = f" (a blank follows the colon: '{found[1]}: {found[2]}')" if found else ""
+        return f"the text {_short(repr(value[:_LONGEST_SHOWN]))}{advice}"
     if isinstance(value, (int, float)):
         return f"the number {_short(_number_text(value))}"
     if isinstance(value, Mapping):

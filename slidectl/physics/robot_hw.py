@@ -44,7 +44,7 @@ from slidectl.control.user_classes import is_of_a_user
 from slidectl.description import interfaces
 from slidectl.description.robot import ForceTorque, Imu, Joint, Robot, Sensor, TransmissionInfo, TransmissionJoint
 from slidectl.description.transmissions import driving
-from slidectl.errors import Refused, SlidectlError, listing
+from slidectl.errors import Refused, SlidectlError, listing, quoted
 from slidectl.physics import sensing
 from slidectl.physics.body import Body, JointPlace
 from slidectl.physics.builder import BadTransmission
@@ -374,6 +374,19 @@ class MujocoRobotHW(RobotHW):
 
     def init(self, node: NodeHandle) -> None:
         """Hook for users' classes, called once at the spawn: get parameters and topics. `node`: the robot's."""
+
+    def about_joint(self, name: str) -> str:
+        joint = self.robot.joints.get(name)
+        if joint is None:
+            return f"the model has no joint {quoted(name)}; it has: {listing(self._body.joints)}"
+        if name not in self._body.joints:
+            return f"joint {quoted(name)} is {joint.type}: it does not move, so nothing can command it"
+        if not any(offered.name == name for offered in self._offered):
+            return (
+                f"joint {quoted(name)} has no <transmission> in the model, so nothing can command it; a <transmission> "
+                "names the joint and its <hardwareInterface>"
+            )
+        return super().about_joint(name)
 
     def joint_state(self, joint: str) -> tuple[float, float, float]:
         """Position, velocity and effort of any moving joint, of the last step. Raises UnknownName."""

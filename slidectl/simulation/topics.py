@@ -172,7 +172,11 @@ class TopicSubscription:
     __slots__ = ("_on_close", "callback", "node", "topic")
 
     def __init__(
-        self, topic: Topic, node: str, callback: MessageCallback, on_close: Callable[[TopicSubscription], None]
+        self,
+        topic: Topic | _ComingTopic,
+        node: str,
+        callback: MessageCallback,
+        on_close: Callable[[TopicSubscription], None],
     ) -> None:
         self.topic = topic
         self.node = node
@@ -219,6 +223,25 @@ class Topic:
             publisher.wanted = publisher.latch or bool(self.callbacks)
 
 
+ANY_TYPE = "*"
+"""As the type of a subscription: whatever type the topic has, or will have when somebody advertises it."""
+
+
+class _ComingTopic:
+    """The subscriptions of a topic that does not exist yet, by somebody who does not know its type."""
+
+    __slots__ = ("name", "publishers", "subscriptions")
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.publishers: list[TopicPublisher] = []
+        """None: with the first publisher it is a Topic."""
+        self.subscriptions: list[TopicSubscription] = []
+
+    def update(self) -> None:
+        """Do nothing: there is nothing to deliver yet."""
+
+
 class Topics:
     """All topics. A topic exists as long as it has a publisher or a subscriber."""
 
@@ -227,6 +250,7 @@ class Topics:
         # By node: closing a node must not search all topics, since a client may have created many.
         self._users: dict[str, dict[TopicPublisher | TopicSubscription, None]] = {}
         self._interceptors: dict[str, MessageCallback] = {}
+        self._coming: dict[str, _ComingTopic] = {}
         self.changes = 0
         """The number of added or removed publishers and subscribers. While it is the same, so is every `wanted`."""
         self.on_change: Callable[[], None] = lambda: None
@@ -262,13 +286,22 @@ class Topics:
     ) -> TopicSubscription:
         """Call back for each message; latched ones at once. Without a type the topic must exist already.
 
+        With ANY_TYPE it need not: the subscription begins with the topic, before its first message.
+
         Subscriptions may share a callback, which is called once for each message. Then `latched` receives the messages
         that were latched before, for this subscription alone.
 
         Raises:
             BadName, TypeConflict. UnknownName: no such topic or message type.
         """
-        entry = self._entry(topic, type_name or self.type_of(topic))
+        if type_name == ANY_TYPE and topic not in self._topics:
+            coming = self._coming.setdefault(names.check_absolute(topic, "topic"), _ComingTopic(topic))
+            awaiting = TopicSubscription(coming, node, callback, self._forget)
+            coming.subscriptions.append(awaiting)
+            self._users.setdefault(node, {})[awaiting] = None
+            return awaiting
+        known = type_name if type_name not in (None, ANY_TYPE) else self.type_of(topic)
+        entry = self._entry(topic, known)
         subscription = TopicSubscription(entry, node, callback, self._forget)
         entry.subscriptions.append(subscription)
         self._users.setdefault(node, {})[subscription] = None
@@ -331,7 +364,8 @@ class Topics:
 
     def subscribers(self, topic: str) -> list[str]:
         """Names of the nodes that subscribe it; none when there is no such topic."""
-        return _nodes(self._topics[topic].subscriptions) if topic in self._topics else []
+        entry = self._topics.get(topic) or self._coming.get(topic)
+        return _nodes(entry.subscriptions) if entry is not None else []
 
     def nodes(self) -> set[str]:
         """Names of all nodes that publish or subscribe something."""
@@ -364,11 +398,17 @@ class Topics:
     def _entry(self, topic: str, type_name: str) -> Topic:
         self._agrees(topic, type_name)
         if topic not in self._topics:
-            self._topics[names.check_absolute(topic, "topic")] = Topic(topic, type_name, self._interceptors.get(topic))
+            entry = Topic(names.check_absolute(topic, "topic"), type_name, self._interceptors.get(topic))
+            self._topics[topic] = entry
+            coming = self._coming.pop(topic, None)
+            for subscription in coming.subscriptions if coming else ():
+                subscription.topic = entry
+                entry.subscriptions.append(subscription)
         return self._topics[topic]
 
     def _forget(self, user: TopicPublisher | TopicSubscription) -> None:
-        users, topic = self._users.get(user.node, {}), user.topic
+        users = self._users.get(user.node, {})
+        topic: Topic | _ComingTopic = user.topic
         if user not in users:  # it was removed before
             return
         del users[user]
@@ -378,6 +418,10 @@ class Topics:
             topic.publishers.remove(user)
         else:
             topic.subscriptions.remove(user)
+        if isinstance(topic, _ComingTopic):
+            if not topic.subscriptions:
+                del self._coming[topic.name]
+            return
         if not topic.publishers and not topic.subscriptions:
             self._topics.pop(topic.name, None)
         self._update(topic)

@@ -75,3 +75,11 @@ def test_a_relative_name_is_held_against_the_ends_of_full_names() -> None:
     assert fitting(names, "/left") == ["/left/c/command", "/left/joint_states"]
     assert fitting(names, "joint") == ["joint_states"]
     assert fitting(names, "c") == ["c/command", "clock", "command"]
+
+
+def test_fields_are_completed_behind_the_name_of_a_topic(world: CommandLine) -> None:
+    assert complete(world, "echo", "/clock/c") == ["/clock/clock"]
+    assert complete(world, "echo", "/clock/clock/s") == ["/clock/clock/secs"]
+    assert complete(world, "wait", "model_states/po") == ["model_states/pose", "model_states/pose[0]"]
+    assert complete(world, "assert", "model_states/pose[0]/pos") == ["model_states/pose[0]/position"]
+    assert complete(world, "echo", "model_states/nothing") == []

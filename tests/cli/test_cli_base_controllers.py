@@ -301,3 +301,46 @@ def test_a_refused_load_tells_its_warnings_and_the_error_apart(slider: CommandLi
     assert called.returncode == 1
     assert called.stderr.startswith(warning + "error: /slider/controller_manager/load_controller answered ok: false")
     assert "cannot load controller 'bad': no joint 'elbow'" in called.stderr
+
+
+def test_a_configured_controller_that_is_not_loaded_is_told_how_to_be(slider: CommandLine) -> None:
+    done = slider("controller", "switch", "--start", POSITION)
+    assert done.returncode == 1
+    assert f"controller '{POSITION}' is not loaded" in done.stderr
+    assert f"slidectl controller spawn {POSITION}" in done.stderr
+
+
+def test_a_wrong_interface_is_answered_with_those_that_the_joint_has(world: CommandLine, tmp_path: Path) -> None:
+    (tmp_path / "two.urdf").write_text(
+        '<robot name="two"><link name="world"/>'
+        + "".join(
+            f'<link name="{link}"><inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/>'
+            f'</inertial></link><joint name="{joint}" type="continuous"><parent link="world"/><child link="{link}"/>'
+            "</joint>"
+            for link, joint in (("a", "driven"), ("b", "loose"))
+        )
+        + '<transmission name="t"><type>transmission_interface/SimpleTransmission</type><joint name="driven">'
+        "<hardwareInterface>hardware_interface/EffortJointInterface</hardwareInterface></joint>"
+        '<actuator name="m"/></transmission></robot>'
+    )
+    controllers = {
+        "driven": "velocity_controllers/JointVelocityController",
+        "loose": "effort_controllers/JointEffortController",
+    }
+    text = "".join(f"  {joint}_c: {{type: {kind}, joint: {joint}}}\n" for joint, kind in controllers.items())
+    (tmp_path / "two.yaml").write_text(f"two:\n{text}")
+    world.ok("spawn", str(tmp_path / "two.urdf"), "--controllers", str(tmp_path / "two.yaml"))
+    assert "'driven' has EffortJointInterface" in world("controller", "spawn", "driven_c").stderr
+    assert "joint 'loose' has no <transmission> in the model" in world("controller", "spawn", "loose_c").stderr
+
+
+def test_a_spawn_whose_controller_does_not_start_says_how_to_go_on(world: CommandLine, tmp_path: Path) -> None:
+    file = tmp_path / "wrong.yaml"
+    file.write_text("slider:\n  c: {type: effort_controllers/JointEffortController, joint: joint9}\n")
+    done = world("spawn", "slider", "--controllers", str(file), "--start", "c")
+    assert done.returncode == 1
+    assert "the model has no joint 'joint9'; it has: joint1" in done.stderr
+    assert f"slidectl controller config {file} --cm /slider; slidectl controller spawn c --cm /slider" in done.stderr
+    file.write_text("slider:\n  c: {type: effort_controllers/JointEffortController, joint: joint1}\n")
+    world.ok("controller", "config", str(file), "--cm", "/slider")
+    world.ok("controller", "spawn", "c", "--cm", "/slider")

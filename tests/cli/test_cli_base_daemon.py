@@ -219,9 +219,9 @@ def test_logs_prints_the_last_lines(slidectl: CommandLine) -> None:
     lines = slidectl.ok("daemon", "logs").splitlines()
     assert "answers on" in lines[0]
     assert slidectl.ok("daemon", "logs", "-n", "1").splitlines() == lines[-1:]
-    assert json.loads(slidectl.ok("daemon", "logs", "-n", "1", "--json")) == {"line": lines[-1]}
+    assert json.loads(slidectl.ok("daemon", "logs", "-n", "1", "--json"))["line"] == lines[-1]
     assert slidectl.ok("daemon", "logs", "-n", "0") == ""
-    assert slidectl.ok("daemon", "logs", "-o", "csv").splitlines()[0] == "line"
+    assert slidectl.ok("daemon", "logs", "-o", "csv").splitlines()[0] == "time,level,node,text,line"
     assert len(slidectl.ok("daemon", "logs", "-o", "csv").splitlines()) == 1 + len(lines)
     assert slidectl.ok("daemon", "logs", "-n", "2", "-o", "yaml").count("\n---\n") == 1
 
@@ -276,3 +276,27 @@ def test_a_daemon_of_another_version_is_told_once_with_what_helps(slidectl: Comm
         process.wait(30)
     slidectl.ok("daemon", "start", "--paused")
     assert slidectl("sim", "status").stderr == ""
+
+
+@pytest.mark.parametrize("words", [("--ros1", "--websocket", "0"), ("--websocket", "0", "--ros1", "0")], ids=" ".join)
+def test_an_option_without_its_value_may_stand_before_another_one(words: tuple[str, ...]) -> None:
+    """Only the words are read here: the port of a gateway that is given none may be taken on this machine."""
+    import click
+
+    from slidectl.cli.daemon import start
+
+    read = start.make_context("start", list(words), parent=click.Context(click.Group("daemon"))).params
+    assert (read["ros1"], read["websocket"]) == (11311 if words[0] == "--ros1" else 0, 0)
+
+
+def test_the_log_as_json_has_time_level_node_and_text(slidectl: CommandLine) -> None:
+    slidectl.ok("daemon", "start", "--paused")
+    slidectl.ok("spawn", "slider", "--controllers", "config/slider_control.yaml")
+    slidectl.ok("controller", "load", "joint1_position_controller")
+    first, *others = map(json.loads, slidectl.ok("daemon", "logs", "--json").splitlines())
+    assert (first["level"], first["node"]) == ("info", "")
+    assert first["text"].startswith(f"slidectl {__version__} answers on ")
+    assert first["line"] == f"{first['time']} info  {first['text']}"
+    warning = next(one for one in others if one["level"] == "warn")
+    assert warning["node"] == "/gazebo"
+    assert warning["text"].startswith("/slider/joint1_position_controller/pid: i = 0.01 has no effect")

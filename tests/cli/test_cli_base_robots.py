@@ -405,3 +405,72 @@ def test_a_joint_that_cannot_start_there_leaves_no_robot(world: CommandLine, joi
 def position(world: CommandLine, name: str, joint: str) -> float:
     found = json.loads(world.ok("robots", name, "--json"))["joints"]
     return next(float(one["position"]) for one in found if one["name"] == joint)
+
+
+SLIPS = """<robot name="slips"><link name="world"/>
+<link name="a"><inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>
+<visual><geometry><box size="{size} 0.2 0.2"/></geometry></visual></link>
+<joint name="j" type="revolute"><parent link="world"/><child link="a"/>
+<limit lower="-{turn}" upper="{turn}" effort="1" velocity="1"/></joint>
+<transmission name="t"><type>transmission_interface/SimpleTransmission</type><joint name="j">
+<hardwareInterface>hardware_interface/EffortJointInterface</hardwareInterface></joint>
+<actuator name="m"/></transmission>{plugin}</robot>"""
+CONTROL = '<gazebo><plugin name="c" filename="libgazebo_ros_control.so"/></gazebo>'
+
+
+def test_slips_of_a_model_are_told_at_the_spawn_in_a_line_each(world: CommandLine, tmp_path: Path) -> None:
+    model, controllers = tmp_path / "slips.urdf", tmp_path / "other.yaml"
+    controllers.write_text("other:\n  c: {type: effort_controllers/JointEffortController, joint: j}\n")
+    model.write_text(SLIPS.format(size="100", turn="90", plugin=""))
+    lines = world("spawn", str(model), "--controllers", str(controllers)).stderr.splitlines()
+    world.ok("delete", "slips")
+    for told in (
+        f"warning: {controllers}: the file's controllers are for /other; they are loaded under /slips",
+        f"warning: {model}:4: joint 'j': its limits are 28.6 turns apart; angles are in rad: 90 degrees are 1.5708",
+        f"warning: {model}:2: link 'a' is 100 m: lengths are in m, 100 mm are 0.1",
+    ):
+        assert told in lines
+    assert any(line.startswith("warning: robot 'slips' has transmissions but no libgazebo_ros_") for line in lines)
+
+
+def test_a_model_without_slips_is_spawned_without_a_word(world: CommandLine, tmp_path: Path) -> None:
+    model = tmp_path / "slips.urdf"
+    model.write_text(SLIPS.format(size="1", turn="1.57", plugin=CONTROL))
+    assert world("spawn", str(model)).stderr == ""
+    world.ok("delete", "slips")
+
+
+def test_a_xacro_that_does_not_declare_its_prefix_is_told(world: CommandLine, tmp_path: Path) -> None:
+    model = tmp_path / "bare.xacro"
+    model.write_text('<robot name="bare"><xacro:property name="x" value="1"/><link name="world"/></robot>')
+    assert '<robot> lacks xmlns:xacro="http://www.ros.org/wiki/xacro"' in world("spawn", str(model)).stderr
+    world.ok("delete", "bare")
+
+
+def test_a_tag_without_its_bracket_is_quoted(world: CommandLine, tmp_path: Path) -> None:
+    model = tmp_path / "stray.urdf"
+    text = SLIPS.format(size="1", turn="1.57", plugin=CONTROL)
+    model.write_text(text.replace("<limit", "limit"))
+    done = world("spawn", str(model))
+    assert done.returncode == 2
+    assert (
+        """there is a text 'limit lower="-1.57" upper="1.57" effort="1" velocity="1"/>': is it a tag""" in done.stderr
+    )
+    model.write_text(text.replace("<inertial>", '<inertial>origin xyz="0 0 1"/>'))
+    assert (
+        """the text 'origin xyz="0 0 1"/>' has no effect: is it a tag without its '<'?"""
+        in world("spawn", str(model)).stderr
+    )
+    world.ok("delete", "slips")
+
+
+def test_a_missing_blank_after_a_colon_is_named(world: CommandLine, tmp_path: Path) -> None:
+    controllers = tmp_path / "colon.yaml"
+    controllers.write_text(
+        "slider:\n  c:\n    type: effort_controllers/JointEffortController\n    joint:joint1\n    p: 1\n"
+    )
+    done = world("spawn", "slider", "--controllers", str(controllers))
+    assert done.returncode == 2
+    assert "a blank follows the colon: joint: joint1" in done.stderr
+    done = world("pub", "--allow-unheard", "/numbers", "std_msgs/Float64", "data:1.0")
+    assert "a blank follows the colon: 'data: 1.0'" in done.stderr

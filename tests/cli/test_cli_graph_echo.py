@@ -11,6 +11,7 @@ from collections.abc import Iterator
 
 import pytest
 from cli_graph_world import COMMAND, World, slider_world
+from command_line import CommandLine
 from daemon_fixture import running_daemon
 from waiting import eventually
 
@@ -197,3 +198,42 @@ def test_messages_that_came_too_fast_are_counted_on_stderr() -> None:
         assert process.returncode == 0
         assert dropped is not None, errors
         assert abs(received + int(dropped[1]) - cycles) <= 20
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("echo", "/later/number/data", "--wait", "-n", "3"),
+        ("--ns", "/later", "echo", "number/data", "--wait", "-n", "3"),
+        ("ros", "rostopic", "echo", "-n", "3", "/later/number/data"),
+    ],
+    ids=" ".join,
+)
+def test_a_topic_that_comes_later_is_waited_for_and_no_message_is_missed(words: tuple[str, ...]) -> None:
+    with running_daemon(paused=True) as runtime:
+        line = CommandLine(runtime.folder)
+        waiting = line.start(*words)
+        assert waiting.stderr is not None
+        assert "number/data" in waiting.stderr.readline()
+        with runtime.client() as client:
+            eventually(lambda: client.call("/rosapi/subscribers", {"topic": "/later/number"})["subscribers"], "no wait")
+            for number in (1.0, 2.0, 3.0):
+                client.publish("/later/number", {"data": number}, type="std_msgs/Float64")
+        assert waiting.communicate(timeout=60)[0] == "1.0\n---\n2.0\n---\n3.0\n---\n"
+        assert waiting.returncode == 0
+
+
+def test_pub_with_a_type_reaches_who_waits_for_the_topic() -> None:
+    with running_daemon(paused=True) as runtime:
+        line = CommandLine(runtime.folder)
+        waiting = line.start("echo", "/later", "--wait", "-n", "1", "--json")
+        line.until_subscribed("/later")
+        line.ok("pub", "/later", "std_msgs/Float64", "1.5")
+        assert waiting.communicate(timeout=60)[0] == '{"data": 1.5}\n'
+
+
+def test_a_wait_for_a_topic_ends_with_the_timeout() -> None:
+    with running_daemon(paused=True) as runtime:
+        done = CommandLine(runtime.folder)("--timeout", "0.2", "echo", "/never", "--wait")
+        assert done.returncode == 4
+        assert "nobody published /never within 0.2 s" in done.stderr

@@ -429,8 +429,8 @@ def test_a_remap_renames_what_rostopic_publishes(slider: CommandLine, write: Wri
 def test_windows_are_a_line_that_names_what_shows_the_same(world: CommandLine, write: Write) -> None:
     done = world("launch", write(node("rviz/rviz") + node("rqt_plot/rqt_plot", name="p")))
     assert done.returncode == 0
-    assert "/n: left out: there are no windows here; slidectl robots NAME" in done.stderr
-    assert "/p: left out: there are no windows here; slidectl plot" in done.stderr
+    assert "/n: left out: there are no windows here; slidectl view" in done.stderr
+    assert "/p: left out: there are no windows here; slidectl view" in done.stderr
     assert world("launch", "rrbot_control", "rrbot_rqt.launch").returncode == 0
 
 

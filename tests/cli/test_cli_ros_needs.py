@@ -89,7 +89,7 @@ def test_such_nodes_are_left_out_on_demand(slidectl: CommandLine, launch: Path) 
         ("rviz", "rviz", "slidectl echo joint_states"),
         ("rqt_gui", "rqt_gui", "slidectl echo -p"),
         ("rqt_plot", "rqt_plot", "slidectl plot"),
-        ("gazebo_ros", "gzclient", "slidectl sim status"),
+        ("gazebo_ros", "gzclient", "slidectl view"),
         ("joint_state_publisher", "joint_state_publisher", "slidectl spawn MODEL"),
         ("joint_state_publisher_gui", "joint_state_publisher_gui", "slidectl spawn MODEL"),
     ],
@@ -126,7 +126,7 @@ def test_the_display_launch_of_a_tutorial_runs_with_what_there_is(slidectl: Comm
         done = slidectl("launch", str(path), "--detach")
         assert done.returncode == 0
         assert "/joint_state_publisher: left out: joints are those of a robot in the world here" in done.stderr
-        assert "/rviz: left out: there are no windows here; slidectl robots NAME" in done.stderr
+        assert "/rviz: left out: there are no windows here; slidectl view" in done.stderr
         assert "/rsp: waits for a robot" in done.stdout
         assert "<robot" in slidectl.ok("param", "get", "/robot_description")
     finally:

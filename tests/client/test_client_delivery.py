@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
+
 import pytest
 from daemon_fixture import Runtime
 
 from slidectl.client import Client
+from slidectl.client.client import MessagesDropped
 from slidectl.errors import MessageRefused, UsageError
 
 
@@ -46,3 +49,63 @@ def test_a_short_name_is_resolved_once_for_a_connection(daemon: Runtime, client:
         client.flush()
         reader.flush()
         assert ([numbers.get()["data"] for _ in range(3)], asked) == ([0, 1, 2], ["numbers"])
+
+
+def test_dropped_messages_are_told_at_the_end_unless_the_newest_alone_were_wanted(daemon: Runtime) -> None:
+    with daemon.client() as writer, daemon.client() as reader:
+        numbers = reader.subscribe("/many", "std_msgs/Int32")
+        newest = reader.subscribe("/many", queue_length=1)
+        for number in range(1500):
+            writer.publish("/many", {"data": number})
+        writer.flush()
+        reader.flush()
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            newest.close()
+        assert newest.dropped >= 1000
+        with pytest.warns(MessagesDropped, match=f"{numbers.dropped} messages of /many were dropped: 1000 wait"):
+            numbers.close()
+        assert numbers.dropped == 500
+
+
+def test_a_client_that_is_closed_tells_of_its_subscriptions(daemon: Runtime) -> None:
+    reader = daemon.client()
+    reader.subscribe("/many", "std_msgs/Int32")
+    with daemon.client() as writer:
+        for number in range(1500):
+            writer.publish("/many", {"data": number})
+        writer.flush()
+    reader.flush()
+    with pytest.warns(MessagesDropped, match="500 messages of /many"):
+        reader.close()
+
+
+def test_pause_resume_and_reset_are_those_of_the_command_line(runtime: Runtime) -> None:
+    runtime.start(paused=True)
+    with runtime.client() as client:
+        client.resume()
+        client.sleep(0.01)
+        client.pause()
+        assert client.call("/slidectl/status")["paused"]
+        assert client.step() > 0.01
+        client.reset()
+        assert client.call("/slidectl/status")["time"] > 0.01
+        client.reset(time=True)
+        assert client.call("/slidectl/status")["time"] == 0.0
+
+
+def test_the_manager_of_the_only_robot_has_the_verbs(runtime: Runtime) -> None:
+    runtime.start(paused=True)
+    with runtime.client() as client:
+        with pytest.raises(UsageError, match="which controller manager"):
+            client.controllers()
+        client.spawn("slider", controllers="config/slider_control.yaml")
+        manager = client.controllers()
+        assert manager.namespace == "/slider"
+        client.resume()
+        assert manager.spawn("joint_state_controller") == {"joint_state_controller": "running"}
+        manager.stop("joint_state_controller")
+        assert manager.states() == {"joint_state_controller": "stopped"}
+        manager.start(["joint_state_controller"])
+        manager.unspawn("joint_state_controller")
+        assert manager.states() == {}

@@ -32,6 +32,7 @@ TOOLS = {
     "rosmsg": "rosmsg",
     "rossrv": "rosmsg",
     "roscore": "roslaunch",
+    "rosbag": "rosbag",
 }
 
 
@@ -53,15 +54,12 @@ def _complete(click_context: click.Context, _param: click.Parameter, incomplete:
 def ros(ctx: Context, words: tuple[str, ...]) -> None:
     """Run a ROS command word for word.
 
-    NAME is one of roslaunch, rostopic, rosservice, rosparam, rosrun, rosnode, rosmsg, rossrv and roscore; ARGUMENTs
-    are theirs, and so are output and exit codes, save that 0 means done: 3 is no daemon, 130 Ctrl-C.
+    NAME is one of roslaunch, rostopic, rosservice, rosparam, rosrun, rosnode, rosmsg, rossrv, roscore and rosbag;
+    ARGUMENTs are theirs, and so are output and exit codes, save that 0 means done: 3 is no daemon, 130 Ctrl-C.
     Options of slidectl stand before NAME. 'slidectl ros-commands' makes shell functions of these names.
     """
     name, *argv = words
     if name not in TOOLS:
-        if name == "rosbag":
-            hint = "slidectl record, slidectl play and slidectl bag do what it does"
-            raise UsageError(f"no ROS command {name!r}", hint)
         near = closest(name, TOOLS)
         suggestion = f" Did you mean {near!r}?" if near else ""
         raise UsageError(f"no ROS command {name!r}.{suggestion}", f"there are: {', '.join(TOOLS)}")

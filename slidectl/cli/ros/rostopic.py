@@ -6,7 +6,6 @@ The verbs that follow a topic wait for its first publisher or subscriber. Rates 
 
 from __future__ import annotations
 
-import math
 import sys
 from collections.abc import Sequence
 from functools import partial
@@ -21,16 +20,17 @@ from slidectl.cli.topic_streams import (
     SUBSCRIBERS,
     Target,
     look_up,
+    look_up_when_there,
     usage_of_topic,
     usage_of_topics,
     users_of,
 )
-from slidectl.errors import TimedOut, UnknownName
+from slidectl.errors import UnknownName
 
 if TYPE_CHECKING:
     from slidectl.cli.topic_measure import Record
+    from slidectl.client import Subscription
 
-_LOOK_AGAIN_S = 0.1
 _LONGEST_WINDOW = 50_000
 _BW_WINDOW = 100
 
@@ -114,21 +114,16 @@ def awaited(ctx: Context, name: str) -> Target:
 
     Raises TimedOut after `--timeout`; without it the wait has no limit, as with rostopic.
     """
-    full = resolve(ctx, name, "rostopic")
-    limit = ctx.wait_limit(math.inf)
-    deadline = ctx.client.monotonic() + limit
-    warned = False
-    while True:
-        try:
-            return look_up(ctx, full, None)
-        except UnknownName as error:
-            if not warned:
-                print(f"WARNING: topic [{full}] does not appear to be published yet", file=sys.stderr, flush=True)
-                warned = True
-            if ctx.client.monotonic() >= deadline:
-                raise TimedOut(f"nobody published {full} within {limit:g} s", error.hint) from None
-        output.check_reader()
-        ctx.pause(_LOOK_AGAIN_S)
+    return _followed(ctx, name)[0]
+
+
+def _followed(ctx: Context, name: str) -> tuple[Target, list[Subscription]]:
+    """As `awaited`, with the subscription of a topic that came later."""
+
+    def tell(full: str) -> None:
+        print(f"WARNING: topic [{full}] does not appear to be published yet", file=sys.stderr, flush=True)
+
+    return look_up_when_there(ctx, resolve(ctx, name, "rostopic"), tell)
 
 
 def echo(ctx: Context, argv: Sequence[str]) -> None:
@@ -169,7 +164,8 @@ def echo(ctx: Context, argv: Sequence[str]) -> None:
 
         name = None if given.all else resolve(ctx, given.words[0], "rostopic")
         return bag.echo(ctx, given.bag, name, look, given.condition, count)
-    return print_messages(ctx, awaited(ctx, given.words[0]), look, given.condition, count)
+    target, begun = _followed(ctx, given.words[0])
+    return print_messages(ctx, target, look, given.condition, count, begun=begun)
 
 
 # --- measuring --------------------------------------------------------------------------------------------------------

@@ -18,10 +18,12 @@ _SHOWS = {
     "rqt_console": "slidectl echo /rosout shows the log",
     "rqt_tf_tree": "slidectl tf tree shows the frames",
 }
-_RQT = (
-    "in its place: slidectl pub -r (expressions), slidectl echo -p (numbers to plot)"
-    " and slidectl param set (live gains)"
+_RQT = "also: slidectl pub -r (expressions), slidectl echo -p (numbers) and slidectl param set (live gains)"
+_FIRST = (
+    "slidectl view shows robots, plots and gains in a browser (http://127.0.0.1:8080), slidectl plot draws curves, "
+    "slidectl top shows joints and controllers"
 )
+"""What takes the place of any window."""
 _ROBOT = (
     "slidectl robots NAME, slidectl echo joint_states and slidectl tf tree show the robot;"
     " RViz is started where it is installed and the ROS 1 gateway runs: slidectl gateway ros1 start"
@@ -46,7 +48,7 @@ class Viewer(LeftOut):
     def text(self) -> str:
         package = self.node.package
         instead = _SHOWS.get(package, _RQT) if package.startswith("rqt") else _ROBOT
-        return f"left out: there are no windows here; {instead}"
+        return f"left out: there are no windows here; {_FIRST}; {instead}"
 
 
 class Window(LeftOut):
@@ -54,7 +56,7 @@ class Window(LeftOut):
 
     @property
     def text(self) -> str:
-        return "there is no window here; slidectl sim status, slidectl robots and slidectl echo show the world"
+        return f"there is no window here; {_FIRST}"
 
     def start(self, run: Run) -> str | None:
         self.settled(run, self.text)
