@@ -77,7 +77,7 @@ def test_arguments_of_empty_world_reach_the_world(ros: CommandLine) -> None:
 
 
 def test_rovers_in_two_namespaces_without_the_nodes_that_there_are_not(ros: CommandLine) -> None:
-    done = ros("launch", "rover_gazebo", "rover_empty_world.launch")
+    done = ros("launch", "rover_gazebo", "rover_empty_world.launch", "--strict")
     assert done.returncode == 2
     assert (
         "node /ekf_localization (robot_localization/ekf_localization_node): no package 'robot_localization'"
@@ -85,9 +85,8 @@ def test_rovers_in_two_namespaces_without_the_nodes_that_there_are_not(ros: Comm
     )
     assert "these are not there either:" in done.stderr
     assert "node /joy (joy/joy_node): no package 'joy'" in done.stderr
-    assert "--skip-unknown leaves such nodes out" in done.stderr
-    launched = Launched(ros, "rover_gazebo", "rover_empty_world.launch", "--skip-unknown")
-    launched.until("left out:")
+    launched = Launched(ros, "rover_gazebo", "rover_empty_world.launch")
+    launched.until("left out:\n")
     for manager in ("/", "/two"):
         assert states(ros, manager) == {"rover_joint_publisher": "running", "rover_velocity_controller": "running"}
     assert json.loads(ros.ok("robots", "second", "--json"))["pose"][1] == pytest.approx(3.0, abs=0.01)
