@@ -237,7 +237,8 @@ ON_WHEELS = """<robot name="b"><link name="base"><inertial><origin xyz="-0.001 0
 </rightJoint><legacyMode>false</legacyMode><wheelSeparation>0.16</wheelSeparation><wheelDiameter>0.066</wheelDiameter>
 <wheelTorque>10</wheelTorque></plugin></gazebo></robot>"""
 WHEEL = """<link name="{0}"><inertial><mass value="0.03"/>
-<inertia ixx="2e-5" iyy="2e-5" izz="4e-5" ixy="0" ixz="0" iyz="0"/></inertial><collision><geometry><cylinder length="0.018" radius="0.033"/></geometry></collision></link>
+<inertia ixx="2e-5" iyy="2e-5" izz="4e-5" ixy="0" ixz="0" iyz="0"/></inertial>
+<collision><geometry><cylinder length="0.018" radius="0.033"/></geometry></collision></link>
 <joint name="{0}_joint" type="continuous"><parent link="base"/><child link="{0}"/>
 <origin xyz="0 {1} 0.033" rpy="-1.57 0 0"/><axis xyz="0 0 1"/></joint>
 <gazebo reference="{0}"><mu1>0.1</mu1><mu2>0.1</mu2></gazebo>"""
@@ -258,7 +259,8 @@ def force_based(more: str = "") -> str:
 
 def test_force_based_move_gives_the_commanded_velocity_until_its_time_has_passed() -> None:
     simulation = Simulation()
-    simulation.spawn(box(force_based("<yaw_velocity_p_gain>500</yaw_velocity_p_gain>")), name="box")
+    smooth = '<gazebo reference="base"><mu1>0</mu1><mu2>0</mu2></gazebo>'
+    simulation.spawn(box(smooth + force_based("<yaw_velocity_p_gain>500</yaw_velocity_p_gain>")), name="box")
     simulation.step(1000)  # it comes up to the ground
     x, y, _ = place(simulation, "box", "base")
     for _ in range(20):
