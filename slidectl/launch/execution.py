@@ -229,7 +229,7 @@ class Execution:
     def _check_left(self) -> None:
         """Raise Refused when something was left out and no robot, or none of its controllers, came up."""
         loaders = [task for task in self.tasks if isinstance(task, Spawner | ManagerScript)]
-        if not self.lacks or any(isinstance(entry.task, Spawner) for entry in self._waiting):
+        if not self.run.plan.missing.lines() or any(isinstance(entry.task, Spawner) for entry in self._waiting):
             return
         spawns = [node for node in self.run.plan.nodes if _spawns(node)]
         if spawns:

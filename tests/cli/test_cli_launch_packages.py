@@ -56,7 +56,7 @@ def test_an_arm_whose_plugin_names_no_namespace_lives_in_that_of_its_spawn_node(
 
 def test_a_robot_on_wheels_with_a_world_of_its_own(ros: CommandLine) -> None:
     launched = Launched(ros, "wheels_gazebo", "wheels_world.launch", "--keep-going")
-    text = launched.until("the model is left out")
+    text = launched.up()
     assert "wheels.world:6: model 'turtlebot' is not there" in text
     assert "/gazebo: the world: step 0.002 s, as fast as possible" in text
     assert "/gazebo_gui: there is no window here" in text
@@ -127,8 +127,8 @@ def test_a_controller_type_that_is_not_here_is_named_with_those_that_are(ros: Co
         '{type: odd_controllers/OddController}</rosparam><node name="s" ns="wheels" pkg="controller_manager"'
         ' type="spawner" args="odd"/></launch>'
     )
-    done = ros("launch", str(path))
+    done = ros("launch", str(path), "--strict")
     assert done.returncode == 2
     assert "no controller type 'odd_controllers/OddController'" in done.stderr
-    assert "effort_controllers/JointEffortController" in done.stderr
+    assert "these are not there either:" in done.stderr
     nothing_is_left(ros.runtime)

@@ -96,9 +96,8 @@ def test_a_file_that_is_not_there_is_an_error_unless_the_launch_keeps_going(ends
     assert "gone.yaml: no such file" in done.stdout.partition("left out:\n")[2]
 
 
-@pytest.mark.parametrize("node", ['pkg="joy" type="joy_node"', 'pkg="rviz" type="rviz"'])
-def test_a_launch_whose_only_node_was_left_out_fails(ends: CommandLine, tmp_path: Path, node: str) -> None:
-    done = ends("launch", written(tmp_path, f'<node name="n" {node}/>'))
+def test_a_launch_whose_only_node_was_left_out_fails(ends: CommandLine, tmp_path: Path) -> None:
+    done = ends("launch", written(tmp_path, '<node name="n" pkg="joy" type="joy_node"/>'))
     assert done.returncode == 1
     assert "everything runs" not in done.stdout
     assert "nothing is left to drive\nleft out:\n" in done.stderr

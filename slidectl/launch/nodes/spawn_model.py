@@ -278,7 +278,7 @@ class SpawnModel(Task):
         moving = {joint["name"]: joint for joint in robot["joints"] if joint["type"] != "fixed"}
         remarks, positions = [], {}
         for name, asked in self.joints.items():
-            joint = moving.get(name) or moving.get(name.rpartition("::")[2])
+            joint = moving.get(name)
             if joint is None:
                 unknown = UnknownName("moving joint", name, list(moving), f"on robot {self.model!r}")
                 remarks.append(f"-J {name} {asked:g} is skipped: {unknown.message}")
