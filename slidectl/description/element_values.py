@@ -86,8 +86,11 @@ def child_number(element: Element | None, tag: str, default: float, place: str, 
 
 
 def child_count(element: Element | None, tag: str, default: int, place: str) -> int:
-    """The whole number in a child, read as by child_number. As in Gazebo, a fraction is cut off."""
-    return int(child_number(element, tag, default, place))
+    """The whole number in a child, read as by child_number."""
+    value = child_number(element, tag, default, place)
+    if element is not None and not value.is_integer():
+        raise (element.find(tag) or element).error(f"{place}/<{tag}> is {value:g}; it must be a whole number")
+    return int(value)
 
 
 def child_rate(element: Element, tag: str, default: float, place: str) -> float:

@@ -128,7 +128,11 @@ class SensorReader:
         vertical = below(ray, "scan", "vertical")
         if vertical is not None and child_count(vertical, "samples", 1, place) > 1:
             self.report.ignored(vertical, "has no effect: a scan has one layer here", f"{place}/<vertical>")
-        samples = child_count(scan, "samples", 640, place)
+        asked = child_number(scan, "samples", 640, place)
+        samples = int(asked)
+        if samples != asked:
+            text = f"{asked:g} is taken as {samples}: as in Gazebo, a fraction is cut off"
+            self.report.converted(sensor, text, f"{place}/<samples>")
         least, most = child_number(scan, "min_angle", 0.0, place), child_number(scan, "max_angle", 0.0, place)
         nearest = child_number(extent, "min", 0.0, place)
         farthest = child_number(extent, "max", math.inf, place, finite=False)
