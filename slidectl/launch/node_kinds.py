@@ -188,9 +188,9 @@ def _is_program(path: Path) -> bool:
     if not os.access(path, os.X_OK) or ".so" in path.suffixes:
         return False
     try:
-        with path.open("rb") as file:
+        with input_files.opened(path) as file:
             return file.read(4).startswith((b"#!", b"\x7fELF"))
-    except OSError:
+    except (BadFile, OSError):
         return False
 
 
