@@ -7,6 +7,7 @@ themselves, so that command line, client, service answer and log say the same. S
 from __future__ import annotations
 
 import errno
+import re
 from collections.abc import Iterable, Sequence
 
 EXIT_DONE = 0
@@ -21,6 +22,11 @@ _LONGEST_TEXT = 4000
 _LONGEST_ERROR = 20_000
 _LONGEST_COMPARED = 200
 _MOST_COMPARED = 500
+_LEAST_WORD = 4
+_LEAST_RATIO = 0.5
+"""Words of names with at least so many letters are alike from this ratio on."""
+_LEAST_WHOLE = 0.8
+"""The same for whole names with different numbers of words."""
 
 
 class Reason(str):
@@ -72,7 +78,18 @@ def closest(name: str, known: Iterable[str]) -> str | None:
         return None
     # Among equally near names the one with the longest common beginning wins: people mistype the end of a name.
     nearest = max(matches, key=lambda match: (SequenceMatcher(None, match, name).ratio(), _common_start(match, name)))
-    return by_end[nearest]
+    return by_end[nearest] if _is_near(nearest, name) else None
+
+
+def _is_near(one: str, other: str) -> bool:
+    """True unless the names have words that are not alike: `my_camera` and `his_camera` are not one name mistyped."""
+    from difflib import SequenceMatcher
+
+    words, others = (re.split(r"[_/]+", name.lower().strip("/_")) for name in (one, other))
+    if len(words) != len(others):
+        return SequenceMatcher(None, "".join(words), "".join(others)).ratio() >= _LEAST_WHOLE
+    pairs = [pair for pair in zip(words, others, strict=True) if max(map(len, pair)) >= _LEAST_WORD]
+    return all(SequenceMatcher(None, *pair).ratio() >= _LEAST_RATIO for pair in pairs)
 
 
 def _common_start(one: str, other: str) -> int:
@@ -140,6 +157,10 @@ class NotThere(BadFile):
     ) -> None:
         super().__init__(message, file, line, hint)
         self.thing = thing or str(self.message)
+
+
+class NoFileThere(NotThere):
+    """A file that a user's file includes or reads does not exist. roslaunch and xacro refuse that, too."""
 
 
 class NoDaemon(SlidectlError):

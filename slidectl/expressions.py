@@ -163,8 +163,14 @@ FUNCTIONS: dict[str, Any] = {
 # --- methods -------------------------------------------------------------------------------------------------------
 
 
+_LENGTH = "__len__"
+"""The only name with double underscores that expressions may use: some models have `text.__len__()` for `len(text)`."""
+
+
 def method_of(owner: Any, name: str) -> Callable[..., Any] | None:
     """The method of a value by its name; None when expressions may not use it."""
+    if name == _LENGTH and isinstance(owner, str | list | tuple | dict | set):
+        return owner.__len__
     if isinstance(owner, str) and name in _WATCHED:
         return _WATCHED[name](owner)
     if owner is str and (name in _WATCHED or name in _METHODS[str]):
@@ -352,7 +358,7 @@ def compute(text: str, names: Mapping[str, Any], dotted: tuple[type[Any], ...] =
     tree = parsed(text)
     for node in ast.walk(tree):
         name = getattr(node, "id", None) or getattr(node, "attr", None) or getattr(node, "arg", None)
-        if isinstance(name, str) and name.startswith("__"):
+        if isinstance(name, str) and name.startswith("__") and name != _LENGTH:
             raise ExpressionError(f"uses the invalid name {name!r}, with double underscores")
     return evaluate(tree, names, dotted)
 

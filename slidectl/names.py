@@ -7,6 +7,7 @@ Standard library only.
 from __future__ import annotations
 
 import re
+import unicodedata
 from collections.abc import Iterable, Iterator
 
 from slidectl.errors import AmbiguousName, BadName, UnknownName
@@ -69,6 +70,27 @@ def check_robot(name: str) -> str:
     if not is_component(name):
         raise BadName(name, "name of a robot: a letter, then letters, digits and '_'", "give it another name (-n NAME)")
     return name
+
+
+def legal_robot(name: str) -> str:
+    """The name of a robot for any text: the text itself if it is legal, else the nearest name that is.
+
+    Gazebo takes any text as the name of a model, and here it is a part of names of topics. Accents are dropped, other
+    signs become '_', and a name that does not begin with a letter gets `robot_` before it.
+    """
+    if is_component(name):
+        return name
+    plain = unicodedata.normalize("NFKD", name[:LONGEST])
+    plain = "".join(sign for sign in plain if not unicodedata.combining(sign))
+    plain = re.sub(r"(?a)\W+", "_", plain).strip("_")
+    if not plain:
+        return "robot"
+    return plain if plain[0].isalpha() else f"robot_{plain}"
+
+
+def legal_namespace(name: str) -> str:
+    """The namespace that a model's name makes, `/name`: each part of the name legal; that of `/` is the root."""
+    return "/" + "/".join(legal_robot(part) for part in name.split("/") if part)
 
 
 def join(namespace: str, name: str) -> str:

@@ -24,6 +24,8 @@ Message = dict[str, Any]
 Describe = Callable[[Message], str]
 
 TOPICS = ("feedback", "result", "status", "goal", "cancel")
+PAUSED_LIMIT_S = 10.0
+"""How long `--wait` waits for a paused world to go on, or to be stepped, wall seconds."""
 
 
 def _names(ctx: Context) -> list[str]:
@@ -189,24 +191,39 @@ def run(
 
 
 def _follow(ctx: Context, chosen: Action, goal_id: str, tell_feedback: bool, describe: Describe) -> ActionResult:
-    from slidectl.client.action_client import ActionResult
-
     status = ctx.call("/slidectl/status")
     robots.warn_stopped(ctx, status["estop"])
-    if status["paused"]:
-        ctx.say(f"{paused(status)}; this waits until it goes on: {resume_hint(status)}")
-    try:
-        with status_line(ctx, f"{chosen.name}: the goal is sent", wanted=not tell_feedback) as show:
-            for event in chosen.follow(goal_id, ctx.wait_limit(math.inf)):
-                if isinstance(event, ActionResult):
-                    return event
-                if tell_feedback:
-                    ctx.emit(event, output.as_yaml(event) + "---")
-                else:
-                    show(f"{chosen.name}: {describe(event)}")
-    except TimedOut as error:
-        hint = error.hint or f"it goes on; to end it: slidectl action cancel {chosen.name}"
-        raise TimedOut(error.message, hint) from None
+    limit_s = ctx.wait_limit(math.inf)
+    if status["paused"] and limit_s == math.inf:
+        limit_s = PAUSED_LIMIT_S
+        ctx.say(f"{paused(status)}; this waits {limit_s:g} s for it to go on: {resume_hint(status)}")
+    with status_line(ctx, f"{chosen.name}: the goal is sent", wanted=not tell_feedback) as show:
+
+        def take(feedback: Message) -> None:
+            if tell_feedback:
+                ctx.emit(feedback, output.as_yaml(feedback) + "---")
+            else:
+                show(f"{chosen.name}: {describe(feedback)}")
+
+        try:
+            return _ended(chosen, goal_id, limit_s, take)
+        except TimedOut as error:
+            now = ctx.call("/slidectl/status")
+            stands = now["paused"] and now["time"] == status["time"]
+            if ctx.timeout is not None or stands:
+                hint = error.hint or f"it goes on; to end it: slidectl action cancel {chosen.name}"
+                raise TimedOut(error.message, hint) from None
+        return _ended(chosen, goal_id, math.inf, take)  # somebody steps the world, or it goes on
+
+
+def _ended(chosen: Action, goal_id: str, limit_s: float, take: Callable[[Message], None]) -> ActionResult:
+    """Pass feedback to `take` until the goal has ended. Raises TimedOut."""
+    from slidectl.client.action_client import ActionResult
+
+    for event in chosen.follow(goal_id, limit_s):
+        if isinstance(event, ActionResult):
+            return event
+        take(event)
     raise AssertionError("follow ends with a result")
 
 

@@ -67,9 +67,13 @@ def _launch_files(context: click.Context, param: click.Parameter, incomplete: st
 @click.option("--detach", is_flag=True, help="Return when everything runs, and leave it running.")
 @click.option("--wait", is_flag=True, help="Wait for a daemon instead of starting one (60 s, or --timeout).")
 @click.option("--package", "packages", multiple=True, metavar="NAME=PATH", help="Where a package is; may repeat.")
-@click.option("--keep-going", is_flag=True, help="Leave out all that is not there, and list it at the end.")
-@click.option("--strict", is_flag=True, help="Refuse impossible masses, inertias and shapes instead of mending them.")
-@click.option("--skip-unknown", is_flag=True, help="Leave out nodes that can neither be done nor run here.")
+@click.option("--keep-going", is_flag=True, help="Leave out files that are not there and nodes that fail, too.")
+@click.option(
+    "--strict",
+    is_flag=True,
+    help="Refuse what is not there, and impossible masses, inertias and shapes, instead of going on.",
+)
+@click.option("--skip-unknown", is_flag=True, help="With --strict: leave out nodes that cannot be had all the same.")
 @click.option("--no-commands", is_flag=True, help="Refuse <param command=...> that is not xacro.")
 @click.option("--screen", "output_of_all", flag_value="screen", help="Show the output of all nodes.")
 @click.option("--log", "output_of_all", flag_value="log", help="Write the output of all nodes into logs.")
@@ -85,12 +89,14 @@ def launch(ctx: Context, /, words: tuple[str, ...], packages: tuple[str, ...], *
 
     Starts a daemon when none runs, and then stops it at the end; Ctrl-C ends the nodes in reverse order, and so do
     SIGTERM and SIGHUP, with exit code 0. A step that fails ends the launch with 1 and names its file and line; a
-    broken file is 2. Packages, files, programs and controllers that are not there end it before it starts, all in one
-    list; with --keep-going they are left out, and it exits with 1 only when nothing is left to drive. Robots that a
-    launch that fails has spawned, itself or by its programs, go again. NAME is a launch
-    file that is shipped; - is standard input. JSON keys: event, text, and those of the event.
+    broken file is 2. Packages, programs and controllers that are not there are left out, as roslaunch does with
+    nodes: one list at the start, and again when everything else runs. It exits with 1 when no robot or none of its
+    controllers came up. A required node, and a file that is read, must be there. --strict refuses all that is not
+    there before anything starts. Robots that a launch that fails has spawned, itself or by its programs, go again. NAME
+    is a launch file that is shipped; - is standard input. JSON keys: event, text, and those of the event.
     """
     from slidectl.cli import launch_text
+    from slidectl.daemon import lifecycle
     from slidectl.launch import execution, node_kinds
 
     asked = ["--" + name.replace("_of", "").replace("_", "-") for name in _LISTINGS if given[name]]
@@ -100,6 +106,7 @@ def launch(ctx: Context, /, words: tuple[str, ...], packages: tuple[str, ...], *
     if launch_text.tell_plan(ctx, plan, given):
         return
     master = ros_master(ctx)
+    plan.missing.world_decides = ctx.up is not None or given["wait"] or lifecycle.running(ctx.paths) is not None
     tasks = node_kinds.tasks(plan, lookup, gather=True, has_master=bool(master))
     if given["dry_run"] or plan.missing:  # find everything that is missing before a daemon is started
         execution.look_ahead(plan, tasks, lookup, run_commands=False)
@@ -122,7 +129,7 @@ def load_plan(
     words: Sequence[str], packages: Sequence[str], given: Mapping[str, Any]
 ) -> tuple[LaunchPlan, Packages, str]:
     """The plan for the words of a launch, the lookup of its packages, and its title. Raises SlidectlError."""
-    from slidectl.description.missing import Missing
+    from slidectl.description.missing import TO_GO_ON, AllowedMissing, Missing
     from slidectl.launch import files, loader
 
     lookup = package_lookup(packages, "launch")
@@ -131,7 +138,12 @@ def load_plan(
     arguments = {name: value.strip() for name, value in given_arguments.items()}
     sources = files.find(names, lookup)
     namespace = join("/", os.environ.get("ROS_NAMESPACE", "").strip("/"))
-    missing = Missing("all" if given["keep_going"] else "nodes" if given["skip_unknown"] else "nothing")
+    if given["strict"] and given["keep_going"]:
+        raise UsageError("--strict and --keep-going exclude each other")
+    forgiven: AllowedMissing = "all" if given["keep_going"] else "all but files"
+    if given["strict"]:
+        forgiven = "nodes" if given["skip_unknown"] else "nothing"
+    missing = Missing(forgiven, "without --strict it is left out" if given["strict"] else TO_GO_ON)
     plan = loader.load(
         sources, arguments, lookup, run_commands=not given["no_commands"], arguments_only=given["ros_args"],
         namespace=namespace, missing=missing,
@@ -296,9 +308,10 @@ def _tell_running(execution: Execution, title: str, detach: bool, background: Ba
     from slidectl.launch.nodes.programs import reason
 
     run = execution.run
-    controllers = run.call("/slidectl/status")["controllers_running"]
+    status = run.call("/slidectl/status")
+    controllers = status["controllers_running"]
     died = {task.node.full_name: reason(code) for task, code in execution.died.items()}
-    missing = run.plan.missing.lines()
+    missing = execution.lacks
     how = f"runs without {output.count(len(missing), 'thing')}, listed below" if missing else "everything runs"
     if died:
         how = f"these nodes died: {', '.join(f'{name} ({why})' for name, why in died.items())}; the rest runs"
@@ -313,3 +326,6 @@ def _tell_running(execution: Execution, title: str, detach: bool, background: Ba
     )  # fmt: skip
     if missing:
         run.console.step("left_out", "\n".join(["left out:", *missing]), things=missing)
+    if status["paused"]:
+        resume = to_type(run.client.paths, "sim resume")
+        run.console.step("paused", f"the world is paused; {resume} lets it go on", command=resume)

@@ -1103,6 +1103,10 @@ class Manager:
         """The controllers with a `type` parameter in this namespace, loaded or not."""
         return configured(self.client.params.names(), self.namespace)
 
+    def is_configured(self, name: str) -> bool:
+        """True when a controller has a `type` parameter in this namespace. Its name may hold a slash."""
+        return is_configured(self.client.params.names(), self.namespace, name)
+
     def known(self) -> list[str]:
         """Names of the controllers that are loaded or configured, sorted."""
         return sorted({*self.states(), *self.configured()})
@@ -1221,6 +1225,11 @@ def configured(parameters: Sequence[str], namespace: str) -> list[str]:
     prefix = namespace.rstrip("/") + "/"
     inside = (name.removeprefix(prefix) for name in parameters if name.startswith(prefix))
     return [name.removesuffix("/type") for name in inside if name.endswith("/type") and name.count("/") == 1]
+
+
+def is_configured(parameters: Sequence[str], namespace: str, name: str) -> bool:
+    """True when a controller has a `type` among these parameters. Its name may hold a slash: `arm/position`."""
+    return names.join(namespace, f"{name}/type") in parameters
 
 
 def claimed_text(resources: Sequence[Message]) -> str:

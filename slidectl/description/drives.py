@@ -20,7 +20,11 @@ MIMIC = (
     "libroboticsgroup_gazebo_mimic_joint_plugin", "libroboticsgroup_upatras_gazebo_mimic_joint_plugin",
     "libgazebo_mimic_joint_plugin",
 )  # fmt: skip
-DRIVES = (DIFF, SKID, PLANAR)
+FORCE_BASED = (
+    "libgazebo_ros_force_based_move", "libhector_gazebo_ros_force_based_move", "libridgeback_ros_force_based_move",
+)  # fmt: skip
+"""Plugins that push the root link until it has the commanded velocity; here it has that velocity at once."""
+DRIVES = (DIFF, SKID, PLANAR, *FORCE_BASED)
 _OF_ALL = {"robotNamespace", "commandTopic", "odometryTopic", "odometryFrame", "robotBaseFrame"}
 _OF_WHEELS = {"wheelSeparation", "wheelDiameter", "updateRate"}
 _OF_DIFF = {
@@ -31,6 +35,8 @@ _SIDES = {"left": ("leftFrontJoint", "leftRearJoint"), "right": ("rightFrontJoin
 _COVARIANCES = (("covariance_x", 0.0001), ("covariance_y", 0.0001), ("covariance_yaw", 0.01))
 _OF_SKID = {"torque", "broadcastTF", *dict(_COVARIANCES), *_SIDES["left"], *_SIDES["right"]}
 _OF_PLANAR = {"odometryRate", "cmdTimeout"}
+_GAINS = {"yaw_velocity_p_gain", "x_velocity_p_gain", "y_velocity_p_gain"}
+_OF_FORCE_BASED = {"odometryRate", "cmdVelTimeOut", "publishOdometryTf"}
 _OF_MIMIC = {"joint", "mimicJoint", "multiplier", "offset"}
 _DONE_BY_CONSTRAINT = ("hasPID", "maxEffort", "sensitiveness")
 _HARMLESS = ("alwaysOn", "rosDebugLevel")
@@ -49,8 +55,9 @@ class DriveReader:
 
     def read_drive(self, plugin: Element, library: str, place: str) -> None:
         """Read a plugin of `DRIVES`. Raises BadFile: a malformed number, or a size of a wheel that is not above 0."""
+        is_force_based = library in FORCE_BASED
         own = _OF_PLANAR if library == PLANAR else _OF_WHEELS | (_OF_DIFF if library == DIFF else _OF_SKID)
-        self._tell_unknown(plugin, _OF_ALL | own, place)
+        self._tell_unknown(plugin, _OF_ALL | (_OF_FORCE_BASED | _GAINS if is_force_based else own), place)
         namespace = plugin.find("robotNamespace")
         common: dict[str, Any] = {
             "name": plugin.get("name") or library,
@@ -68,6 +75,16 @@ class DriveReader:
             common |= dict.fromkeys(("has_odometry", "has_odometry_tf"), rate > 0.0)
             drive = PlanarMove(**common, tells_height=False, odometry_rate_hz=rate, timeout_s=timeout_s)
             self.drives.append(drive)
+            return
+        if is_force_based:
+            rate = child_rate(plugin, "odometryRate", 20.0, place)
+            timeout_s = child_number(plugin, "cmdVelTimeOut", 0.25, place, finite=False)
+            tells_frame = rate > 0.0 and self._flag(plugin, "publishOdometryTf", True, place)
+            common |= {"has_odometry": rate > 0.0, "has_odometry_tf": tells_frame}
+            for tag in sorted(_GAINS):
+                if (child := plugin.find(tag)) is not None:
+                    self.report.converted(child, "the robot has the commanded velocity at once", f"{place}/<{tag}>")
+            self.drives.append(PlanarMove(**common, tells_height=False, odometry_rate_hz=rate, timeout_s=timeout_s))
             return
         read = self._diff if library == DIFF else self._skid
         wheels = read(plugin, place)

@@ -86,7 +86,7 @@ class GazeboReader:
             self.drives.read_drive(element, library(element), place)
         elif library(element) in drives.MIMIC:
             self.drives.read_mimic(element, place)
-        elif library(element) != _CONTROL_PLUGIN:
+        elif not _is_control(element):
             from difflib import get_close_matches
 
             # All plugins of gazebo_ros have similar names, so the cutoff is higher than for usual suggestions.
@@ -97,6 +97,8 @@ class GazeboReader:
         elif self.plugin is not None:
             self.report.ignored(element, f"only the first {_CONTROL_PLUGIN}.so counts, line {self.plugin.line}", place)
         else:
+            if library(element) != _CONTROL_PLUGIN:
+                self.report.wrong(element, f"{filename} is taken for {_CONTROL_PLUGIN}.so, on which it is based", place)
             self.plugin = self._control(element, place)
         return True
 
@@ -128,7 +130,7 @@ class GazeboReader:
             self.sensors.of_link(link, child, place)
         elif child.tag == "material":
             self._set(link, material=_text(child) or None)
-        elif child.tag == "plugin" and library(child) == _CONTROL_PLUGIN:
+        elif child.tag == "plugin" and _is_control(child):
             self.report.wrong(child, "has no effect in here: it belongs into a <gazebo> without a reference", place)
         else:
             self.report.ignored(child, f"has no effect here{self.report.meant(child.tag, _OF_LINK, '<{}>')}", place)
@@ -165,9 +167,9 @@ class GazeboReader:
 def leave_out_hardware(root: Element, missing: Missing) -> None:
     """Remove `<robotSimType>` tags with unknown simulated hardware, so that the default is used, and note each.
 
-    Only when something else is missing or --keep-going is set. Otherwise the daemon decides: it may have imported more.
+    Not when nothing is missing and nothing may be, nor for a daemon that runs already: it may have imported more.
     """
-    if not missing and not missing.keeps_going:
+    if missing.forgiven != "all" and (missing.world_decides or (not missing and not missing.keeps_going)):
         return
     known = (*SIM_TYPES, *installed_hardware())
     for plugin in _control_plugins(root):
@@ -203,7 +205,12 @@ def _control_plugins(root: Element) -> list[Element]:
     """The control plugins of the model; those inside a `<gazebo>` of a link or joint do not count."""
     models = (gazebo for gazebo in root.find_all("gazebo") if not gazebo.get("reference"))
     plugins = (plugin for gazebo in models for plugin in gazebo.find_all("plugin"))
-    return [plugin for plugin in plugins if library(plugin) == _CONTROL_PLUGIN]
+    return [plugin for plugin in plugins if _is_control(plugin)]
+
+
+def _is_control(plugin: Element) -> bool:
+    """True for gazebo_ros_control, and for what a robot's makers have derived from it: `libNAME_gazebo_ros_control`."""
+    return library(plugin).removeprefix("lib").endswith(_CONTROL_PLUGIN.removeprefix("lib"))
 
 
 def _text(element: Element) -> str:

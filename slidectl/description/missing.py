@@ -7,13 +7,20 @@ that was noted, unless the user wants to go on without them.
 
 from __future__ import annotations
 
+import json
+import os
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from slidectl.errors import NotThere
+from slidectl.errors import NoFileThere, NotThere
 
-AllowedMissing = Literal["nothing", "nodes", "all"]
-"""What may be left out without an error: `nodes` is --skip-unknown, `all` is --keep-going."""
+AllowedMissing = Literal["nothing", "nodes", "all but files", "all"]
+"""What may be left out without an error.
+
+`nodes` is `launch --strict --skip-unknown`. `all but files` is what a launch does by itself: a file that is named and
+not there is an error, as roslaunch and xacro have it. `all` is --keep-going.
+"""
 
 TO_GO_ON = "--keep-going leaves out what is not there"
 
@@ -25,6 +32,8 @@ class Absence:
     error: NotThere
     loss: str
     is_node: bool
+    is_required: bool = False
+    """True for a required node: a launch cannot go on without it."""
 
     @property
     def text(self) -> str:
@@ -36,8 +45,11 @@ class Absence:
 class Missing:
     """The absences of one launch, spawn or check, in the order of reading; each is kept once."""
 
-    def __init__(self, forgiven: AllowedMissing = "nothing") -> None:
+    def __init__(self, forgiven: AllowedMissing = "nothing", to_go_on: str = TO_GO_ON) -> None:
         self.forgiven = forgiven
+        self._to_go_on = to_go_on
+        self.world_decides = False
+        """True when a daemon runs that may know simulated hardware which is not known here."""
         self._found: dict[str, Absence] = {}
 
     def __len__(self) -> int:
@@ -49,20 +61,29 @@ class Missing:
 
     @property
     def keeps_going(self) -> bool:
-        """True when everything that is missing is left out."""
-        return self.forgiven == "all"
+        """True when missing packages, meshes, hardware and controllers are left out."""
+        return self.forgiven in ("all but files", "all")
 
-    def note(self, error: NotThere, loss: str = "", is_node: bool = False) -> None:
+    @property
+    def leaves_failures_out(self) -> bool:
+        """True when a node that fails is left out, too: on request, and when what is missing may be the reason."""
+        return self.forgiven == "all" or (self.keeps_going and bool(self._found))
+
+    def note(self, error: NotThere, loss: str = "", is_node: bool = False, is_required: bool = False) -> None:
         """Add an absence. A second one with the same message only adds its `loss`, if the first has none."""
         key = str(error.message)
         known = self._found.get(key)
         if known is None:
-            self._found[key] = Absence(error, loss, is_node)
+            self._found[key] = Absence(error, loss, is_node, is_required)
         elif loss and not known.loss:
             self._found[key] = replace(known, loss=loss, is_node=is_node)
 
     def forgives(self, absence: Absence) -> bool:
         """True when an absence is no error."""
+        if absence.is_required:
+            return False
+        if isinstance(absence.error, NoFileThere):
+            return self.forgiven == "all"
         return self.keeps_going or (self.forgiven == "nodes" and absence.is_node)
 
     def refuse(self) -> None:
@@ -82,8 +103,49 @@ class Missing:
         lines = [error.hint] if error.hint else []
         if others:
             lines += ["these are not there either:", *(f"  {one.error.message!s}" for one in others)]
-        raise NotThere(error.reason, error.file, error.line, "\n".join([*lines, TO_GO_ON]), error.thing)
+        if any(absence.is_required for absence in found.values()):
+            lines.append("a launch ends with a required node, so it does not start without it")
+        else:
+            lines.append(self._to_go_on)
+        raise NotThere(error.reason, error.file, error.line, "\n".join(lines), error.thing)
 
     def lines(self) -> list[str]:
         """The things that are left out, each as `file:line: what is missing; what is left out because of it`."""
         return [absence.text for absence in self.found if self.forgives(absence)]
+
+
+# --- across processes ------------------------------------------------------------------------------------------------
+
+_FORGIVEN = "SLIDECTL_LEAVES_OUT"
+_NOTES = "SLIDECTL_LEFT_OUT"
+"""Environment variables for a program that a launch runs, and which may run our xacro: what may be left out there, and
+the file for what was."""
+
+
+def passed_on(missing: Missing, notes: str) -> dict[str, str]:
+    """Environment variables with which our xacro, run by another program, judges as this process. `notes` is a file."""
+    return {_FORGIVEN: missing.forgiven, _NOTES: notes}
+
+
+def taken_over(environment: Mapping[str, str] = os.environ) -> Missing | None:
+    """What `passed_on` has passed on to this process, or None."""
+    levels: dict[str, AllowedMissing] = {level: level for level in ("nothing", "nodes", "all but files", "all")}
+    found = levels.get(environment.get(_FORGIVEN, ""))
+    return None if found is None else Missing(found)
+
+
+def write_notes(missing: Missing, environment: Mapping[str, str] = os.environ) -> None:
+    """Append what is missing to the file of the launch, one JSON record a line. Nothing without such a file."""
+    if notes := environment.get(_NOTES):
+        with open(notes, "a", encoding="utf-8") as file:
+            for one in missing.found:
+                is_file = isinstance(one.error, NoFileThere)
+                place = [one.error.reason, one.error.file, one.error.line, one.error.hint, one.error.thing]
+                file.write(json.dumps([is_file, one.loss, place]) + "\n")
+
+
+def read_notes(missing: Missing, text: str) -> None:
+    """Add what another process has written with `write_notes`."""
+    for line in text.splitlines():
+        is_file, loss, place = json.loads(line)
+        missing.note((NoFileThere if is_file else NotThere)(*place), loss)

@@ -231,10 +231,16 @@ class _LinkReader:
     def _inertial(self, element: Element, owner: str) -> Inertial:
         self.report.unknown(element, (), {"origin", "mass", "inertia"}, f"{owner}/<inertial>")
         mass = element_values.number(self._child(element, "mass", owner), "value", owner)
+        origin = _origin(self.report, element, owner)
+        tensor = self.report.only(element, "inertia")
+        if tensor is None and not self.strict:
+            text = "lacks <inertia>, which is taken for zeros, and these are corrected"
+            self.report.wrong(element, text, f"{owner}/<inertial>")
+            return Inertial(origin, mass, (0.0,) * 6, element.line)
         tensor = self._child(element, "inertia", owner)
         self.report.unknown(tensor, _MOMENTS, (), f"{owner}/<inertia>")
         ixx, ixy, ixz, iyy, iyz, izz = (element_values.number(tensor, name, owner) for name in _MOMENTS)
-        return Inertial(_origin(self.report, element, owner), mass, (ixx, ixy, ixz, iyy, iyz, izz), element.line)
+        return Inertial(origin, mass, (ixx, ixy, ixz, iyy, iyz, izz), element.line)
 
     def _child(self, element: Element, tag: str, owner: str) -> Element:
         child = self.report.only(element, tag)

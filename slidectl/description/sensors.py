@@ -128,15 +128,22 @@ class SensorReader:
         vertical = below(ray, "scan", "vertical")
         if vertical is not None and child_count(vertical, "samples", 1, place) > 1:
             self.report.ignored(vertical, "has no effect: a scan has one layer here", f"{place}/<vertical>")
-        samples = child_count(scan, "samples", 640, place)
+        asked = child_number(scan, "samples", 640, place)
+        samples = int(asked)
+        if samples != asked:
+            text = f"{asked:g} is taken as {samples}: as in Gazebo, a fraction is cut off"
+            self.report.converted(sensor, text, f"{place}/<samples>")
         least, most = child_number(scan, "min_angle", 0.0, place), child_number(scan, "max_angle", 0.0, place)
         nearest = child_number(extent, "min", 0.0, place)
         farthest = child_number(extent, "max", math.inf, place, finite=False)
-        if samples < 1 or samples > 100_000 or most < least or nearest < 0 or farthest <= nearest:
+        if samples < 1 or samples > 100_000 or nearest < 0 or farthest <= nearest:
             raise sensor.error(
                 f"{place}: a scan of {samples} samples from {least:g} to {most:g} rad, {nearest:g} to {farthest:g} m",
-                "1 to 100000 samples, min_angle up to max_angle, min below max",
+                "1 to 100000 samples, and a range whose min is below its max",
             )
+        if most < least:  # Gazebo turns the other way then
+            text = f"the scan goes backwards, from {least:g} down to {most:g} rad"
+            self.report.wrong(sensor, text, f"{place}/<horizontal>")
         return Laser(
             common.name, common.link, child_text(plugin, "topicName", "scan"),
             child_text(plugin, "frameName", common.link), common.rate_hz, common.origin,

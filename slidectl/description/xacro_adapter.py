@@ -45,7 +45,7 @@ from slidectl.description.missing import Missing
 from slidectl.description.packages import Packages, UnknownPackage, shown
 from slidectl.description.robot import Notice
 from slidectl.description.xml_tree import Comment, Element
-from slidectl.errors import BadFile, NotThere, Refused, SlidectlError, listing
+from slidectl.errors import BadFile, NoFileThere, NotThere, Refused, SlidectlError, listing
 from slidectl.expressions import FUNCTIONS, MATH, compute
 
 MOST_MEMORY = 1 << 30
@@ -219,7 +219,7 @@ class _Run:
                 raise
             del xacro.filestack[depth:]
             text = f"no such file or directory: {file}"
-            absent = NotThere(text + self.called(), node.file, node.line, thing=text)
+            absent: NotThere = NoFileThere(text + self.called(), node.file, node.line, thing=text)
             if file.startswith(_NOWHERE):
                 absent = self.unknown[file.removeprefix(_NOWHERE).partition("/")[0]]
             self.missing.note(absent, "what it includes is left out")

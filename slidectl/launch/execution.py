@@ -6,11 +6,10 @@ Tasks know what to do for each node. After `shut_down` nothing that was started 
 from __future__ import annotations
 
 import json
-import math
 import signal
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 from slidectl import writing
@@ -18,8 +17,9 @@ from slidectl.client import Client
 from slidectl.description import source_note
 from slidectl.description.packages import Packages
 from slidectl.errors import NoDaemon, Refused, SlidectlError, UsageError
-from slidectl.launch.nodes.controller_nodes import Spawner
+from slidectl.launch.nodes.controller_nodes import ManagerScript, Spawner
 from slidectl.launch.nodes.gazebo import Gazebo, WorldSettings
+from slidectl.launch.nodes.left_out import LeftOut
 from slidectl.launch.nodes.programs import Process, reason
 from slidectl.launch.nodes.spawn_model import SpawnModel
 from slidectl.launch.plan import LaunchPlan, Leaf, Location, Node, RosparamCommand
@@ -31,6 +31,10 @@ _LOOK_SELDOM_S = 0.5
 _STATUS_EVERY_S = 1.0
 _FIRST_MOMENT_S = 0.1
 """How long programs are watched before the launch counts as up: broken programs usually end at once."""
+
+
+_LOADING = {"load", "lc", "spawn", "sp"}
+"""The verbs of the script controller_manager that load controllers, and their short forms."""
 
 
 class DaemonAccess(Protocol):
@@ -54,6 +58,8 @@ class _Waiting:
     reason: str
     until: float
     told: bool = False
+    waits_on: bool = False
+    """True when its time has passed and it waits on, as the real script does: the launch counts as up without it."""
 
 
 class Execution:
@@ -87,13 +93,19 @@ class Execution:
         for task in self.tasks:
             if isinstance(task, Gazebo):
                 settings = task.settings(settings)
+        holds = any(isinstance(task, Spawner | ManagerScript) for task in self.tasks)
+        run.resumes = not settings.paused
         with run.interrupts.held():
-            self._began_daemon = self.daemon.begin(settings)
+            self._began_daemon = self.daemon.begin(replace(settings, paused=True) if holds else settings)
         run.parameters = look_ahead(run.plan, self.tasks, run.packages)  # done while the daemon starts
+        if lines := run.plan.missing.lines():
+            run.console.warn("\n".join(["left out, as it is not there (--strict refuses it):", *lines]))
         client, run.owns_daemon = self.daemon.connect()
         run.connect(client)
         run.watch.listen(client, lambda: None)
-        if not run.owns_daemon:
+        if run.owns_daemon:
+            run.is_held = holds
+        else:
             self._found = set(self._robots())
         _prepare(run, run.parameters)
         self._start_nodes()
@@ -109,6 +121,8 @@ class Execution:
     def _start_nodes(self) -> None:
         for task in (task for task in self.tasks if not task.comes_last):
             self._start(task)
+        self._look_again()
+        self._let_go()  # what still waits may wait for what happens in the world
         self._wait_for_all()
         for task in (task for task in self.tasks if task.comes_last):
             self._start(task)
@@ -116,6 +130,13 @@ class Execution:
             task.afterwards(self.run)
         for entry in self._waiting:
             entry.task.settled(self.run, f"waits for {entry.reason}")
+
+    def _let_go(self) -> None:
+        """End the standstill of a world that was held for its controllers."""
+        if self.run.is_held:
+            self.run.is_held = False
+            if self.run.resumes:
+                self.run.resume()
 
     def _processes(self) -> list[Process]:
         return [task for task in self.begun if isinstance(task, Process)]
@@ -155,7 +176,7 @@ class Execution:
 
     def _fail(self, task: Task, error: SlidectlError) -> None:
         """Raise StepFailed for a task that failed, or leave it out if the launch keeps going."""
-        if not self.run.plan.missing.keeps_going:
+        if not self.run.plan.missing.leaves_failures_out or self._is_required(task):
             raise error if isinstance(error, StepFailed) else StepFailed(task, error) from None
         task.leave_out(self.run, "the node", error)
         self.run.left_out.append(task)
@@ -177,7 +198,7 @@ class Execution:
                     entry.reason = why
 
     def _wait_for_all(self) -> None:
-        while essential := [entry for entry in self._waiting if not entry.task.waits_lightly]:
+        while essential := [entry for entry in self._waiting if not entry.task.waits_lightly and not entry.waits_on]:
             for entry in essential:
                 if not entry.told:
                     entry.told = True
@@ -190,7 +211,7 @@ class Execution:
                         limit = f"within {entry.task.patience_s:g} s"
                         self._waiting.remove(entry)
                         self._fail(entry.task, Refused(f"there was no {_bare(entry.reason)} {limit}"))
-                    entry.until = math.inf
+                    entry.waits_on = True
             self._turn(_LOOK_AGAIN_S)
             if self._over:
                 return
@@ -206,19 +227,28 @@ class Execution:
         return isinstance(entry.task, Spawner) and not could_come and any(map(_spawns, self.run.plan.nodes))
 
     def _check_left(self) -> None:
-        """Raise Refused when so much was left out that nothing can be driven."""
-        missing = self.run.plan.missing
-        if not missing.keeps_going or not missing or any(isinstance(task, Process) for task in self._running()):
+        """Raise Refused when something was left out and no robot, or none of its controllers, came up."""
+        loaders = [task for task in self.tasks if isinstance(task, Spawner | ManagerScript)]
+        if not self.run.plan.missing.lines() or any(isinstance(entry.task, Spawner) for entry in self._waiting):
             return
-        spawners = [task for task in self.tasks if isinstance(task, Spawner)]
-        if spawners:
-            is_left = any(task.loaded for task in spawners)
-        elif any(map(_spawns, self.run.plan.nodes)):
-            is_left = any(isinstance(task, SpawnModel) and task.model in self.run.spawned for task in self.tasks)
+        spawns = [node for node in self.run.plan.nodes if _spawns(node)]
+        if spawns:
+            robots = [node for node in spawns if "-sdf" not in node.words] or spawns
+            came = [task.node for task in self.tasks if isinstance(task, SpawnModel) and task.model in self.run.spawned]
+            has_robot = any(node in robots for node in came)
         else:
-            is_left = any(task not in self.run.left_out for task in self.begun)
-        if not is_left:
-            raise Refused("nothing is left to drive", "\n".join(["left out:", *missing.lines()]))
+            has_robot = any(task not in self.run.left_out and task.family != "notice" for task in self.begun)
+        names_controllers = any(map(_starts_controllers, self.run.plan.nodes))
+        if not has_robot or (names_controllers and not any(task.loaded for task in loaders)):
+            what = "no controller of it runs" if has_robot else "nothing is left to drive"
+            raise Refused(what, "\n".join(["left out:", *self.lacks]))
+
+    @property
+    def lacks(self) -> list[str]:
+        """What the launch names and does not run, each on one line: what is not there, and windows of ROS."""
+        windows = [task for task in self.begun if isinstance(task, LeftOut) and task.is_missed]
+        lines = (f"{task.node.place}: node {task.node.full_name} ({task.node.kind}): {task.why}" for task in windows)
+        return [*self.run.plan.missing.lines(), *lines]
 
     # --- running --------------------------------------------------------------------------------------------------
 
@@ -370,6 +400,13 @@ class Execution:
 def _spawns(node: Node) -> bool:
     """True when a node spawns a robot."""
     return node.package == "gazebo_ros" and node.type.removesuffix(".py") == "spawn_model"
+
+
+def _starts_controllers(node: Node) -> bool:
+    """True when a node loads controllers, and starts them unless it says --stopped."""
+    kind = node.type.removesuffix(".py")
+    loads = kind == "spawner" or (kind == "controller_manager" and bool(_LOADING.intersection(node.words)))
+    return node.package == "controller_manager" and loads
 
 
 def _bare(reason: str) -> str:

@@ -242,7 +242,7 @@ def _included(path: str, tag: Tag) -> LaunchFile:
     except NotThere as error:
         beside = is_file(tag.scope.file.parent / path)
         hint = f'there is one beside this file: file="$(dirname)/{path}"' if beside else None
-        raise tag.absence(f"{path}: {error.reason}", hint, f"file {found}") from None
+        raise tag.no_file(f"{path}: {error.reason}", hint, found) from None
     except BadFile as error:
         raise tag.error(f"{path}: {error.reason}") from None
 

@@ -18,6 +18,7 @@ from pathlib import Path
 from slidectl import input_files
 from slidectl.description.packages import Packages, UnknownPackage, is_file
 from slidectl.errors import BadFile, NotThere, closest, listing
+from slidectl.launch.absences import meaning
 from slidectl.launch.files import below
 from slidectl.launch.plan import LaunchPlan, Node
 from slidectl.launch.task import Task
@@ -49,7 +50,6 @@ RVIZ = ("rviz", "rviz")
 _TOOLS = ("rostopic", "rosservice", "rosparam")
 _VIEWER = "left_out:Viewer"
 _DO_WITHOUT_ARGUMENTS = (_VIEWER, "left_out:Window", "gazebo:Gazebo")
-_SKIP = "--skip-unknown leaves such nodes out"
 
 
 def tasks(
@@ -74,7 +74,8 @@ def tasks(
         try:
             found.append(_task(node, plan, packages, has_master))
         except NotThere as error:
-            plan.missing.note(error, f"the node {node.full_name} is left out", is_node=not node.absent)
+            loss = f"the node {node.full_name} is left out{meaning(node)}"
+            plan.missing.note(error, loss, not node.absent, node.required)
         except BadFile:
             plan.missing.refuse()
             raise
@@ -152,7 +153,7 @@ def find(node: Node, packages: Packages) -> Path:
         near = closest(node.kind, ["/".join(known) for known in COUNTERPARTS])
         here = f"did you mean {near!r}, which has a counterpart here?" if near else "it has no counterpart here either"
         message = f"node {node.full_name} ({node.kind}): {error.message}"
-        raise node.place.absence(message, f"{here}; {_SKIP}\n{error.hint}", f"package {node.package}") from None
+        raise node.place.absence(message, f"{here}\n{error.hint}", f"package {node.package}") from None
     found = [path for folder in folders for path in _named(node, folder)]
     for path in found:
         if os.access(path, os.X_OK):
@@ -175,11 +176,22 @@ def _why_not(node: Node, folders: list[Path], found: list[Path]) -> tuple[str, s
     what = f"node {node.full_name} ({node.kind})"
     if found:
         return f"{what}: {found[0]} is not executable", f"chmod +x '{found[0]}'"
-    known = sorted({path.name for folder in folders for path in below(folder) if os.access(path, os.X_OK)})
+    known = sorted({path.name for folder in folders for path in below(folder) if _is_program(path)})
     near = closest(node.type, known)
     suggestion = f" Did you mean {near!r}?" if near else ""
     message = f"{what}: no program {node.type!r} in the package, and no counterpart here.{suggestion}"
-    return message, f"programs in {folders[0]}: {listing(known)}\n{_compiled(node, folders)}{_SKIP}"
+    return message, f"programs in {folders[0]}: {listing(known)}{_compiled(node, folders)}"
+
+
+def _is_program(path: Path) -> bool:
+    """True for an executable script or binary. Copies from other systems have everything marked as executable."""
+    if not os.access(path, os.X_OK) or ".so" in path.suffixes:
+        return False
+    try:
+        with input_files.opened(path) as file:
+            return file.read(4).startswith((b"#!", b"\x7fELF"))
+    except (BadFile, OSError):
+        return False
 
 
 def _compiled(node: Node, folders: list[Path]) -> str:
@@ -188,7 +200,7 @@ def _compiled(node: Node, folders: list[Path]) -> str:
     for folder in folders:
         with suppress(BadFile):
             if built.search(input_files.read_bytes(folder / "CMakeLists.txt").decode("utf-8", "replace")):
-                return "it is compiled from C++ (CMakeLists.txt), and with roscpp it needs ROS 1 and its master\n"
+                return "\nit is compiled from C++ (CMakeLists.txt), and with roscpp it needs ROS 1 and its master"
     return ""
 
 
@@ -201,7 +213,7 @@ def _check_ros(node: Node, program: Path) -> None:
         return
     what = "is linked with roscpp" if library == "roscpp" else "imports rospy"
     message = f"node {node.full_name} ({node.kind}): {program.name} {what}, which needs ROS 1 and its master"
-    hint = f"neither is here; a script may use slidectl.client instead of rospy\n{_SKIP}"
+    hint = "neither is here; a script may use slidectl.client instead of rospy"
     raise NeedsRos(message, node.place.file, node.place.line, hint, f"{library} for {node.kind}")
 
 

@@ -11,11 +11,14 @@ import math
 import os
 import re
 import sys
+import tempfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from slidectl import paths
+from slidectl.description.missing import passed_on, read_notes
 from slidectl.description.models import read_file
 from slidectl.description.packages import is_file, shown
 from slidectl.description.robot import Notice
@@ -114,7 +117,7 @@ def _bytes(tag: Tag, path: str) -> bytes:
     try:
         content = read_file(Path(path))
     except NotThere as error:
-        raise tag.absence(f"{path}: {error.reason}", thing=f"file {path}") from None
+        raise tag.no_file(f"{path}: {error.reason}", None, Path(path)) from None
     except BadFile as error:
         raise tag.error(f"{path}: {error.reason}") from None
     if len(content) > MOST_BYTES:
@@ -172,20 +175,32 @@ def _expand(tag: Tag, file: Path, arguments: dict[str, str]) -> str:
 
 def _run(tag: Tag, command: list[str]) -> str:
     hint = f"command: {' '.join(command)}"
-    try:
-        # The shipped xacro script finds slidectl by this variable.
-        code, output = run(command, {**os.environ, "SLIDECTL_PYTHON": sys.executable}, MOST_BYTES)
-    except OverflowError as error:
-        raise tag.error(f"the command prints {error}", hint) from None
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise tag.error(f"cannot run {command[0]!r}: {reason}", hint) from None
+    with tempfile.NamedTemporaryFile("r", encoding="utf-8", prefix="slidectl-") as notes:
+        try:
+            code, output = run(command, _environment(tag, notes.name), MOST_BYTES)
+        except OverflowError as error:
+            raise tag.error(f"the command prints {error}", hint) from None
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise tag.error(f"cannot run {command[0]!r}: {reason}", hint) from None
+        read_notes(tag.plan.missing, notes.read())
     if code:
+        tag.plan.missing.refuse()  # something missing is the most frequent reason
         raise tag.error(f"the command ended with code {code}", hint)
     try:
         return output.decode("utf-8")
     except UnicodeDecodeError:
         raise tag.error("the command's output is no text", hint) from None
+
+
+def _environment(tag: Tag, notes: str) -> dict[str, str]:
+    """The environment of a command, which may run xacro: that is ours, leaves out what this launch does, and notes it.
+
+    `notes` is the file for that. The shipped xacro script finds slidectl by SLIDECTL_PYTHON.
+    """
+    folder = str(paths.share("launch") / "counterparts" / "xacro")
+    path = os.pathsep.join([folder, os.environ.get("PATH", os.defpath)])
+    return {**os.environ, "PATH": path, "SLIDECTL_PYTHON": sys.executable, **passed_on(tag.plan.missing, notes)}
 
 
 def _before_xacro(command: list[str]) -> int | None:
@@ -213,7 +228,7 @@ def _xacro_arguments(tag: Tag, command: list[str]) -> tuple[Path, dict[str, str]
         raise tag.error(f"xacro takes one file, not {len(files)}: {' '.join(command)}")
     path = Path(files[0])
     if not is_file(path):
-        raise tag.absence(f"xacro: no such file: {path}", thing=f"file {path}")
+        raise tag.no_file(f"xacro: no such file: {path}", None, path)
     return path, arguments
 
 

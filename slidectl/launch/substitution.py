@@ -28,6 +28,8 @@ MOST_TEXT = 4 * 2**20
 MOST_SUBSTITUTIONS = 10_000
 """The most substitutions in one text."""
 LONGEST_EXPRESSION = 4000
+DEFAULTS = {"ROS_DISTRO": "noetic"}
+"""Variables that every ROS 1 environment sets; these are their values where they are not set."""
 _EVAL = "$(eval "
 _SUBSTITUTION = re.compile(r"\$\(([^)]*)(\)?)([^ $]*)")
 """The text in the brackets, the closing bracket, and the path that may follow."""
@@ -221,7 +223,7 @@ def _of_names(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
     """Wrap a function so that it accepts only texts."""
 
     def checked(*values: Any) -> Any:
-        for value in values:
+        for value in values[:1] if name == "optenv" else values:  # the default of optenv may be a number
             if not isinstance(value, str):
                 raise ExpressionError(f"{name}() takes names, in quotes, and not {value!r}")
         return function(*values)

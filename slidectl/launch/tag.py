@@ -20,9 +20,9 @@ from slidectl.description import xml_tree
 from slidectl.description.packages import Packages, UnknownPackage
 from slidectl.description.report import did_you_mean
 from slidectl.description.xml_tree import Element
-from slidectl.errors import BadFile, NotThere, closest
+from slidectl.errors import BadFile, NoFileThere, NotThere, closest
 from slidectl.launch.plan import LaunchPlan, Location, Remap, Setting
-from slidectl.launch.substitution import Substitution, SubstitutionError, absent_packages, plain
+from slidectl.launch.substitution import DEFAULTS, Substitution, SubstitutionError, absent_packages, plain
 
 Parse = Callable[[bytes, str], Element]
 """Parses the text of a file, given its name in messages, into elements. Raises BadFile."""
@@ -109,7 +109,8 @@ class Scope:
     def substitution(self) -> Substitution:
         """The substitutions at this point: arguments that are declared later are not known."""
         folder, arguments = str(self.file.parent), dict(self.arguments)
-        return Substitution(self.packages, os.environ, arguments, folder, self.anonymous_names, self.launch.absent)
+        environment = {**DEFAULTS, **os.environ}
+        return Substitution(self.packages, environment, arguments, folder, self.anonymous_names, self.launch.absent)
 
     def group(self, namespace: str) -> Scope:
         """A copy of the scope for a group in the same file."""
@@ -154,6 +155,10 @@ class Tag:
     def absence(self, message: str, hint: str | None = None, thing: str = "") -> NotThere:
         """As error, for a missing thing that the tag names."""
         return self.place.absence(f"<{self.name}>: {message}", self._with_trail(hint), thing)
+
+    def no_file(self, message: str, hint: str | None, path: Path) -> NoFileThere:
+        """As error, for a file that the tag reads and that is not there."""
+        return self.place.no_file(f"<{self.name}>: {message}", self._with_trail(hint), path)
 
     def _with_trail(self, hint: str | None) -> str | None:
         lines = [hint] if hint else []

@@ -75,6 +75,10 @@ class Run:
     """Environment variables for the programs of nodes, beside our own: how to reach the daemon."""
     watch: Watch = field(default_factory=Watch)
     owns_daemon: bool = False
+    is_held: bool = False
+    """True while the world stands still until the robots' controllers run: no arm falls meanwhile."""
+    resumes: bool = True
+    """True when a held world goes on afterwards: unless the launch asks for a paused one and nothing resumes it."""
     failed: bool = False
     """True at the end of a launch that did not come up, or whose required node died."""
     parameters: Mapping[str, Leaf] = field(default_factory=dict)
@@ -119,6 +123,13 @@ class Run:
     def parameter(self, name: str) -> Any:
         """The value of a parameter, or None when it is not set."""
         return json.loads(self.call("/rosapi/get_param", {"name": name, "default": "null"})["value"])
+
+    def resume(self) -> None:
+        """Let the world go on, now or when it is not held any more."""
+        if self.is_held:
+            self.resumes = True
+        else:
+            self.call("/gazebo/unpause_physics")
 
     def set_parameter(self, name: str, value: Any) -> None:
         """Set a parameter. Raises Refused."""

@@ -15,6 +15,7 @@ from command_line import CommandLine
 from waiting import DEADLINE_S, eventually
 
 RUNS = "everything runs"
+RUNS_WITHOUT = "listed below"
 
 
 class Launched:
@@ -58,8 +59,9 @@ class Launched:
             self._text += data
 
     def up(self) -> str:
-        """Wait until everything runs."""
-        return self.until(RUNS)
+        """Wait until everything runs that there is."""
+        self.until_one_of(RUNS, RUNS_WITHOUT)
+        return self.text
 
     def signal(self, number: int = signal.SIGINT) -> None:
         self.process.send_signal(number)

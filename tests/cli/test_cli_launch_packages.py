@@ -56,7 +56,7 @@ def test_an_arm_whose_plugin_names_no_namespace_lives_in_that_of_its_spawn_node(
 
 def test_a_robot_on_wheels_with_a_world_of_its_own(ros: CommandLine) -> None:
     launched = Launched(ros, "wheels_gazebo", "wheels_world.launch", "--keep-going")
-    text = launched.until("the model is left out")
+    text = launched.up()
     assert "wheels.world:6: model 'turtlebot' is not there" in text
     assert "/gazebo: the world: step 0.002 s, as fast as possible" in text
     assert "/gazebo_gui: there is no window here" in text
@@ -77,7 +77,7 @@ def test_arguments_of_empty_world_reach_the_world(ros: CommandLine) -> None:
 
 
 def test_rovers_in_two_namespaces_without_the_nodes_that_there_are_not(ros: CommandLine) -> None:
-    done = ros("launch", "rover_gazebo", "rover_empty_world.launch")
+    done = ros("launch", "rover_gazebo", "rover_empty_world.launch", "--strict")
     assert done.returncode == 2
     assert (
         "node /ekf_localization (robot_localization/ekf_localization_node): no package 'robot_localization'"
@@ -85,9 +85,8 @@ def test_rovers_in_two_namespaces_without_the_nodes_that_there_are_not(ros: Comm
     )
     assert "these are not there either:" in done.stderr
     assert "node /joy (joy/joy_node): no package 'joy'" in done.stderr
-    assert "--skip-unknown leaves such nodes out" in done.stderr
-    launched = Launched(ros, "rover_gazebo", "rover_empty_world.launch", "--skip-unknown")
-    launched.until("left out:")
+    launched = Launched(ros, "rover_gazebo", "rover_empty_world.launch")
+    launched.until("left out:\n")
     for manager in ("/", "/two"):
         assert states(ros, manager) == {"rover_joint_publisher": "running", "rover_velocity_controller": "running"}
     assert json.loads(ros.ok("robots", "second", "--json"))["pose"][1] == pytest.approx(3.0, abs=0.01)
@@ -128,8 +127,8 @@ def test_a_controller_type_that_is_not_here_is_named_with_those_that_are(ros: Co
         '{type: odd_controllers/OddController}</rosparam><node name="s" ns="wheels" pkg="controller_manager"'
         ' type="spawner" args="odd"/></launch>'
     )
-    done = ros("launch", str(path))
+    done = ros("launch", str(path), "--strict")
     assert done.returncode == 2
     assert "no controller type 'odd_controllers/OddController'" in done.stderr
-    assert "effort_controllers/JointEffortController" in done.stderr
+    assert "these are not there either:" in done.stderr
     nothing_is_left(ros.runtime)

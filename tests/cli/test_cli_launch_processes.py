@@ -332,18 +332,18 @@ def test_a_program_that_may_not_be_executed_or_is_not_there_is_named_before_anyt
 ) -> None:
     path = package.script("locked", "echo no", executable=False)
     package.script("talker", "echo yes")
-    done = slidectl("launch", package.launch('<node pkg="demo" type="locked" name="n"/>'))
+    done = slidectl("launch", package.launch('<node pkg="demo" type="locked" name="n"/>'), "--strict")
     assert done.returncode == 2
     assert f"demo.launch:2: node /n (demo/locked): {path} is not executable" in done.stderr
     assert "chmod +x" in done.stderr
-    done = slidectl("launch", package.launch('<node pkg="demo" type="taler" name="n"/>'))
+    done = slidectl("launch", package.launch('<node pkg="demo" type="taler" name="n"/>'), "--strict")
     assert done.returncode == 2
     assert "no program 'taler' in the package, and no counterpart here. Did you mean 'talker'?" in done.stderr
-    done = slidectl("launch", package.launch('<node pkg="nowhere" type="x" name="n"/>'))
+    done = slidectl("launch", package.launch('<node pkg="nowhere" type="x" name="n"/>'), "--strict")
     assert done.returncode == 2
     assert "no package 'nowhere'" in done.stderr
     assert "looked in:" in done.stderr
-    done = slidectl("launch", package.launch('<node pkg="nowhere" type="x" name="n"/>'), "--skip-unknown", "--dry-run")
+    done = slidectl("launch", package.launch('<node pkg="nowhere" type="x" name="n"/>'), "--dry-run")
     assert done.returncode == 0
     assert "the node /n is left out" in done.stderr
 

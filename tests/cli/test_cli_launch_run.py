@@ -281,7 +281,6 @@ FAILURES = {
         '<param name="robot_description" value="&lt;robot name=\'r\'&gt;"/>' + SPAWN.format("").partition("/>")[2],
         "not well-formed XML",
     ),
-    "a joint that is not there": (SPAWN.format("-J joint9 0.5"), "no moving joint 'joint9'"),
     "no manager in time": (
         CONTROL.replace('args="', 'args="--timeout 0.3 '),
         "there was no /slider/controller_manager (no robot is in /slider yet) within 0.3 s",

@@ -179,7 +179,6 @@ def test_a_source_whose_topic_is_no_name_is_refused_with_what_is_expected(world:
     ("kind", "args", "words"),
     [
         ("relay", "", "takes IN [OUT]"),
-        ("relay", "a a", "passes /a on to itself"),
         ("throttle", "messages a", "takes messages IN RATE [OUT]"),
         ("throttle", "messages a 0", "the rate must be above 0"),
         ("throttle", "messages a often", "is a number, not 'often'"),

@@ -37,7 +37,7 @@ def script(launch: Path, content: str | bytes) -> None:
 
 
 @pytest.mark.parametrize("name", SCRIPTS)
-@pytest.mark.parametrize("words", [("launch",), ("launch", "--dry-run"), ("check",)])
+@pytest.mark.parametrize("words", [("launch", "--strict"), ("launch", "--strict", "--dry-run"), ("check",)])
 def test_a_node_that_needs_rospy_is_named_before_anything_starts(
     slidectl: CommandLine, launch: Path, name: str, words: tuple[str]
 ) -> None:
@@ -52,14 +52,14 @@ def test_a_node_that_needs_rospy_is_named_before_anything_starts(
 
 def test_a_program_that_is_linked_with_roscpp_is_named_too(slidectl: CommandLine, launch: Path) -> None:
     script(launch, b"\x7fELF\x02\x01\x01" + bytes(64) + b"libroscpp.so\0libc.so.6\0")
-    done = slidectl("launch", str(launch), "--dry-run")
+    done = slidectl("launch", str(launch), "--dry-run", "--strict")
     assert done.returncode == 2
     assert "demo.launch:2: node /t (demo/talker.py): talker.py is linked with roscpp, which needs ROS 1" in done.stderr
 
 
 def test_a_program_that_was_not_compiled_says_what_it_would_need(slidectl: CommandLine, launch: Path) -> None:
     (launch.parent / "CMakeLists.txt").write_text("add_executable(talker.py src/talker.cpp)")
-    done = slidectl("launch", str(launch), "--dry-run")
+    done = slidectl("launch", str(launch), "--dry-run", "--strict")
     assert "it is compiled from C++ (CMakeLists.txt), and with roscpp it needs ROS 1" in done.stderr
 
 
@@ -75,10 +75,10 @@ def test_a_script_runs_where_its_rospy_is_found(slidectl: CommandLine, launch: P
     assert slidectl("launch", str(launch), "--dry-run").returncode == 0
 
 
-def test_such_nodes_are_left_out_on_demand(slidectl: CommandLine, launch: Path) -> None:
+def test_such_nodes_are_left_out(slidectl: CommandLine, launch: Path) -> None:
     script(launch, SCRIPTS["plain"])
-    for option in ("--skip-unknown", "--keep-going"):
-        done = slidectl("launch", str(launch), "--dry-run", option)
+    for options in ((), ("--strict", "--skip-unknown"), ("--keep-going",)):
+        done = slidectl("launch", str(launch), "--dry-run", *options)
         assert done.returncode == 0
         assert "the node /t is left out" in done.stderr
 

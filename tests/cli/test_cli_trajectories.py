@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 from command_line import CommandLine, Done
 from daemon_fixture import running_daemon
+from waiting import DEADLINE_S
 
 from slidectl.client import Client
 from slidectl.client.action_client import Action
@@ -384,3 +385,22 @@ def test_a_position_beyond_a_limit_is_warned_of(world: CommandLine) -> None:
         assert "warning: /arm/arm_controller: joint2 is sent to 9, beyond its limits" in done.stderr
     finally:
         world.ok("trajectory", "hold", "arm_controller")
+
+
+def test_a_goal_in_a_paused_world_is_given_up_unless_the_world_goes_on(world: CommandLine) -> None:
+    world.ok("sim", "pause")
+    try:
+        done = plan(world, "--to", "joint1=0.1", "--duration", "0.2", "--wait")
+        assert done.returncode == 4
+        assert "the simulation is paused; this waits 10 s for it to go on: slidectl sim resume" in done.stderr
+        assert (
+            "has not ended within 10 s\nthe simulation is paused; let it go on with: slidectl sim resume" in done.stderr
+        )
+        waiting = world.start("trajectory", "plan", "arm_controller", "--to", "joint1=0", "--duration", "2", "--wait")
+        assert waiting.stderr is not None
+        assert "this waits 10 s" in waiting.stderr.readline()
+        world.ok("sim", "resume")
+        waiting.communicate(timeout=DEADLINE_S)
+        assert waiting.returncode == 0
+    finally:
+        world.ok("sim", "resume")

@@ -73,7 +73,7 @@ def test_a_single_model_is_printed_as_urdf(slidectl: CommandLine, hall: Path) ->
 
 def test_the_models_of_a_launchs_world_come_and_leave_with_it(ends: CommandLine, hall: Path) -> None:
     path = str(hall.parent / "hall.launch")
-    refused = ends("launch", path)
+    refused = ends("launch", path, "--strict")
     assert refused.returncode == 2
     assert "model 'gone' is not there" in refused.stderr
     ends.ok("daemon", "start")

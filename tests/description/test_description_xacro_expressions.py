@@ -129,3 +129,9 @@ def test_a_warning_of_the_file_is_a_notice_and_steers_no_terminal(
     )
     assert [(notice.text, notice.line) for notice in document.report] == [("a [2J b 1", 3), ("c", 3)]
     assert "\x1b" not in capsys.readouterr().err
+
+
+def test_the_length_of_a_text_may_be_asked_for_by_its_name_in_python(write: Write) -> None:
+    document = load(write("m.xacro", model("${'abc'.__len__()}", "${[1, 2].__len__()}")))
+    assert 'v="3"' in document.xml
+    assert 'v="2"' in document.xml

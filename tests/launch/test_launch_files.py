@@ -10,7 +10,10 @@ from types import SimpleNamespace
 import pytest
 from launch_files import Workspace
 
+from slidectl import description, paths
+from slidectl.description import meshes
 from slidectl.description.packages import Packages, UnknownPackage
+from slidectl.description.robot import Mesh
 from slidectl.errors import BadFile, SlidectlError, UnknownName, UsageError
 from slidectl.launch import files
 from slidectl.launch.nodes.spawn_model import SpawnModel
@@ -179,7 +182,32 @@ def test_every_shipped_launch_file_makes_a_plan_without_a_complaint() -> None:
     ],
 )
 def test_the_samples_hold_the_models_and_configurations_that_are_shipped(sample: str, shipped: str) -> None:
-    from slidectl import paths
-
     kind, name = shipped.split("/")
     assert (paths.share("launch") / sample).read_text() == (paths.share(kind) / name).read_text()
+
+
+OTHERS_MODEL = """<robot name="other" xmlns:xacro="http://www.ros.org/wiki/xacro">
+<xacro:include filename="$(find rrbot_description)/urdf/rrbot.gazebo"/>
+<xacro:include filename="$(find rrbot_description)/urdf/materials.xacro"/>
+<link name="world"/><link name="camera_link"/>
+<joint name="c" type="fixed"><parent link="world"/><child link="camera_link"/></joint>
+<link name="hokuyo_link"><visual><geometry><mesh filename="package://rrbot_description/meshes/hokuyo.dae"/></geometry>
+<material name="white"/></visual></link>
+<joint name="h" type="fixed"><parent link="world"/><child link="hokuyo_link"/></joint></robot>"""
+
+
+def test_other_packages_find_the_files_of_rrbot_description(workspace: Workspace) -> None:
+    document = description.load(workspace.write("urdf/other.urdf.xacro", OTHERS_MODEL), {}, workspace.packages)
+    robot = description.parse(document.xml)
+    assert [sensor.name for sensor in robot.sensors] == ["head_hokuyo_sensor", "camera1"]
+    [shape] = robot.links["hokuyo_link"].visuals
+    assert isinstance(shape.geometry, Mesh)
+    assert shape.geometry.path is not None
+    assert meshes.load(shape.geometry.path, shape.geometry.scale).vertices.max() == pytest.approx(0.035)
+
+
+def test_the_gazebo_tags_of_rrbot_are_the_same_in_both_files() -> None:
+    folder = paths.share("launch") / "rrbot_description"
+    included = (folder / "urdf" / "rrbot.gazebo").read_text().partition("/>\n\n")[2]
+    assert included in (folder / "urdf" / "rrbot.xacro").read_text()
+    assert (folder / "launch" / "rrbot.rviz").read_text() == (folder / "rviz" / "rrbot.rviz").read_text()

@@ -68,7 +68,6 @@ def test_each_is_what_it_is_here(workspace: Workspace, kind: str, args: str, fam
         ("gazebo_ros/spawn_model", "-model m -param d extra", "does not understand 'extra'"),
         ("gazebo_ros/spawn_model", "-model m -param d -gazebo_namespace /other", "there is one world"),
         ("gazebo_ros/spawn_model", "-model m -param d -x", "argument -x: expected 1 argument"),
-        ("gazebo_ros/spawn_model", "-model 'a b' -param d", "give it another name (-model NAME)"),
         ("controller_manager/spawner", "", "needs the names of controllers"),
         ("controller_manager/spawner", "--timeot 3 a", "no option '--timeot' here; did you mean --timeout?"),
         ("gazebo_ros/spawn_model", "-p robot_description", "-p could match -param, -package_to_model"),

@@ -262,7 +262,26 @@ def test_an_argument_that_is_declared_later_is_not_known_earlier(workspace: Work
     assert notices(plan) == []
 
 
-@pytest.mark.parametrize("call", ["arg(5)", "arg(a)", "find(1.5)", "env(true)", "optenv('NOPE', 3)", "anon([])"])
+@pytest.mark.parametrize("call", ["arg(5)", "arg(a)", "find(1.5)", "env(true)", "optenv(3)", "anon([])"])
 def test_a_function_of_an_expression_wants_names_in_quotes(workspace: Workspace, call: str) -> None:
     with pytest.raises(BadFile, match=r"takes names, in quotes, and not "):
         workspace.value(f"$(eval {call})", a="5")
+
+
+def test_the_default_of_optenv_in_an_expression_may_be_a_number(workspace: Workspace) -> None:
+    assert workspace.value("$(eval int(optenv('NO_SUCH_VARIABLE', 0)) + 1)") == 1
+
+
+def test_the_distribution_is_noetic_where_no_other_is_set(
+    workspace: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("ROS_DISTRO", raising=False)
+    assert workspace.value("$(env ROS_DISTRO)") == "noetic"
+    monkeypatch.setenv("ROS_DISTRO", "melodic")
+    assert workspace.value("$(env ROS_DISTRO)") == "melodic"
+
+
+def test_joint_state_controllers_file_is_where_it_stood_before_noetic(workspace: Workspace) -> None:
+    file = "$(find joint_state_controller)/joint_state_controller.yaml"
+    found = workspace.values(f'<rosparam file="{file}"/>')
+    assert found["/joint_state_controller/type"] == "joint_state_controller/JointStateController"

@@ -227,3 +227,47 @@ def test_a_plugin_that_cannot_let_a_joint_follow_is_refused_or_has_no_effect() -
 )
 def test_what_a_plugin_cannot_do_is_said(plugin: str, words: str) -> None:
     assert any(words in str(notice) for notice in description.parse(box(plugin)).report)
+
+
+ON_WHEELS = """<robot name="b"><link name="base"><inertial><origin xyz="-0.001 0 0.05"/><mass value="0.8"/>
+<inertia ixx="0.003" iyy="0.002" izz="0.004" ixy="0" ixz="0" iyz="0"/></inertial>
+<collision><origin xyz="-0.08 0 0.013"/><geometry><box size="0.03 0.009 0.02"/></geometry></collision></link>{}{}
+<gazebo reference="base"><mu1>0.1</mu1><mu2>0.1</mu2></gazebo>
+<gazebo><plugin name="d" filename="libgazebo_ros_diff_drive.so"><leftJoint>l_joint</leftJoint><rightJoint>r_joint
+</rightJoint><legacyMode>false</legacyMode><wheelSeparation>0.16</wheelSeparation><wheelDiameter>0.066</wheelDiameter>
+<wheelTorque>10</wheelTorque></plugin></gazebo></robot>"""
+WHEEL = """<link name="{0}"><inertial><mass value="0.03"/>
+<inertia ixx="2e-5" iyy="2e-5" izz="4e-5" ixy="0" ixz="0" iyz="0"/></inertial>
+<collision><geometry><cylinder length="0.018" radius="0.033"/></geometry></collision></link>
+<joint name="{0}_joint" type="continuous"><parent link="base"/><child link="{0}"/>
+<origin xyz="0 {1} 0.033" rpy="-1.57 0 0"/><axis xyz="0 0 1"/></joint>
+<gazebo reference="{0}"><mu1>0.1</mu1><mu2>0.1</mu2></gazebo>"""
+
+
+def test_a_light_robot_that_stands_on_its_wheels_does_not_creep() -> None:
+    simulation = Simulation()
+    simulation.spawn(ON_WHEELS.format(WHEEL.format("l", 0.08), WHEEL.format("r", -0.08)), name="b")
+    simulation.step(2000)
+    before = place(simulation, "b", "base")
+    simulation.step(5000)
+    assert place(simulation, "b", "base") == pytest.approx(before, abs=1e-7)
+
+
+def force_based(more: str = "") -> str:
+    return f'<gazebo><plugin name="push" filename="libridgeback_ros_force_based_move.so">{more}</plugin></gazebo>'
+
+
+def test_force_based_move_gives_the_commanded_velocity_until_its_time_has_passed() -> None:
+    simulation = Simulation()
+    smooth = '<gazebo reference="base"><mu1>0</mu1><mu2>0</mu2></gazebo>'
+    simulation.spawn(box(smooth + force_based("<yaw_velocity_p_gain>500</yaw_velocity_p_gain>")), name="box")
+    simulation.step(1000)  # it comes up to the ground
+    x, y, _ = place(simulation, "box", "base")
+    for _ in range(20):
+        drive(simulation, "/box/cmd_vel", 0.3, 0.1)
+        simulation.step(100)
+    assert place(simulation, "box", "base")[:2] == pytest.approx((x + 0.6, y + 0.2), abs=0.01)
+    simulation.step(300)
+    before = place(simulation, "box", "base")
+    simulation.step(1000)
+    assert place(simulation, "box", "base") == pytest.approx(before, abs=1e-3)

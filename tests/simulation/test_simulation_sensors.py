@@ -168,11 +168,10 @@ def test_topics_of_sensors_go_with_their_robot() -> None:
 @pytest.mark.parametrize(
     ("more", "text"),
     [
-        (LASER.format(noise="").replace("<max>10</max>", "<max>0.1</max>"), "min below max"),
+        (LASER.format(noise="").replace("<max>10</max>", "<max>0.1</max>"), "min is below its max"),
         (LASER.format(noise="").replace("<samples>5</samples>", "<samples>many</samples>"), "not a number"),
         (LASER.format(noise="").replace("0 0 0.05 0 0 0", "0 0"), "six numbers"),
         (LASER.format(noise="").replace("<samples>5</samples>", "<samples>inf</samples>"), "not a finite number"),
-        (LASER.format(noise="").replace("<samples>5</samples>", "<samples>5.5</samples>"), "must be a whole number"),
         (LASER.format(noise="").replace("<min_angle>-1.5707963267948966", "<min_angle>-inf"), "not a finite number"),
         (LASER.format(noise="").replace("<update_rate>20<", "<update_rate>1e-320<"), "its period above 2147483647 s"),
         (P3D.replace("<updateRate>50<", "<updateRate>-50<"), "is -50 Hz; it must not be negative"),
@@ -183,6 +182,21 @@ def test_a_broken_sensor_is_refused_with_its_line(more: str, text: str) -> None:
     with pytest.raises(BadFile, match=text) as refused:
         Simulation().spawn(urdf(more), "thing")
     assert refused.value.line is not None
+
+
+def test_a_scan_takes_what_gazebo_takes_a_fraction_of_a_sample_and_a_turn_backwards() -> None:
+    simulation = Simulation()
+    left = LASER.format(noise="").replace("<samples>5</samples>", "<samples>5.7</samples>")
+    left = left.replace("<min_angle>-", "<min_angle>").replace("<max_angle>1", "<max_angle>-1")
+    robot = simulation.spawn(urdf(left), "thing", pose=at(0, 0, 0.1))
+    simulation.spawn(urdf(name="block"), "block", pose=at(0, 2, 0.1))  # on the left
+    scans = listen(simulation, "/thing/scan")
+    simulation.step(100)
+    assert scans[-1]["angle_increment"] == pytest.approx(-math.pi / 4)
+    assert scans[-1]["ranges"][0] == pytest.approx(1.9, abs=0.01)
+    said = " ".join(notice.text for notice in robot.paper.report)
+    assert "5.7 is taken as 5" in said
+    assert "the scan goes backwards" in said
 
 
 @pytest.mark.parametrize(

@@ -238,6 +238,7 @@ def _plain(error: SlidectlError) -> SlidectlError:
 def _xacro(ctx: Context, argv: Sequence[str]) -> None:
     """Print the expanded model, or write it into the file of `-o`. Raises as `description.load`, mostly BadFile."""
     from slidectl import description
+    from slidectl.description.missing import taken_over, write_notes
 
     parser = Parser(
         "xacro",
@@ -250,7 +251,13 @@ def _xacro(ctx: Context, argv: Sequence[str]) -> None:
     if len(models) != 1:
         raise UsageError(f"xacro takes one file, not {len(models)}", parser.get_usage().strip())
     lookup = package_lookup(())
-    document = description.load(models[0], dict(word.split(":=", 1) for word in given.words if ":=" in word), lookup)
+    arguments = dict(word.split(":=", 1) for word in given.words if ":=" in word)
+    missing = taken_over()  # in a command of a launch file, whose launch decides what is left out
+    try:
+        document = description.load(models[0], arguments, lookup, missing=missing)
+    finally:
+        if missing is not None:
+            write_notes(missing)
     tell_own_packages(ctx, lookup)
     for notice in document.report:
         ctx.warn(str(notice))

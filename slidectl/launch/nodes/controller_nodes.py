@@ -105,10 +105,10 @@ class Spawner(_ControllerTask):
     def act(self, run: Run, manager: Manager) -> str | None:
         if self.topic is not None and not self._is_open(run):
             return f"true on {self.topic}"
-        goes_on = run.plan.missing.keeps_going
+        goes_on = run.plan.missing.leaves_failures_out
         controllers = [name for name in self._controllers(run) if name not in self._absent]
         known = manager.configured()
-        unknown = [name for name in controllers if name not in known]
+        unknown = [name for name in controllers if name not in known and not manager.is_configured(name)]
         if unknown and not goes_on:
             raise self._unknown(unknown[0], known)
         for name in controllers:
@@ -283,6 +283,7 @@ class ManagerScript(_ControllerTask):
         command, *self.controllers = self.words.rest or [""]
         self.command = _ALIASES.get(command, command)
         self.restore = self.words.has("--restore")
+        self.loaded: list[str] = []
         self.goes_on = False
         if self.command not in _VERBS:
             error = UnknownName("command", command, sorted(_VERBS), "of controller_manager")
@@ -308,6 +309,8 @@ class ManagerScript(_ControllerTask):
                     raise
             else:
                 self.settled(run, done)
+        states = manager.states()
+        self.loaded = [name for name in self.controllers if name in states]
         if failures:
             raise Refused("\n".join(failures))
         return None

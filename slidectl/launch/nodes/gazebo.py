@@ -76,7 +76,10 @@ class Gazebo(Task):
             raise self.error(f"one world file at most, not {' '.join(words.rest)}")
         for error in node.absent:
             plan.missing.note(error, _EMPTY)
-        if words.rest:
+        if words.rest and _is_of_gazebo_ros(Path(words.rest[0])):
+            text = f"there is no world file {words.rest[0]}: {_EMPTY}, as in Gazebo"
+            plan.notice("wrong", node.place, node.full_name, text)
+        elif words.rest:
             try:
                 self.path = _find(node, words.rest[0])
                 self.world = read_world(self.path)
@@ -107,7 +110,7 @@ class Gazebo(Task):
             self._adapt(run)
         status = run.call("/slidectl/status")
         pace = "as fast as possible" if status["speed"] == 0 else f"speed {status['speed']:g}"
-        moving = "paused" if status["paused"] else pace
+        moving = "paused" if status["paused"] and not (run.is_held and run.resumes) else pace
         self.settled(run, f"the world: step {status['timestep']:g} s, {moving}")
         if self.scene is not None and self.scene.models:
             self._spawn_models(run, self.scene.models)
@@ -163,6 +166,11 @@ class Gazebo(Task):
             if run.call("/gazebo/delete_model", {"model_name": name}, HOOK_LIMIT_S)["success"]:
                 self.settled(run, f"{name}: deleted")
         run.spawned.clear()
+
+
+def _is_of_gazebo_ros(path: Path) -> bool:
+    """True for a world that a launch file supposes in gazebo_ros, and that is not there. Gazebo takes its empty one."""
+    return not is_file(path) and path.parent == paths.share("launch") / "counterparts" / "gazebo_ros" / "worlds"
 
 
 def _find(node: Node, name: str) -> Path:

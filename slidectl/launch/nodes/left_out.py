@@ -35,6 +35,17 @@ class LeftOut(Task):
 
     family = "notice"
     keeps_running = False
+    is_missed = True
+    """False when nothing of the launch is missing without it."""
+
+    @property
+    def text(self) -> str:
+        return f"left out: {self.why}"
+
+    @property
+    def why(self) -> str:
+        """Why there is no such node, and what serves in its place."""
+        raise NotImplementedError
 
     def start(self, run: Run) -> str | None:
         self.warn(run, self.text)
@@ -45,17 +56,23 @@ class Viewer(LeftOut):
     """A window of rviz or rqt; leaving it out is a warning."""
 
     @property
-    def text(self) -> str:
+    def why(self) -> str:
         package = self.node.package
         instead = _SHOWS.get(package, _RQT) if package.startswith("rqt") else _ROBOT
-        return f"left out: there are no windows here; {_FIRST}; {instead}"
+        return f"there are no windows here; {_FIRST}; {instead}"
 
 
 class Window(LeftOut):
     """gzclient. Launch files start it by default, so leaving it out is no warning."""
 
+    is_missed = False
+
     @property
     def text(self) -> str:
+        return self.why
+
+    @property
+    def why(self) -> str:
         return f"there is no window here; {_FIRST}"
 
     def start(self, run: Run) -> str | None:
@@ -70,16 +87,16 @@ class JointStatePublisher(LeftOut):
         super().__init__(node, plan)
         self._is_launched = bool(plan.files)
         self._has_robot = any(other.type in ("spawn_model", "spawn_model.py") for other in plan.nodes)
+        self.is_missed = not self._has_robot
 
     @property
-    def text(self) -> str:
+    def why(self) -> str:
         if self._has_robot:
             return (
-                "left out: the joints of a simulated robot are where the world has them,"
-                " and its joint_state_controller says so"
+                "the joints of a simulated robot are where the world has them, and its joint_state_controller says so"
             )
         none = ", and this launch spawns none" if self._is_launched else ""
         return (
-            f"left out: joints are those of a robot in the world here{none};"
+            f"joints are those of a robot in the world here{none};"
             " spawn it (slidectl spawn MODEL) with a joint_state_controller, and move it with slidectl pub"
         )

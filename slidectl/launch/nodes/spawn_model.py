@@ -12,7 +12,7 @@ from slidectl.description import sdf, source_note
 from slidectl.description.packages import Packages, is_file, shown
 from slidectl.description.parser import is_put_inside
 from slidectl.description.report import needs_telling
-from slidectl.errors import BadFile, BadName, NotThere, Refused, listing
+from slidectl.errors import BadFile, NotThere, Refused, UnknownName, listing
 from slidectl.launch.plan import LaunchPlan, Leaf, Node
 from slidectl.launch.task import HOOK_LIMIT_S, SPAWN_LIMIT_S, Run, Task, Words, number, parse
 
@@ -52,17 +52,15 @@ class SpawnModel(Task):
             raise self.error("needs a name for the robot: -model NAME")
         if words.one("-gazebo_namespace", "/gazebo").strip("/") != "gazebo":
             raise self.error("there is one world, and it is in /gazebo", "leave -gazebo_namespace out")
-        try:
-            self.model = names.check_robot(words.one("-model"))
-        except BadName as error:
-            raise self.error(error.message, "give it another name (-model NAME)") from None
+        self.asked_name = words.one("-model")
+        self.model = names.legal_robot(self.asked_name)
         self.pose = _pose(words)
         self.scene: sdf.Scene | None = None
         """The scene of an SDF model; set by `look_ahead`."""
         self.parts: list[str] = []
         """The names in the world: several if links of an SDF model are not connected by joints."""
         self.joints = {
-            joint.removeprefix(f"{self.model}::"): number(node, f"-J {joint}", value)
+            joint.removeprefix(f"{self.asked_name}::"): number(node, f"-J {joint}", value)
             for joint, value in words.given.get("-J", [])
         }
         """Initial joint positions, in rad or m, by joint name without the model's name."""
@@ -89,10 +87,11 @@ class SpawnModel(Task):
         is_open = robot.plugin is not None and robot.plugin.robot_namespace is None
         is_free = robot.plugin is None and not robot.transmissions and bool(robot.drives or robot.sensors)
         managers = {task.manager_namespace for task in tasks}
-        is_spoken_to = self.node.namespace in managers and names.join("/", self.model) not in managers
+        own = names.legal_namespace(self.asked_name)
+        is_spoken_to = self.node.namespace in managers and own not in managers
         if is_free or (is_open and is_spoken_to):
             return self.node.namespace
-        return description.namespace_of(robot, self.model)
+        return own if is_open or robot.plugin is None else description.namespace_of(robot, self.model)
 
     @property
     def text(self) -> str:
@@ -165,6 +164,8 @@ class SpawnModel(Task):
             self.settled(run, f"{self._source} is a ground plane, which is the world's own")
             return None
         self.parts = [request["model_name"] for request in requests]
+        if self.asked_name != self.model:
+            self.warn(run, f"{self.asked_name!r} cannot be a part of a topic's name: the model is {self.model} here")
         there = run.call("/slidectl/status")["robots"]
         added = [name for name in self.parts if name not in there]
         run.spawned += added  # before the call: an interrupted call may have spawned them
@@ -174,7 +175,7 @@ class SpawnModel(Task):
             run.spawned[:] = [name for name in run.spawned if name not in added]
             raise
         if self.words.has("-unpause"):
-            run.call("/gazebo/unpause_physics")
+            run.resume()
         self._tell(run)
         return None
 
@@ -272,8 +273,25 @@ class SpawnModel(Task):
                 run.call("/gazebo/unpause_physics")
 
     def _set_joints(self, run: Run) -> list[str]:
+        """Move the joints of -J. As in Gazebo, a limit holds a position, and a joint that is not there is skipped."""
+        [robot] = run.call("/slidectl/list_robots", {"name": self.model})["robots"]
+        moving = {joint["name"]: joint for joint in robot["joints"] if joint["type"] != "fixed"}
+        remarks, positions = [], {}
+        for name, asked in self.joints.items():
+            joint = moving.get(name)
+            if joint is None:
+                unknown = UnknownName("moving joint", name, list(moving), f"on robot {self.model!r}")
+                remarks.append(f"-J {name} {asked:g} is skipped: {unknown.message}")
+                continue
+            position = _held(joint, asked)
+            positions[joint["name"]] = position
+            if position != asked:
+                bounds = f"{joint['lower']:.10g} to {joint['upper']:.10g}"
+                remarks.append(f"-J {name} {asked:.10g} is beyond its limits, {bounds}: it starts at {position:.10g}")
+        if not positions:
+            return remarks
         try:
-            return run.client.start_joints(self.model, self.joints)
+            return [*remarks, *run.client.start_joints(self.model, positions)]
         except Refused:
             for name in self.parts:
                 run.call("/gazebo/delete_model", {"model_name": name})
@@ -305,6 +323,13 @@ class SpawnModel(Task):
             run.spawned.remove(name)
             if run.call("/gazebo/delete_model", {"model_name": name}, HOOK_LIMIT_S)["success"]:
                 self.settled(run, f"{name}: deleted")
+
+
+def _held(joint: Mapping[str, Any], position: float) -> float:
+    """The position within the joint's limits. Other joints than revolute and prismatic have none."""
+    if joint["type"] not in ("revolute", "prismatic") or not joint["lower"] <= joint["upper"]:
+        return position
+    return float(min(max(position, joint["lower"]), joint["upper"]))
 
 
 def _is_xml(text: str) -> bool:

@@ -143,8 +143,10 @@ class Relay(TopicTool):
             raise self.error(f"takes {self.usage}, not {' '.join(node.words)!r}")
         self.input = node.resolve(words[0])
         self.output = node.resolve(words[1] if len(words) == 2 else words[0] + self.suffix)
-        if self.input == self.output:
-            raise self.error(f"passes {self.input} on to itself", "the two topics must differ")
+        self.is_idle = self.input == self.output
+        """True for a relay onto itself: passing messages on would repeat each without end, so it passes none."""
+        if self.is_idle:
+            plan.notice("wrong", node.place, node.full_name, f"passes {self.input} on to itself, which has no effect")
 
     def read(self, words: list[str]) -> list[str]:
         """Read the words that are not topics; returns the topics. Raises BadFile."""
@@ -152,10 +154,11 @@ class Relay(TopicTool):
 
     @property
     def text(self) -> str:
-        return f"passes {self.input} on to {self.output}"
+        return f"passes {self.input} on to {self.output}{', so nothing is to do' if self.is_idle else ''}"
 
     def begin(self, run: Run) -> None:  # noqa: ARG002
-        self.listen(self.input, self.pass_on)
+        if not self.is_idle:
+            self.listen(self.input, self.pass_on)
 
 
 class Throttle(Relay):
@@ -187,7 +190,8 @@ class Throttle(Relay):
         return f"{super().text}, at most {self._rate:g} {what}"
 
     def begin(self, run: Run) -> None:  # noqa: ARG002
-        self.listen(self.input, self._take)
+        if not self.is_idle:
+            self.listen(self.input, self._take)
 
     def _take(self, type_name: str, came: Message) -> None:
         header = came["msg"].get("header")
