@@ -27,10 +27,15 @@ CLOSE_S = 2.0
 _LONGEST_HANDSHAKE = 64 * 1024
 _MOST_WAITING = 1024 * 1024
 """Bytes of whole messages that wait to be handled, at which reading stops."""
-_FRAME_BYTES = 300
+_FRAME_BYTES = 400
 """What a frame costs in addition to its data: a client may send millions of empty ones."""
-_PIECE = 4096
-"""Received bytes that are unpacked at a time. They become a thousand times as much at the most."""
+_COPIES = 2
+"""How often a message is in memory while it is handled: as it came, and as what is made of it."""
+_MOST_FRAMES = 10_000
+"""Frames of one message."""
+_PIECE = 8192
+"""Received bytes that are handled at a time. Unpacked they become a thousand times as much at the most."""
+_TOO_BIG = 1009
 TRY_LATER = 1013
 """The close code of a server that has too much to do."""
 _LONGEST_REASON = 120
@@ -85,10 +90,14 @@ class BoundedConnection(ServerConnection):
         """True when nothing that comes is of interest any more."""
         self._head = 0
         """Bytes of the handshake's request."""
-        self._unfinished = 0
-        """Bytes of the whole frames of a message whose last frame has not come."""
-        self._whole: deque[int] = deque()
-        """Bytes of each message that waits to be handled."""
+        self._rest = bytearray()
+        """What has come and is not parsed, while reading is stopped."""
+        self._frames = self._unfinished = 0
+        """The number and bytes of the whole frames of a message whose last frame has not come."""
+        self._last: Frame | None = None
+        """The last frame that came. The library's parser keeps it until the next one comes."""
+        self._whole: deque[tuple[int, Frame]] = deque()
+        """Bytes and last frame of each message that waits to be handled."""
         self._waiting = 0
         """Their sum."""
         self._in_hand = 0
@@ -109,8 +118,7 @@ class BoundedConnection(ServerConnection):
         plain = cast(asyncio.Transport, transport)
         self._bounds.admit(self, plain)
         if self._bounds.tls is None:
-            self._is_made = True
-            super().connection_made(plain)
+            self._begin(plain)
         else:
             plain.pause_reading()  # until TLS reads
             self._tls_task = self.loop.create_task(self._start_tls(plain, self._bounds.tls))
@@ -131,8 +139,13 @@ class BoundedConnection(ServerConnection):
             plain.abort()
             self.connection_lost(None)  # asyncio does not say it of a handshake that failed
             return
+        self._begin(secured)
+
+    def _begin(self, transport: asyncio.Transport) -> None:
         self._is_made = True
-        super().connection_made(secured)
+        super().connection_made(transport)
+        # The frames are freed with the handler: the connection itself is part of cycles, and may stay for minutes.
+        self.server.handlers[self].add_done_callback(lambda _: self._discard())
 
     def connection_lost(self, exc: Exception | None) -> None:
         self._bounds.forget(self)
@@ -143,30 +156,44 @@ class BoundedConnection(ServerConnection):
             super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
-        size = _PIECE if self.protocol.extensions else max(1, len(data))
-        for begin in range(0, len(data), size):
-            if self._is_given_up:
-                return
+        self._rest += data
+        self._feed()
+
+    def eof_received(self) -> None:
+        self._feed(is_all=True)
+        super().eof_received()
+
+    def _feed(self, is_all: bool = False) -> None:
+        """Handle what has come, until reading is stopped."""
+        while self._rest and not self._is_given_up and (is_all or not self._stops):
+            piece = bytes(self._rest[:_PIECE])
+            del self._rest[:_PIECE]
             if self.request is None:
-                self._head += len(data)
+                self._head += len(piece)
                 if self._head > _LONGEST_HANDSHAKE:
                     self._refuse("the request is too long")
                     return
-            super().data_received(data[begin : begin + size])
+            super().data_received(piece)
             if self.protocol.close_expected():
                 self._cut_soon()
-            self._count()
+            if self._waiting > _MOST_WAITING:
+                self.stop_reading("waiting")
+            if self._frames > _MOST_FRAMES:
+                self.end_at_once(_TOO_BIG, f"a message of more than {_MOST_FRAMES} frames")
+        self._count()
 
     def process_event(self, event: Event) -> None:
         super().process_event(event)
         if isinstance(event, Request):
             self._head = 0
         elif isinstance(event, Frame) and event.opcode in DATA_OPCODES:
+            self._last = event
             self._unfinished += len(event.data) + _FRAME_BYTES
+            self._frames += 1
             if event.fin:
-                self._whole.append(self._unfinished)
+                self._whole.append((self._unfinished, event))
                 self._waiting += self._unfinished
-                self._unfinished = 0
+                self._frames = self._unfinished = 0
 
     def send_data(self) -> None:
         if self.request is None and self.protocol.handshake_exc is not None and self._head:
@@ -182,8 +209,10 @@ class BoundedConnection(ServerConnection):
             self._share.handled()
             self._count()
         message = await super().recv(decode)
-        self._in_hand = self._whole.popleft()
-        self._waiting -= self._in_hand
+        size, last = self._whole.popleft()
+        self._waiting -= size
+        self._in_hand = _COPIES * size
+        last.data = b""  # it may be the one that the parser keeps
         if self._waiting <= _MOST_WAITING // 2:
             self.go_on_reading("waiting")
         return message
@@ -197,14 +226,13 @@ class BoundedConnection(ServerConnection):
         """Read again, unless reading is stopped for another reason."""
         if why in self._stops:
             self._stops.discard(why)
+            self._feed()
             if not self._stops:
                 self.transport.resume_reading()
 
     def _count(self) -> None:
-        if self._waiting > _MOST_WAITING:
-            self.stop_reading("waiting")
-        arrived = self._head + len(self.protocol.reader.buffer)
-        self._share.set(arrived + self._unfinished + self._waiting + self._in_hand)
+        unparsed = self._head + len(self._rest) + len(self.protocol.reader.buffer)
+        self._share.set(unparsed + self._unfinished + self._waiting + self._in_hand)
 
     # --- ending -------------------------------------------------------------------------------------------------
 
@@ -222,8 +250,17 @@ class BoundedConnection(ServerConnection):
             return
         self.protocol.fail(code, cut_reason(reason))
         super().send_data()
-        self.recv_messages.close()
         self._cut_soon()
+        self._discard()
+        self.server.handlers[self].cancel()  # what the handler holds is freed now, and not when the client has closed
+
+    def _discard(self) -> None:
+        """Free what nobody will handle. The library has no way for that; a test measures the memory."""
+        self._rest.clear()
+        self._whole.clear()
+        if self._last is not None:
+            self._last.data = b""
+        self.recv_messages.frames.queue.clear()
 
     def _cut_soon(self) -> None:
         """Give the client a while to close its side."""

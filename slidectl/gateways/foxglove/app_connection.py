@@ -25,6 +25,8 @@ _MOST_MESSAGES, _MOST_MESSAGE_BYTES = 10_000, 16 * 1024 * 1024
 _MOST_ANSWER_BYTES = 32 * 1024 * 1024
 """Limit of the answers that wait for one app. The last one may exceed it: a file."""
 _MUCH_UNSENT = 4 * 1024 * 1024
+_COPIES = 3
+"""How often a frame is in memory while a task works on it: as it came, as values, and as a line to the daemon."""
 _MOST_TASKS = 32
 """Limit of the calls and file requests of one app in progress."""
 
@@ -124,7 +126,7 @@ class AppConnection:
         if len(self._tasks) >= _MOST_TASKS:
             work.close()
             raise BadFrame(f"{_MOST_TASKS} calls and files of this app are under way already")
-        frame_bytes = self.frame_bytes
+        frame_bytes = _COPIES * self.frame_bytes
 
         def ended() -> None:
             self._task_bytes -= frame_bytes
@@ -165,3 +167,5 @@ class AppConnection:
         self._tasks.cancel()
         self._in_tasks.close()
         self._unread.close()
+        self._answers.clear()
+        self._messages.clear()

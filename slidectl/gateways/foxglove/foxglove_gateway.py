@@ -299,6 +299,7 @@ class FoxgloveGateway(Gateway):
                     await self._take_frame(app, frame)
                 except SlidectlError as error:
                     app.fail(str(error))
+                del frame  # it may be long, and the next one may come late
         finally:
             self._forget(app)
 

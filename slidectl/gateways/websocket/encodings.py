@@ -165,6 +165,11 @@ class FragmentBuffer:
             raise UsageError(f"{self._most_bytes} bytes and {self.MOST_FRAMES} frames may wait for their fragments")
         return None
 
+    def clear(self) -> None:
+        """Discard all fragments."""
+        for name in list(self._waiting):
+            self._forget(name)
+
     def _forget(self, name: str) -> None:
         self._totals.pop(name, None)
         pieces = self._waiting.pop(name, {}).values()

@@ -199,6 +199,7 @@ class RosbridgeSession:
 
     def close(self) -> None:
         """Handle the browser's disconnection."""
+        self._fragments.clear()
         self._goals.forget(self._tell)
         self._daemon.close()
 

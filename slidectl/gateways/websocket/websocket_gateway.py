@@ -198,6 +198,7 @@ class BrowserConnection(ListenerConnection):
                 second_ends, taken = self.loop.time() + 1.0, 0
             taken += 1
             await session.take(frame)
+            del frame  # it may be long, and the next one may come late
             await daemon.drain()
 
     def end_soon(self, code: int, reason: str) -> None:

@@ -31,6 +31,7 @@ from websockets.http11 import Request, Response
 from slidectl import local_peers
 from slidectl.bounded_websocket import BoundedConnection, ConnectionBounds, answering_bad_requests
 from slidectl.errors import Refused, UnknownName
+from slidectl.processes import return_large_blocks
 from slidectl.web_access import LOOPBACK, host_of, is_secret
 
 if TYPE_CHECKING:
@@ -178,6 +179,7 @@ class GuardedServer(viser.ViserServer):
     """viser's server without log output and without its offer to share the page on the internet."""
 
     def __init__(self, host: str, port: int, guard: AccessGuard) -> None:
+        return_large_blocks()
         logging.getLogger("websockets.server").addFilter(_is_no_handshake)
         with _guarded(guard, self), redirect_stdout(io.StringIO()):
             super().__init__(host=host, port=port, label="slidectl", verbose=False)
