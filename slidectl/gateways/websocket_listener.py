@@ -6,6 +6,7 @@ What connections may hold is bounded by slidectl/bounded_websocket.py.
 
 from __future__ import annotations
 
+import asyncio
 import errno
 import http
 import logging
