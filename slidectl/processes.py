@@ -31,6 +31,7 @@ _HELD = (errno.EAGAIN, errno.EACCES)
 """errno values that mean another process holds the lock."""
 _LAST_LINES = 8
 _PR_SET_PDEATHSIG = 1
+_M_MMAP_THRESHOLD = -3
 
 
 def holder(path: Path) -> int | None:
@@ -130,3 +131,15 @@ def end_with(parent: int, number: int) -> bool:
 
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number)
     return os.getppid() == parent
+
+
+def return_large_blocks() -> None:
+    """Let the allocator give blocks of 128 KiB and more back to the system when they are freed.
+
+    glibc keeps such blocks after it has seen some of them freed: a server would keep the most that it ever held. On
+    other systems this does nothing.
+    """
+    import ctypes
+
+    with suppress(OSError, AttributeError):
+        ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, 128 * 1024)

@@ -14,10 +14,9 @@ PACKAGE = Path(__file__).parent.parent / "slidectl"
 
 FLOORS = {
     "effects": 0, "errors": 0, "local_peers": 0,
-    "names": 0, "expressions": 0, "fault_kinds": 0, "file_reads": 0, "paths": 0,
-    "logfile": 1, "processes": 1,
-    "event_loop": 0, "input_files": 0, "rotations": 0, "web_access": 0, "writing": 0, "msgs": 0, "measures": 1,
-    "rasteriser": 1,
+    "names": 0, "expressions": 0, "fault_kinds": 0, "file_reads": 0, "held_bytes": 0, "input_files": 0, "paths": 0,
+    "bounded_websocket": 1, "logfile": 1, "processes": 1,
+    "event_loop": 0, "rotations": 0, "web_access": 0, "writing": 0, "msgs": 0, "measures": 1, "rasteriser": 1,
     "description": 1, "control": 1, "client": 1, "recording": 1,
     "physics": 2, "launch": 2, "traces": 2, "values": 2,
     "simulation": 3, "check": 3,
@@ -49,6 +48,8 @@ FORBIDDEN = {
     "fault_kinds": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "file_reads": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "input_files": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
+    "held_bytes": {"asyncio", "click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket", "websockets"},
+    "bounded_websocket": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "paths": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "rotations": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "web_access": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml"},

@@ -153,6 +153,7 @@ def run(paths: InstancePaths, kind: str, options: dict[str, Any], opened: Callab
         tell(address)
         opened(address)
 
+    processes.return_large_blocks()
     with _locked(paths, kind) as tell:
         asyncio.run(serve(gateway_class(gateway_class.Options(**options)), paths, listens))
 

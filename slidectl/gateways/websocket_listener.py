@@ -1,6 +1,7 @@
 """The WebSocket listener of a gateway: it decides who may connect, and from where.
 
 It checks tokens, origins, host names, TLS and the number of connections. It knows no protocol on top of WebSocket.
+What connections may hold is bounded by slidectl/bounded_websocket.py.
 """
 
 from __future__ import annotations
@@ -25,6 +26,13 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from slidectl import input_files
+from slidectl.bounded_websocket import (
+    CLOSE_S,
+    HANDSHAKE_S,
+    BoundedConnection,
+    ConnectionBounds,
+    answering_bad_requests,
+)
 from slidectl.errors import BadFile, Refused, SlidectlError, UsageError
 from slidectl.gateways.gateway import GatewayOptions
 from slidectl.gateways.strangers import Strangers
@@ -38,11 +46,14 @@ from slidectl.web_access import (
     shown_host,
 )
 
-_HANDSHAKE_S, _CLOSE_S = 10.0, 2.0
-_MORE_HANDSHAKES = 50
+_MORE_HANDSHAKES = 200
+"""Connections beyond the limit that still get a refusal as answer; further ones cut the oldest unfinished one."""
+_BACKLOG = 1000
+"""Connections that the system may keep until they are accepted."""
+_MOST_HELD = 128 * 1024 * 1024
+"""Limit of the bytes that have come and are not handled, over all connections."""
 _MOST_BYTES_OF_KEYS = 2**20
 """The largest file of a token, a certificate or a key, bytes."""
-"""Connections beyond the limit that still get a refusal as answer; further ones are cut."""
 
 
 @dataclass(frozen=True)
@@ -67,13 +78,11 @@ class ListenerOptions(GatewayOptions):
     """The maximum number of clients at a time."""
 
 
-class ListenerConnection(ServerConnection):
-    """A connection; it is cut at once when the server has more than `most`, or too many of other users."""
+class ListenerConnection(BoundedConnection):
+    """A connection; it is cut at once when there are too many of other users."""
 
-    def __init__(self, *args: Any, most: int, strangers: Strangers, **options: Any) -> None:
-        """`most` counts all connections of the server, before and after their handshakes."""
+    def __init__(self, *args: Any, strangers: Strangers, **options: Any) -> None:
         super().__init__(*args, **options)
-        self._most = most
         self._strangers = strangers
         self.stranger = ""
         """Why the connection is one of another user, who may not come in; empty for others."""
@@ -81,7 +90,7 @@ class ListenerConnection(ServerConnection):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         super().connection_made(transport)
         self.stranger = self._strangers.seen(self, transport)
-        if len(self.server.handlers) > self._most or (self.stranger and self._strangers.are_many):
+        if self.stranger and self._strangers.are_many:
             cast(asyncio.Transport, transport).abort()
 
     def connection_lost(self, exc: Exception | None) -> None:
@@ -105,6 +114,7 @@ class WebSocketListener:
         self._tls = _server_context(options.cert, options.key) if options.cert else None
         self._origins = {*map(_checked_origin, options.origins), *known_origins}
         self._server: Server | None = None
+        self.bounds = ConnectionBounds(_MOST_HELD, options.max_connections + _MORE_HANDSHAKES, self._tls)
         self.connections = 0
         """The present number of connections."""
         self.refused = 0
@@ -144,7 +154,7 @@ class WebSocketListener:
         if not self._token:
             check_users_can_be_told(options.any_user)
         strangers = Strangers(lets_all_in=bool(self._token) or options.any_user)
-        made = partial(kind, most=options.max_connections + _MORE_HANDSHAKES, strangers=strangers)
+        made = partial(kind, bounds=self.bounds, strangers=strangers)
 
         async def count(connection: ServerConnection) -> None:
             if self.connections >= options.max_connections:  # several connected at the same time
@@ -166,10 +176,10 @@ class WebSocketListener:
                 count,
                 cast(str, addresses if options.port else addresses[:1]),  # asyncio's server accepts a list
                 options.port,
-                ssl=self._tls,
-                process_request=self._judge,
-                open_timeout=_HANDSHAKE_S,
-                close_timeout=_CLOSE_S,
+                process_request=answering_bad_requests(self._judge),
+                open_timeout=HANDSHAKE_S,
+                close_timeout=CLOSE_S,
+                backlog=_BACKLOG,
                 server_header=None,
                 logger=quiet,
                 create_connection=cast(type[ServerConnection], made),

@@ -72,11 +72,11 @@ class TcprosStreams:
         return "taken or refused"
 
     async def _streams(self, rng: Random) -> None:
-        before = TcprosConnection._held
+        before = TcprosConnection._account.sum
         for _ in range(STREAMS):
             self._stream(rng)
-        if TcprosConnection._held != before:
-            raise Fault(f"{TcprosConnection._held - before} bytes are still counted")
+        if TcprosConnection._account.sum != before:
+            raise Fault(f"{TcprosConnection._account.sum - before} bytes are still counted")
 
     def _stream(self, rng: Random) -> None:
         name = rng.choice(self.types)

@@ -64,8 +64,8 @@ class XmlRpcCalls:
                     await self._request(rng, port)
         finally:
             await server.close()
-        if server._held or server.connections:
-            raise Fault(f"{server._held} bytes and {server.connections} connections are still counted")
+        if server.held or server.connections:
+            raise Fault(f"{server.held} bytes and {server.connections} connections are still counted")
 
     async def _document(self, rng: Random, answer: xmlrpc.Answer) -> None:
         body = self._body(rng)

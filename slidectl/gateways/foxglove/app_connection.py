@@ -1,7 +1,7 @@
 """A connected app: its unsent frames, its subscriptions and its advertised channels.
 
 An app that does not read does not delay others: its oldest messages are dropped and counted. When too many answers are
-unread too, its connection is closed.
+unread too, its connection is closed; when all apps together leave too much unread, that of the worst is.
 """
 
 from __future__ import annotations
@@ -13,16 +13,20 @@ from typing import Any, NamedTuple
 
 from websockets.asyncio.server import broadcast
 
+from slidectl.bounded_websocket import TRY_LATER
 from slidectl.gateways.foxglove.foxglove_frames import ERROR, BadFrame, status_frame
 from slidectl.gateways.ros1.ros1_types import Ros1Type
 from slidectl.gateways.tasks import Tasks
 from slidectl.gateways.websocket_listener import ListenerConnection
+from slidectl.held_bytes import HeldBytes
 
 _MOST_MESSAGES, _MOST_MESSAGE_BYTES = 10_000, 16 * 1024 * 1024
 """Limits of the messages that wait for one app."""
 _MOST_ANSWER_BYTES = 32 * 1024 * 1024
 """Limit of the answers that wait for one app. The last one may exceed it: a file."""
 _MUCH_UNSENT = 4 * 1024 * 1024
+_COPIES = 3
+"""How often a frame is in memory while a task works on it: as it came, as values, and as a line to the daemon."""
 _MOST_TASKS = 32
 """Limit of the calls and file requests of one app in progress."""
 
@@ -57,7 +61,8 @@ class AppSocket(ListenerConnection):
 class AppConnection:
     """An app: queues of its frames, its subscriptions and its channels."""
 
-    def __init__(self, socket: AppSocket) -> None:
+    def __init__(self, socket: AppSocket, held: HeldBytes, unread: HeldBytes) -> None:
+        """`held` counts what came from apps and is not handled, `unread` what they have not read."""
         self.subscriptions: dict[int, int] = {}
         """Id of a channel -> the id that the app gave to its subscription."""
         self.topics: dict[int, AppTopic] = {}
@@ -66,6 +71,11 @@ class AppConnection:
         """Names of the parameters that it subscribes."""
         self.wants_graph = False
         self.dropped = 0
+        self.frame_bytes = 0
+        """The size of the frame that is being handled: a task holds it until it ends."""
+        self._task_bytes = 0
+        self._in_tasks = held.share(self._give_up)
+        self._unread = unread.share(self._give_up)
         self._socket = socket
         socket.on_room = self._flush
         self._answers: deque[bytes | str] = deque()
@@ -116,12 +126,25 @@ class AppConnection:
         if len(self._tasks) >= _MOST_TASKS:
             work.close()
             raise BadFrame(f"{_MOST_TASKS} calls and files of this app are under way already")
-        self._tasks.begin(work)
+        frame_bytes = _COPIES * self.frame_bytes
+
+        def ended() -> None:
+            self._task_bytes -= frame_bytes
+            self._in_tasks.handled()
+            self._in_tasks.set(self._task_bytes)
+
+        self._tasks.begin(work, ended)
+        self._task_bytes += frame_bytes
+        self._in_tasks.set(self._task_bytes)
+
+    def _give_up(self, reason: str) -> None:
+        self._socket.end_at_once(TRY_LATER, reason)
 
     def _flush(self) -> None:
         """Write until the socket's buffer is full; `on_room` calls this again."""
         while not self._socket.is_full and (frame := self._next()) is not None:
             broadcast((self._socket,), frame)  # the library's way to send without waiting
+        self._unread.set(self._answer_bytes + self._message_bytes)
 
     def _next(self) -> bytes | str | None:
         if self._answers:
@@ -142,3 +165,7 @@ class AppConnection:
     def end(self) -> None:
         """Cancel the tasks of an app that has disconnected."""
         self._tasks.cancel()
+        self._in_tasks.close()
+        self._unread.close()
+        self._answers.clear()
+        self._messages.clear()

@@ -54,6 +54,7 @@ from slidectl.gateways.foxglove.robot_assets import RobotAssets
 from slidectl.gateways.gateway import Gateway, is_offered
 from slidectl.gateways.ros1.ros1_types import Ros1Type, ros1_type
 from slidectl.gateways.websocket_listener import ListenerOptions, WebSocketListener
+from slidectl.held_bytes import HeldBytes
 from slidectl.msgs.schema import SCALAR, TIMES, nanoseconds
 from slidectl.paths import InstancePaths
 from slidectl.web_access import check_effects
@@ -72,6 +73,8 @@ _QUEUE = 10_000
 """Messages per topic that the daemon queues while the gateway is busy."""
 _MOST_TOPICS, _MOST_NAMES = 1000, 10_000
 """Limits per app: published topics, and names in one frame."""
+_MOST_UNREAD = 256 * 1024 * 1024
+"""Limit of the bytes that wait for apps that do not read, over all apps."""
 _NO_DAEMON = "no-daemon"
 """The id of the status that reports a missing daemon."""
 
@@ -110,6 +113,7 @@ class FoxgloveGateway(Gateway):
         self._assets = RobotAssets()
         self._assets_lock = asyncio.Lock()
         self._apps: set[AppConnection] = set()
+        self._unread = HeldBytes(_MOST_UNREAD, "unread")
         self._dropped = 0
         """Messages that disconnected apps did not receive."""
         self._publishers: dict[tuple[str, str], int] = {}
@@ -144,7 +148,6 @@ class FoxgloveGateway(Gateway):
             subprotocols=[Subprotocol(name) for name in SUBPROTOCOLS],
             compression=None,
             max_size=LONGEST_FRAME,
-            max_queue=4,
             write_limit=256 * 1024,
         )
 
@@ -282,7 +285,7 @@ class FoxgloveGateway(Gateway):
     # --- one app ------------------------------------------------------------------------------------------------
 
     async def _serve_app(self, socket: AppSocket) -> None:
-        app = AppConnection(socket)
+        app = AppConnection(socket, self._listener.bounds.held, self._unread)
         app.send(self._server_info())
         for told in self._graph.frames():
             app.send(told)
@@ -296,6 +299,7 @@ class FoxgloveGateway(Gateway):
                     await self._take_frame(app, frame)
                 except SlidectlError as error:
                     app.fail(str(error))
+                del frame  # it may be long, and the next one may come late
         finally:
             self._forget(app)
 
@@ -320,6 +324,7 @@ class FoxgloveGateway(Gateway):
 
     async def _take_frame(self, app: AppConnection, frame: str | bytes) -> None:
         """Process a frame of an app. Raises SlidectlError, which is sent to the app."""
+        app.frame_bytes = len(frame)
         if isinstance(frame, str):
             message = read_text(frame)
             operation = self._operations.get(message["op"])
@@ -532,8 +537,8 @@ class FoxgloveGateway(Gateway):
 
     async def _subscribe_parameters(self, app: AppConnection, message: Message) -> None:
         wanted = set(fields(message, "parameterNames", str, _MOST_NAMES))
-        if len(app.parameters | wanted) > _MOST_NAMES:
-            raise Refused(f"an app subscribes {_MOST_NAMES} parameters at most")
+        if len(app.parameters | wanted) > _MOST_NAMES or any(len(name) > names.LONGEST for name in wanted):
+            raise Refused(f"an app subscribes {_MOST_NAMES} parameters at most, of {names.LONGEST} characters each")
         app.parameters |= wanted
 
     async def _unsubscribe_parameters(self, app: AppConnection, message: Message) -> None:

@@ -83,7 +83,8 @@ class DataPlane:
         self._services = ServiceServer(node)
         self._server: asyncio.Server | None = None
         self._port = 0
-        self._connections: set[TcprosConnection] = set()
+        self._connections: dict[TcprosConnection, None] = {}
+        """In the order in which they came."""
         self._most_connections = MOST_CONNECTIONS
         self._open_connection: OpenConnection | None = None
         self._own: list[DaemonConnection] = []
@@ -243,11 +244,14 @@ class DataPlane:
             self.strangers.gone(connection)
             return
         if len(self._connections) >= self._most_connections:
-            connection.refuse(f"too many connections: {self._most_connections} are open")
-            connection.close()
-            return
-        self._connections.add(connection)
-        connection.on_gone = self._connections.discard
+            unfinished = next((one for one in self._connections if not one.has_header), None)
+            if unfinished is None:
+                connection.refuse(f"too many connections: {self._most_connections} are open")
+                connection.close()
+                return
+            unfinished.close()
+        self._connections[connection] = None
+        connection.on_gone = lambda gone: self._connections.pop(gone, None)
 
     def _take_header(self, connection: TcprosConnection, header: Fields) -> None:
         if "topic" in header:

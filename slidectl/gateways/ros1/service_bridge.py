@@ -108,6 +108,7 @@ class ServiceClientLink:
     def _take(self, request: bytes | str) -> None:
         """Queue a request. Reading stops while a second one waits, so that a fast client fills its own buffers."""
         self._waiting.append(request)
+        self._connection.keep(len(request))
         if self._task is None:
             self._task = asyncio.get_running_loop().create_task(self._serve())
         else:
@@ -116,7 +117,9 @@ class ServiceClientLink:
     async def _serve(self) -> None:
         """Answer all waiting requests."""
         while self._waiting:
-            self._connection.write(await self._answer(self._waiting.popleft()))
+            request = self._waiting.popleft()
+            self._connection.write(await self._answer(request))
+            self._connection.keep(-len(request))
             await self._connection.writable()
             if not self._is_persistent:
                 self._connection.close()

@@ -1,6 +1,7 @@
 """TCPROS: connection headers, message frames, and an asyncio connection that uses both.
 
-Received data is limited in length and time, queued data in count and length. It knows no topic and no service.
+Received data is limited in length and time, queued data in count and length. What has come and is not whole is limited
+over all connections; a length that is only claimed costs nothing. It knows no topic and no service.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from typing import Any, TypeVar
 from slidectl.client.lines import LONGEST_LINE
 from slidectl.errors import Refused, SlidectlError, TimedOut, UsageError
 from slidectl.gateways.strangers import Strangers
+from slidectl.held_bytes import HeldBytes
 
 T = TypeVar("T")
 Fields = dict[str, str]
@@ -31,7 +33,7 @@ _MOST_QUEUED = 4000
 """Messages queued for a subscriber: some seconds at 1 kHz, in case other processes occupy the CPU."""
 _MOST_QUEUED_BYTES = 8 * 1024 * 1024
 _MOST_HELD = 128 * 1024 * 1024
-"""Limit of the bytes of unfinished messages, over all connections."""
+"""Limit of the bytes of messages that are unfinished or not handled, over all connections."""
 _WRITE_AHEAD = 64 * 1024
 """Bytes in asyncio's write buffer beyond which messages are queued here."""
 _KEEPALIVE = ((socket.TCP_KEEPIDLE, 60), (socket.TCP_KEEPINTVL, 10), (socket.TCP_KEEPCNT, 9))
@@ -85,7 +87,7 @@ class TcprosConnection(asyncio.Protocol):
     """
 
     _serials = count(1)
-    _held = 0
+    _account = HeldBytes(_MOST_HELD)
 
     def __init__(self, on_header: Callable[[TcprosConnection, Fields], None], has_status: bool = False) -> None:
         """`has_status`: a byte before each message tells success from an error text, as for services."""
@@ -109,8 +111,9 @@ class TcprosConnection(asyncio.Protocol):
         self._prefix = 1 if has_status else 0
         self._has_header = False
         self._rest = bytearray()
-        self._counted = 0
-        """Bytes of `_rest` that are counted in `_held`."""
+        self._share = self._account.share(lambda _: self.close())
+        self._kept = 0
+        """Bytes of messages that are whole and not handled yet."""
         self._skip = 0
         self._queue: deque[bytes] = deque()
         self._queued_bytes = 0
@@ -167,10 +170,14 @@ class TcprosConnection(asyncio.Protocol):
             del self._rest[:at]
         elif at < len(data):
             self._rest += data[at:]
-        TcprosConnection._held += len(self._rest) - self._counted
-        self._counted = len(self._rest)
-        if TcprosConnection._held > _MOST_HELD:
-            self.close()
+        self._share.set(len(self._rest) + self._kept)
+
+    def keep(self, more: int) -> None:
+        """Count bytes of a whole message that is not handled at once; call it with their negative number afterwards."""
+        self._kept += more
+        if more < 0:
+            self._share.handled()
+        self._share.set(len(self._rest) + self._kept)
 
     def _take_frames(self, data: bytes) -> int:
         """Process whole frames. Returns the index of the unfinished rest."""
@@ -199,6 +206,7 @@ class TcprosConnection(asyncio.Protocol):
                 is_done = not self._prefix or data[at] != 0
                 at = end
                 self.received += 1
+                self._share.handled()
                 self.on_message(bytes(data[begin + 4 : end]), is_done)
         return size if self._skip or not self.is_open else at
 
@@ -213,6 +221,11 @@ class TcprosConnection(asyncio.Protocol):
         self.on_header(self, fields)
 
     # --- for those who use it -----------------------------------------------------------------------------------
+
+    @property
+    def has_header(self) -> bool:
+        """True when the other side's header has come."""
+        return self._has_header
 
     def send_header(self, fields: Fields) -> None:
         """Send this side's header."""
@@ -292,8 +305,7 @@ class TcprosConnection(asyncio.Protocol):
             self._limit.cancel()
             self._queue.clear()
             self._rest.clear()
-            TcprosConnection._held -= self._counted
-            self._counted = 0
+            self._share.close()
             self._may_write.set()
             self.on_gone(self)
             self.on_closed()

@@ -1,6 +1,7 @@
 """XML-RPC over HTTP/1.1 on asyncio: values as XML, a server, and a client call.
 
-Received data is limited in bytes, depth, count and time. Document types and entities are refused.
+Received data is limited in bytes, depth, count and time. What has come of all requests and answers is limited together;
+a length that is only claimed costs nothing. Document types and entities are refused.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from xml.parsers import expat
 
 from slidectl.errors import Refused, SlidectlError, TimedOut, cut
 from slidectl.gateways.strangers import Strangers, forbid
+from slidectl.held_bytes import HeldBytes, HeldShare
 
 LONGEST_BODY = 16 * 1024 * 1024
 DEEPEST = 64
@@ -29,11 +31,14 @@ _LONGEST_HEAD = 16 * 1024
 _MOST_DIGITS = 12
 """The maximum number of digits of a Content-Length."""
 _MOST_HELD = 4 * LONGEST_BODY
-"""Limit of the bytes of all requests in progress."""
+"""Limit of the bytes that have come of all requests and answers in progress."""
+_PIECE = 64 * 1024
 _IDLE_LIMIT_S = 600.0
 _REQUEST_LIMIT_S = 20.0
+"""How long a request may take from its first byte to its last, and its answer to be read."""
 _SPARE_S = 1.0
-"""A connection idle for this long may be closed in favour of a new one."""
+"""A connection that waits for its client for this long may be closed in favour of a new one."""
+_HELD = HeldBytes(_MOST_HELD)
 
 _INTEGERS = ("i4", "int", "i8")
 _SCALARS = (*_INTEGERS, "boolean", "double", "string", "dateTime.iso8601", "base64", "nil")
@@ -252,6 +257,30 @@ Answer = Callable[[str, str, list[Any]], Awaitable[Any]]
 """Takes path, method and arguments; returns the value. Raises XmlRpcFault."""
 
 
+class _Client:
+    """A connection to the server, and whom it waits for."""
+
+    def __init__(self, task: asyncio.Task[Any], now: float) -> None:
+        self.share = _HELD.share(lambda _: self.refuse())
+        self.is_refused = False
+        self.is_sending = False
+        """True from the first byte of a request to its last."""
+        self.waits_since: float | None = now
+        """The time since which the client is waited for; None while its request is carried out."""
+        self._task = task
+
+    def refuse(self) -> None:
+        """End the connection, to make room."""
+        self.is_refused = True
+        self._task.cancel()
+
+    def is_spare(self, now: float) -> bool:
+        return self.waits_since is not None and now - self.waits_since > _SPARE_S
+
+    def waits(self, now: float | None, is_sending: bool = False) -> None:
+        self.waits_since, self.is_sending = now, is_sending
+
+
 class XmlRpcServer:
     """Serves calls on one port; calls of one connection are answered in order."""
 
@@ -260,26 +289,41 @@ class XmlRpcServer:
         self._answer = answer
         self.strangers = Strangers(any_user)
         self._server: asyncio.Server | None = None
-        self._quiet: dict[asyncio.Task[Any], float] = {}
-        """Connection -> time since when it is idle, longest idle first; 0 while a request is processed."""
-        self._held = 0
+        self._clients: dict[asyncio.Task[Any], _Client] = {}
 
     async def open(self, host: str, port: int) -> int:
         """Listen and return the port (a free one for 0). Raises OSError."""
-        self._server = await asyncio.start_server(self._connected, host, port, limit=_LONGEST_HEAD, reuse_address=True)
+        self._server = await asyncio.start_server(
+            self._connected, host, port, limit=_LONGEST_HEAD, reuse_address=True, backlog=MOST_CONNECTIONS
+        )
         return int(self._server.sockets[0].getsockname()[1])
 
     @property
     def connections(self) -> int:
-        return len(self._quiet)
+        return len(self._clients)
+
+    @property
+    def held(self) -> int:
+        """The bytes of all requests and answers in progress, of this process."""
+        return _HELD.sum
 
     async def close(self) -> None:
         if self._server is not None:
             self._server.close()
-        tasks = list(self._quiet)
+        tasks = list(self._clients)
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
+
+    def _make_room(self, now: float) -> bool:
+        """End the connection whose client is slowest. A slow sender goes before one that is idle. False: none is."""
+        spare = [(task, client) for task, client in self._clients.items() if client.is_spare(now)]
+        if not spare:
+            return False
+        task, slowest = min(spare, key=lambda one: (not one[1].is_sending, one[1].waits_since))
+        del self._clients[task]
+        slowest.refuse()
+        return True
 
     async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         task = asyncio.current_task()
@@ -293,58 +337,38 @@ class XmlRpcServer:
                 writer.close()
             return
         now = asyncio.get_running_loop().time
-        if len(self._quiet) >= MOST_CONNECTIONS:
-            longest = next((other for other, since in self._quiet.items() if since and now() - since > _SPARE_S), None)
-            if longest is None:
-                writer.close()
-                return
-            longest.cancel()
-            self._quiet.pop(longest)
+        if len(self._clients) >= MOST_CONNECTIONS and not self._make_room(now()):
+            writer.close()
+            return
+        client = self._clients[task] = _Client(task, now())
         try:
             goes_on = True
             while goes_on:
-                self._quiet.pop(task, None)
-                self._quiet[task] = now()
+                client.waits(now())
                 async with asyncio.timeout(_IDLE_LIMIT_S):
                     first = await reader.readexactly(1)
+                client.waits(now(), is_sending=True)
                 async with asyncio.timeout(_REQUEST_LIMIT_S):
-                    head = first + await reader.readuntil(b"\r\n\r\n")
-                self._quiet[task] = 0.0  # a client that sends half a head still counts as idle
-                goes_on = await self._request(head, reader, writer)
-        except (OSError, EOFError, asyncio.LimitOverrunError, TimeoutError, asyncio.CancelledError):
-            pass  # the client disconnected, sends no HTTP or is slow, or the gateway ends
+                    line, fields = _head(first + await reader.readuntil(b"\r\n\r\n"))
+                    refusal, length = _judged(line, fields)
+                    body = b"" if refusal else await _read_body(reader, length, client.share)
+                client.waits(None)
+                client.share.handled()
+                path, _, version = line.partition(" ")[2].partition(" ")
+                answer = b"" if refusal else await self._carried_out(path, body)
+                client.share.set(0)
+                client.waits(now())
+                goes_on = not refusal and version == "HTTP/1.1" and fields.get("connection", "").lower() != "close"
+                await _reply(writer, refusal or "200 OK", answer, is_last=not goes_on)
+        except asyncio.CancelledError:  # the gateway ends, or others need the room
+            if client.is_refused and client.is_sending:
+                writer.write(_response("503 Service Unavailable", b"", is_last=True))
+        except (OSError, EOFError, asyncio.LimitOverrunError, TimeoutError):
+            pass  # the client disconnected, sends no HTTP or is slow
         finally:
-            self._quiet.pop(task, None)
+            client.share.close()
+            self._clients.pop(task, None)
             writer.close()
-
-    async def _request(self, head: bytes, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> bool:
-        """Process one request. Returns whether the connection stays open."""
-        line, fields = _head(head)
-        method, _, rest = line.partition(" ")
-        path, _, version = rest.partition(" ")
-        text = fields.get("content-length", "")
-        length = int(text) if text.isdecimal() and len(text) <= _MOST_DIGITS else -1
-        refusal = (
-            "501 Unsupported method" if method != "POST"
-            else "403 Forbidden" if "origin" in fields  # the page of some site in a browser; no node of ROS sends this
-            else "411 Length Required" if length < 0
-            else "413 Payload Too Large" if length > LONGEST_BODY
-            else "503 Service Unavailable" if self._held + length > _MOST_HELD
-            else ""
-        )  # fmt: skip
-        if refusal:
-            await _reply(writer, refusal, b"", is_last=True)
-            return False
-        self._held += length
-        try:
-            async with asyncio.timeout(_REQUEST_LIMIT_S):
-                body = await reader.readexactly(length)
-            answer = await self._carried_out(path, body)
-            is_last = version != "HTTP/1.1" or fields.get("connection", "").lower() == "close"
-            await _reply(writer, "200 OK", answer, is_last)
-        finally:
-            self._held -= length
-        return not is_last
 
     async def _carried_out(self, path: str, body: bytes) -> bytes:
         try:
@@ -391,11 +415,40 @@ def _head(head: bytes) -> tuple[str, dict[str, str]]:
     return line, {name.strip().lower(): value.strip() for name, _, value in fields}
 
 
-async def _reply(writer: asyncio.StreamWriter, status: str, body: bytes, is_last: bool) -> None:
+def _judged(line: str, fields: dict[str, str]) -> tuple[str, int]:
+    """The refusal of a request, empty without one, and the length of its body."""
+    text = fields.get("content-length", "")
+    length = int(text) if text.isdecimal() and text.isascii() and len(text) <= _MOST_DIGITS else -1
+    refusal = (
+        "501 Unsupported method" if line.partition(" ")[0] != "POST"
+        else "403 Forbidden" if "origin" in fields  # the page of some site in a browser; no node of ROS sends this
+        else "411 Length Required" if length < 0
+        else "413 Payload Too Large" if length > LONGEST_BODY
+        else ""
+    )  # fmt: skip
+    return refusal, length
+
+
+async def _read_body(reader: asyncio.StreamReader, length: int, share: HeldShare) -> bytes:
+    """Read so many bytes, and count them as they come. Raises EOFError: the other side disconnected."""
+    body = bytearray()
+    while len(body) < length:
+        piece = await reader.read(min(_PIECE, length - len(body)))
+        if not piece:
+            raise EOFError(f"it disconnected after {len(body)} of {length} bytes")
+        body += piece
+        share.set(len(body))
+    return bytes(body)
+
+
+def _response(status: str, body: bytes, is_last: bool) -> bytes:
     fields = f"Server: slidectl\r\nContent-type: text/xml\r\nContent-length: {len(body)}\r\n"
-    writer.write(
-        f"HTTP/1.1 {status}\r\n{fields}{'Connection: close' + chr(13) + chr(10) if is_last else ''}\r\n".encode() + body
-    )
+    last = "Connection: close\r\n" if is_last else ""
+    return f"HTTP/1.1 {status}\r\n{fields}{last}\r\n".encode() + body
+
+
+async def _reply(writer: asyncio.StreamWriter, status: str, body: bytes, is_last: bool) -> None:
+    writer.write(_response(status, body, is_last))
     async with asyncio.timeout(_REQUEST_LIMIT_S):
         await writer.drain()
 
@@ -435,6 +488,7 @@ def host_port_path(uri: str) -> tuple[str, int, str]:
 
 async def _exchange(host: str, port: int, path: str, body: bytes) -> Any:
     reader, writer = await asyncio.open_connection(host, port, limit=_LONGEST_HEAD)
+    share = _HELD.share(lambda reason: reader.set_exception(OSError(reason)))
     try:
         fields = f"Host: {host}:{port}\r\nUser-Agent: slidectl\r\nContent-Type: text/xml\r\nConnection: close\r\n"
         writer.write(f"POST {path} HTTP/1.1\r\n{fields}Content-Length: {len(body)}\r\n\r\n".encode() + body)
@@ -444,24 +498,24 @@ async def _exchange(host: str, port: int, path: str, body: bytes) -> Any:
         text = answered.get("content-length", "")
         if text.isdecimal() and len(text) <= _MOST_DIGITS:
             length = int(text)
-            answer = await reader.readexactly(length) if length <= LONGEST_BODY else None
+            answer = await _read_body(reader, length, share) if length <= LONGEST_BODY else None
         else:
-            answer = await _until_end(reader)
+            answer = await _until_end(reader, share)
         if answer is None:
             raise BadXmlRpc(f"an answer of more than {LONGEST_BODY} bytes")
         return read_response(answer)
     finally:
+        share.close()
         writer.close()
         with suppress(OSError):
             await writer.wait_closed()
 
 
-async def _until_end(reader: asyncio.StreamReader) -> bytes | None:
-    pieces: list[bytes] = []
-    length = 0
-    while piece := await reader.read(_LONGEST_HEAD):
-        pieces.append(piece)
-        length += len(piece)
-        if length > LONGEST_BODY:
+async def _until_end(reader: asyncio.StreamReader, share: HeldShare) -> bytes | None:
+    body = bytearray()
+    while piece := await reader.read(_PIECE):
+        body += piece
+        share.set(len(body))
+        if len(body) > LONGEST_BODY:
             return None
-    return b"".join(pieces)
+    return bytes(body)

@@ -57,6 +57,8 @@ class ActionGoals:
             tell(_result(SentGoal(tell, goal_id, str(given)[: names.LONGEST], False), ABORTED, str(error), False))
 
     async def _send(self, message: Message, goal: SentGoal) -> None:
+        if not isinstance(goal.id, str | int | None) or len(str(goal.id)) > names.LONGEST:
+            raise Refused(f"the id of a goal is a text or a number of at most {names.LONGEST} characters")
         action = names.join("/", goal.action)
         stem = await self._type_of(action)
         wanted = str(message.get("action_type") or "").replace("/action/", "/").removesuffix("Action")

@@ -13,6 +13,7 @@ from binascii import a2b_base64, b2a_base64
 from collections.abc import Callable, Iterator
 from functools import cache, lru_cache
 from struct import Struct, pack
+from sys import getsizeof
 from typing import Any
 
 import cbor2
@@ -127,8 +128,11 @@ class FragmentBuffer:
     _OVERHEAD = 200
     """Bytes counted per fragment in addition to its text."""
 
-    def __init__(self, most_bytes: int) -> None:
+    def __init__(self, most_bytes: int, holds: Callable[[int], None] = lambda _: None) -> None:
+        """`holds` is told the bytes in memory."""
         self._most_bytes = most_bytes
+        self._holds = holds
+        self._memory = 0
         self._waiting: dict[str, dict[int, str]] = {}
         self._totals: dict[str, int] = {}
         self._bytes = 0
@@ -150,6 +154,8 @@ class FragmentBuffer:
         if number not in pieces:
             pieces[number] = text
             self._bytes += len(text) + self._OVERHEAD
+            self._memory += getsizeof(text) + self._OVERHEAD
+            self._holds(self._memory)
         if len(pieces) == total:
             whole = "".join(pieces[place] for place in range(total))
             self._forget(name)
@@ -159,6 +165,14 @@ class FragmentBuffer:
             raise UsageError(f"{self._most_bytes} bytes and {self.MOST_FRAMES} frames may wait for their fragments")
         return None
 
+    def clear(self) -> None:
+        """Discard all fragments."""
+        for name in list(self._waiting):
+            self._forget(name)
+
     def _forget(self, name: str) -> None:
         self._totals.pop(name, None)
-        self._bytes -= sum(len(text) + self._OVERHEAD for text in self._waiting.pop(name, {}).values())
+        pieces = self._waiting.pop(name, {}).values()
+        self._bytes -= sum(len(text) + self._OVERHEAD for text in pieces)
+        self._memory -= sum(getsizeof(text) + self._OVERHEAD for text in pieces)
+        self._holds(self._memory)

@@ -46,8 +46,12 @@ class RosbridgeSession:
         reply: Callable[[bytes, bool], None],
         most_bytes: int,
         is_reader: bool,
+        holds: Callable[[int], None] = lambda _: None,
     ) -> None:
-        """`type_of` returns the type of a topic, empty without one; with `is_reader` the browser may change nothing."""
+        """`type_of` returns the type of a topic, empty without one; with `is_reader` the browser may change nothing.
+
+        `holds` is told how many bytes of unfinished fragments are held.
+        """
         self.dropped = 0
         """Messages that the daemon dropped because the browser read too slowly."""
         self._daemon = daemon
@@ -57,7 +61,7 @@ class RosbridgeSession:
         self._is_reader = is_reader
         self._level = "error"
         self._fragment_size = 0
-        self._fragments = FragmentBuffer(most_bytes)
+        self._fragments = FragmentBuffer(most_bytes, holds)
         self._sent_in_fragments = count(1)
         self._requests: dict[str, dict[str | None, str]] = {}
         """Topic -> subscription id -> compression, for topics with at least one compressed subscription."""
@@ -195,6 +199,7 @@ class RosbridgeSession:
 
     def close(self) -> None:
         """Handle the browser's disconnection."""
+        self._fragments.clear()
         self._goals.forget(self._tell)
         self._daemon.close()
 

@@ -15,6 +15,7 @@ from typing import Any, ClassVar
 
 from websockets.asyncio.server import ServerConnection, broadcast
 
+from slidectl.bounded_websocket import TRY_LATER, cut_reason
 from slidectl.client.lines import LONGEST_LINE
 from slidectl.effects import Effect
 from slidectl.errors import NoDaemon, SlidectlError
@@ -30,8 +31,7 @@ _NODE = "/rosbridge_websocket"
 _UNREAD = 256 * 1024
 """Unsent bytes to a browser at which sending stops."""
 _PING_EVERY_S, _PONG_WITHIN_S = 20.0, 60.0
-_GOING, _RESTARTS, _TRY_LATER, _FAILED = 1001, 1012, 1013, 1011
-_LONGEST_REASON = 120
+_GOING, _RESTARTS, _FAILED = 1001, 1012, 1011
 
 
 @dataclass(frozen=True)
@@ -120,9 +120,9 @@ class WebSocketGateway(Gateway):
         try:
             await self._serve_open(browser)
         except NoDaemon as error:
-            await browser.close(_TRY_LATER if browser.daemon is None else _RESTARTS, _reason(error))
+            await browser.close(TRY_LATER if browser.daemon is None else _RESTARTS, cut_reason(error.message))
         except SlidectlError as error:
-            await browser.close(_FAILED, _reason(error))
+            await browser.close(_FAILED, cut_reason(error.message))
 
     async def _serve_open(self, browser: BrowserConnection) -> None:
         if self._paths is None or self._goals is None:
@@ -130,15 +130,18 @@ class WebSocketGateway(Gateway):
         node = f"{_NODE}_{os.getpid()}_{next(self._serial)}"
         lost = partial(browser.end_soon, _RESTARTS, "the daemon has gone")
         daemon = await DaemonConnection.open(self._paths, self._permitted, node, lost)
+        options = self._options
+        fragments = self._listener.bounds.held.share(partial(browser.end_at_once, TRY_LATER))
         session = RosbridgeSession(
-            daemon, self._goals, self._type_of, browser.write, self._options.max_size, self._options.read_only
+            daemon, self._goals, self._type_of, browser.write, options.max_size, options.read_only, fragments.set
         )
         self._browsers[browser] = session
         daemon.on_line = session.pass_on
         browser.daemon = daemon
         try:
-            await browser.read(session, daemon, self._options.max_rate)
+            await browser.read(session, daemon, options.max_rate)
         finally:
+            fragments.close()
             session.close()
             del self._browsers[browser]
             self._dropped += session.dropped
@@ -168,14 +171,14 @@ class BrowserConnection(ListenerConnection):
     def pause_writing(self) -> None:
         super().pause_writing()
         self._may_write.clear()
-        self.transport.pause_reading()  # stops pings too: answers to them would add to the unsent data
+        self.stop_reading("unread")  # stops pings too: answers to them would add to the unsent data
         if self.daemon is not None:
             self.daemon.pause()
 
     def resume_writing(self) -> None:
         super().resume_writing()
         self._may_write.set()
-        self.transport.resume_reading()
+        self.go_on_reading("unread")
         if self.daemon is not None:
             self.daemon.resume()
 
@@ -195,13 +198,9 @@ class BrowserConnection(ListenerConnection):
                 second_ends, taken = self.loop.time() + 1.0, 0
             taken += 1
             await session.take(frame)
+            del frame  # it may be long, and the next one may come late
             await daemon.drain()
 
     def end_soon(self, code: int, reason: str) -> None:
         """Start closing the connection, from code that cannot await."""
         self._ending = asyncio.ensure_future(self.close(code, reason))
-
-
-def _reason(error: SlidectlError) -> str:
-    """The error text, cut to the length of a close frame."""
-    return error.message.encode()[:_LONGEST_REASON].decode(errors="ignore")

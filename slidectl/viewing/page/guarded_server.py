@@ -1,4 +1,4 @@
-"""viser's server with access control: who may open the page, and which messages browsers may send to viser.
+"""viser's server with access control: who may open the page, and what browsers may send to viser, and how much.
 
 viser has no hook for that. It calls `websockets.asyncio.server.serve`, which is wrapped while viser starts; only this
 file does that. Tests connect with wrong tokens and foreign origins, and send invalid messages.
@@ -14,7 +14,8 @@ import secrets
 import socket
 from collections.abc import Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout
-from http.cookies import CookieError, SimpleCookie
+from functools import partial
+from html import escape
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qs, urlencode, urlsplit
@@ -28,13 +29,22 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
 from slidectl import local_peers
+from slidectl.bounded_websocket import BoundedConnection, ConnectionBounds, answering_bad_requests
 from slidectl.errors import Refused, UnknownName
+from slidectl.processes import return_large_blocks
 from slidectl.web_access import LOOPBACK, host_of, is_secret
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
 _PORTS_TRIED = 100
+_MOST_BROWSERS = 100
+_MOST_PLACES = 400
+"""Connections, before, during and after their handshakes. Browsers open some more for the files of the page."""
+_LONGEST_MESSAGE = 2 * 1024 * 1024
+"""Bytes of a message of a browser."""
+_MOST_HELD = 32 * 1024 * 1024
+"""Limit of the bytes that have come and are not handled, over all browsers."""
 _LONGEST_TEXT = 100_000
 _ROUNDING = 1e-7
 """viser's sliders round to seven digits, also their limits."""
@@ -87,7 +97,8 @@ class AccessGuard:
         self._host = host
         self._token = token
         self._word = ""
-        self._cookie = f"slidectl-{secrets.token_hex(4)}"  # cookies are shared by all ports of a host
+        self._session = secrets.token_urlsafe()
+        """The value of the cookie. It is good for this server only: browsers send cookies to all ports of a host."""
 
     def stranger(self, connection: ServerConnection) -> Response | None:
         """The refusal of a connection of another user of this machine, who has no token to show; None for others."""
@@ -113,9 +124,9 @@ class AccessGuard:
             given = query.pop("token", [""])[0]
             if given and (is_secret(given, self._token) or self._is_word(given)):
                 more = f"?{urlencode(query, doseq=True)}" if query else ""
-                cookie = f"{self._cookie}={self._token}; HttpOnly; SameSite=Lax; Path=/"
-                return Response(302, "Found", Headers({"Location": f"/{more}", "Set-Cookie": cookie, **_KEPT_OUT}))
-            if not is_secret(_cookie(headers, self._cookie), self._token):
+                cookie = f"{_cookie_name(named)}={self._session}; HttpOnly; SameSite=Strict; Path=/"
+                return _sent_on(f"/{more}", cookie, is_foreign=headers.get("Sec-Fetch-Site") == "cross-site")
+            if not any(is_secret(value, self._session) for value in _cookies(headers, _cookie_name(named))):
                 what = "the token is wrong" if given else "a token is needed"
                 return _refused(f"{what}: the whole address is printed by slidectl view")
         is_tab = headers.get("Sec-Fetch-Dest", "document") == "document" and "Upgrade" not in headers
@@ -135,25 +146,40 @@ class AccessGuard:
         return is_it
 
 
-def _cookie(headers: Headers, name: str) -> str:
-    cookies: SimpleCookie = SimpleCookie()
-    for text in headers.get_all("Cookie"):
-        try:
-            cookies.load(text)
-        except CookieError:
-            continue
-    return cookies[name].value if name in cookies else ""
+def _cookie_name(named: str) -> str:
+    """The cookie's name at this `Host`: pages at several ports of a host, or behind tunnels, have one each."""
+    return f"slidectl-{urlsplit(f'//{named}').port or 80}"
 
 
-def _refused(text: str) -> Response:
+def _cookies(headers: Headers, name: str) -> list[str]:
+    """The values of all cookies of this name. Cookies of other programs at this host may have any form."""
+    pairs = [part.partition("=") for text in headers.get_all("Cookie") for part in text.split(";")]
+    return [value.strip() for key, _, value in pairs if key.strip() == name]
+
+
+def _sent_on(where: str, cookie: str, is_foreign: bool) -> Response:
+    """Lead a browser to the page, with its cookie. After a link of another site, browsers do not send a strict cookie
+    where a redirect leads; they do where a page of this server leads.
+    """
+    headers = Headers({"Set-Cookie": cookie, **_KEPT_OUT})
+    if not is_foreign:
+        headers["Location"] = where
+        return Response(302, "Found", headers)
+    headers["Content-Type"] = "text/html; charset=utf-8"
+    text = f'<!DOCTYPE html><meta http-equiv="refresh" content="0; url={escape(where)}">\n'
+    return Response(200, "OK", headers, text.encode())
+
+
+def _refused(text: str, status: http.HTTPStatus = http.HTTPStatus.FORBIDDEN) -> Response:
     headers = Headers({"Content-Type": "text/plain; charset=utf-8", "Connection": "close"})
-    return Response(http.HTTPStatus.FORBIDDEN, "Forbidden", headers, f"slidectl: {text}\n".encode())
+    return Response(status, status.phrase, headers, f"slidectl: {text}\n".encode("utf-8", "replace"))
 
 
 class GuardedServer(viser.ViserServer):
     """viser's server without log output and without its offer to share the page on the internet."""
 
     def __init__(self, host: str, port: int, guard: AccessGuard) -> None:
+        return_large_blocks()
         logging.getLogger("websockets.server").addFilter(_is_no_handshake)
         with _guarded(guard, self), redirect_stdout(io.StringIO()):
             super().__init__(host=host, port=port, label="slidectl", verbose=False)
@@ -240,9 +266,18 @@ def _guarded(guard: AccessGuard, server: GuardedServer) -> Iterator[None]:
 
     def guarded(handler: Any, host: str, port: int, **options: Any) -> Any:
         page = options.pop("process_request")
+        bounds = ConnectionBounds(_MOST_HELD, _MOST_PLACES)
+
+        @answering_bad_requests
+        def judge(connection: Any, request: Request) -> Response | None:
+            answer = guard.answer(request)
+            if answer is None and "Upgrade" in request.headers and bounds.open >= _MOST_BROWSERS:
+                text = f"{_MOST_BROWSERS} browsers have the page open, and no more may"
+                answer = _refused(text, http.HTTPStatus.SERVICE_UNAVAILABLE)
+            return answer or page(connection, request)
 
         def process_request(connection: Any, request: Request) -> Response | None:
-            answer = guard.stranger(connection) or guard.answer(request) or page(connection, request)
+            answer = guard.stranger(connection) or judge(connection, request)
             if answer is not None:
                 for name, value in _KEPT_OUT.items():
                     if name not in answer.headers:
@@ -267,6 +302,7 @@ def _guarded(guard: AccessGuard, server: GuardedServer) -> Iterator[None]:
             connection.recv = receive_sound
             await handler(connection)
 
+        options |= {"max_size": _LONGEST_MESSAGE, "create_connection": partial(BoundedConnection, bounds=bounds)}
         return serve(handle, host, port, process_request=process_request, **options)
 
     websockets.asyncio.server.serve = guarded  # type: ignore[misc, assignment]

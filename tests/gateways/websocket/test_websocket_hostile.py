@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 import json
-import os
 import socket
 import struct
 import time
 import zlib
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
-from pathlib import Path
-from urllib.parse import urlsplit
 
 import pytest
+import raw_websocket
 from daemon_fixture import Runtime, running_daemon
+from raw_websocket import frame, raw_socket, shaken
 from rosbridge_client import RosbridgeClient
 from running_gateway import log, running_gateway
 from waiting import eventually
 from websockets.exceptions import InvalidHandshake
-
-from slidectl.gateways import process
 
 TOPIC = "/slider/joint_states"
 
@@ -49,41 +46,7 @@ def status(world: Runtime) -> dict[str, int]:
 
 
 def memory_mib(world: Runtime) -> float:
-    with world.environment():
-        running = process.find(world.paths, "websocket")
-    assert running is not None
-    pages = int(Path(f"/proc/{running.pid}/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
-
-
-def raw_socket(url: str) -> socket.socket:
-    parts = urlsplit(url)
-    assert parts.hostname is not None
-    return socket.create_connection((parts.hostname, parts.port or 0), timeout=60)
-
-
-def shaken(url: str, more: str = "") -> socket.socket:
-    """A connection after its handshake, to write frames on by hand."""
-    one = raw_socket(url)
-    key = "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n"
-    one.sendall(
-        f"GET / HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n{key}{more}\r\n".encode()
-    )
-    received = b""
-    while b"\r\n\r\n" not in received:
-        received += one.recv(4096)
-    assert b" 101 " in received
-    return one
-
-
-def frame(payload: bytes, op: int = 1, is_last: bool = True, bits: int = 0) -> bytes:
-    """A frame as a browser sends it, masked with zeros."""
-    length = len(payload)
-    if length < 126:
-        size = bytes([0x80 | length])
-    else:
-        size = b"\xfe" + struct.pack(">H", length) if length < 65536 else b"\xff" + struct.pack(">Q", length)
-    return bytes([(0x80 if is_last else 0) | bits | op]) + size + b"\0\0\0\0" + payload
+    return raw_websocket.memory_mib(raw_websocket.gateway_pid(world, "websocket"))
 
 
 def test_a_reader_that_stops_loses_messages_and_costs_nothing(url: str, world: Runtime, other: RosbridgeClient) -> None:
