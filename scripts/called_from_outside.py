@@ -39,7 +39,7 @@ command_class
 readall
 
 # cli.ros.command looks the ROS commands up by name.
-roslaunch, roscore, rosmsg, rossrv, rosnode, rosrun, rosservice, rostopic
+roslaunch, roscore, rosbag, rosmsg, rossrv, rosnode, rosrun, rosservice, rostopic
 
 # Registered by their decorators, or as subclasses that are looked up by type.
 ForwardEffortController, ForwardVelocityController, ForwardPositionController
