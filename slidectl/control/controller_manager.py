@@ -18,7 +18,9 @@ from slidectl.control import registry
 from slidectl.control.controller_interface import ControllerBase, State
 from slidectl.control.duration import NANOSECONDS, to_seconds
 from slidectl.control.hardware_interface import (
+    Command,
     ControllerInfo,
+    JointHandle,
     JointStateInterface,
     RobotHW,
     SwitchState,
@@ -420,6 +422,12 @@ class ControllerManager:
         self._loaded: dict[str, LoadedController] = {}
         self._running: tuple[LoadedController, ...] = ()
         self._updates: tuple[tuple[Callable[[int, float], None], UpdateTimes], ...] = ()
+        self._commands: tuple[tuple[LoadedController, list[Command]], ...] = ()
+        """The commands of each running controller."""
+        self._commanded: tuple[JointHandle, ...] = ()
+        """The joints of these commands."""
+        self._further: tuple[Command, ...] = ()
+        """Those of these commands that are not the attribute `command`."""
         self._switch: Switch | None = None
 
     # The cycle.
@@ -447,6 +455,12 @@ class ControllerManager:
                 began_ns = now_ns
         except Exception as failure:
             self._carry_on(self._updates.index((update, times)), failure, time_ns, period_s)
+        # Hot path: one sum finds whether a command may be wrong. It is nan for infinity and nan.
+        total = 0.0
+        for handle in self._commanded:
+            total += handle.command
+        if total - total != 0.0 or self._further:
+            self._check_commands(time_ns)
         if self._switch is not None:
             self.manage_switch(time_ns)
 
@@ -457,8 +471,24 @@ class ControllerManager:
         else:
             for entry in self._running[done:]:
                 entry.update_if_running(time_ns, period_s)
+        self._check_commands(time_ns)
         if self._switch is not None:
             self.manage_switch(time_ns)
+
+    def _check_commands(self, time_ns: int) -> None:
+        """Abort each controller with a command that is not finite: the world could not go on. Its joints get the
+        commands that move them least, since a limit would remember the wrong one."""
+        has_failed = False
+        for entry, commands in self._commands:
+            troubles = [trouble for one in commands if entry.is_running and (trouble := one.trouble())]
+            if troubles:
+                has_failed = True
+                entry.fail(Refused(troubles[0]), time_ns, "update")
+                for one in commands:
+                    if one.trouble():
+                        one.rest()
+        if has_failed:
+            self._refresh()
 
     def manage_switch(self, time_ns: int) -> None:
         """Advance a pending switch by one cycle. For a paused simulation; `update` does it by itself."""
@@ -504,6 +534,14 @@ class ControllerManager:
     def _refresh(self) -> None:
         self._running = tuple(entry for entry in self._loaded.values() if entry.is_running)
         self._updates = tuple((entry.bare_update, entry.times) for entry in self._running)
+        self._commands = tuple(
+            (entry, commands)
+            for entry in self._running
+            if (commands := self._hw.commands_of(entry.info.claimed_resources))
+        )
+        found = [command for _, commands in self._commands for command in commands]
+        self._commanded = tuple(command.handle for command in found if command.attribute == "command")
+        self._further = tuple(command for command in found if command.attribute != "command")
 
     # Queries.
 

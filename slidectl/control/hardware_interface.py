@@ -9,9 +9,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from math import inf
+from math import inf, isfinite
 from typing import Any, ClassVar, Generic, NamedTuple, Protocol, TypeVar
 
+from slidectl.control.laws import law
 from slidectl.description import interfaces
 from slidectl.description.interfaces import JointInterface
 from slidectl.errors import UnknownName, listing, quoted
@@ -46,6 +47,15 @@ class JointHandle(JointStateHandle):
         self.lowest = -inf
         """The hardware raises a command below this to it, and lowers a command above `highest`. Units of `command`."""
         self.highest = inf
+
+
+@law
+def is_finite(joint: JointHandle) -> bool:
+    """True when the command is finite, or is an infinity that the hardware clips to a finite bound."""
+    command = joint.command
+    if isfinite(command):
+        return True
+    return (command > 0.0 and isfinite(joint.highest)) or (command < 0.0 and isfinite(joint.lowest))
 
 
 class PosVelJointHandle(JointHandle):
@@ -305,6 +315,27 @@ class Conflict:
         return f"{self.resource} is claimed by {' and '.join(self.controllers)}"
 
 
+class Command(NamedTuple):
+    """One command of a joint: the handle, and the name of the attribute. `holds`: `command` is a position."""
+
+    handle: JointHandle
+    attribute: str
+    holds: bool
+
+    def trouble(self) -> str:
+        """What is wrong when the command is not finite, in words; empty when it is."""
+        value = getattr(self.handle, self.attribute)
+        if is_finite(self.handle) if self.attribute == "command" else isfinite(value):
+            return ""
+        what = f"{self.attribute.replace('_', ' ')} of joint {self.handle.name!r}"
+        return f"its {what} is {value}: a number in its computation is too large"
+
+    def rest(self) -> None:
+        """Set the command that moves the joint least: its position, or 0."""
+        is_position = self.holds and self.attribute == "command"
+        setattr(self.handle, self.attribute, self.handle.position if is_position else 0.0)
+
+
 class RobotHW:
     """The interfaces of a robot by type. `read` and `write` are called once per cycle."""
 
@@ -333,6 +364,17 @@ class RobotHW:
                     found = interface.commands_of(handle) if isinstance(interface, JointCommands) else []
                     commands.update({(id(handle), name): (one, name) for one, name in (*found, (handle, "command"))})
         return list(handles.values()), list(commands.values())
+
+    def commands_of(self, claims: Iterable[ClaimedResources]) -> list[Command]:
+        """The commands of the joints that are claimed."""
+        found = []
+        for claim in claims:
+            interface = self._interfaces.get(claim.hardware_interface)
+            if isinstance(interface, JointCommands):
+                holds = interface.declared.quantity == "position"
+                handles = [handle for handle in interface.handles() if handle.name in claim.resources]
+                found += [Command(*one, holds) for handle in handles for one in interface.commands_of(handle)]
+        return found
 
     def interface_names(self) -> list[str]:
         """The type names of all interfaces, alphabetical."""

@@ -111,6 +111,17 @@ BAD = [
     ([point(0.1, 1.0)], ("j1", "j2"), "has 1 positions for 2 joints"),
     ([point(0.1, nan, 1.0)], ("j1", "j2"), "must have finite numbers"),
     ([point(0.1, 1.0, 1.0, velocities=[inf, 0.0])], ("j1", "j2"), "must have finite numbers"),
+    (
+        [point(2.0, 1.0, 1.0, velocities=[0.0, 0.0]), point(2.5, 1.0, 1.0, velocities=[0.0, 1e308])],
+        ("j1", "j2"),
+        "joint 'j2' cannot move to point 2 within 0.5 s: with the velocity 1e",
+    ),
+    (
+        [point(0.2, 1.0, 1.0, velocities=[0.0, 0.0], accelerations=[1e308, 0.0])],
+        ("j1", "j2"),
+        "308 of point 1, its position on the way is beyond any number",
+    ),
+    ([point(0.1, 1e308, 1.0)], ("j1", "j2"), "joint 'j1' cannot move to point 1 within 0.1 s: with the position 1e"),
     ([point(-0.01, 1.0, 1.0)], ("j1", "j2"), "Dropping all 1 trajectory point"),
     ([point(0.0, 1.0, 1.0)], ("j1", "j2"), "Dropping all 1 trajectory point"),
 ]

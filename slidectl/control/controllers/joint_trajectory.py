@@ -653,6 +653,7 @@ class JointTrajectoryController(ActionController[Any]):
             offset = wraparound_offset(float(begins[0, column]), first_position) if self._turns[k] else 0.0
             states[0, :, column] += offset
         made = segments.through(begin_s, begins, start_s + from_start_s[0], times_s, states, from_start_s)
+        segments.check_range([self._names[k] for k in order], made, begins, states, first)
         for k, new in zip(order, made, strict=True):
             old = self._trajectory[k]
             new[:, GOAL] = goal_number

@@ -10,6 +10,7 @@ import math
 from typing import Any, NamedTuple
 
 from slidectl.control.angular_distance import unwrapped
+from slidectl.control.hardware_interface import is_finite
 from slidectl.control.laws import law
 from slidectl.control.limits import enforce
 from slidectl.physics.loads import truncated
@@ -43,6 +44,7 @@ from slidectl.simulation.compiled.tables import (
     FAILED,
     INTERPRETED,
     NEW_CYCLE,
+    NOT_FINITE,
     ROBOT_IN_PYTHON,
     STEP_IN_PYTHON,
 )
@@ -110,6 +112,15 @@ def add_outside_efforts(robot: Any, tables: CycleTables) -> None:
     for k in range(robot.first_joint, robot.first_joint + robot.joints):
         joint = tables.joints[k]
         joint.effort += tables.outside[joint.dof]
+
+
+@law
+def are_finite(robot: Any, tables: CycleTables) -> bool:
+    """False when the interpreter must look for a controller whose command is not finite."""
+    for k in range(robot.first_joint, robot.first_joint + robot.joints):  # noqa: SIM110 - numba compiles this form
+        if not is_finite(tables.joints[k]):
+            return False
+    return True
 
 
 @law
@@ -231,6 +242,8 @@ def run(progress: Any, tables: CycleTables) -> int:
                 turn = update_controller(address, progress.joints, progress.pids, time_ns, robot.period_s)
                 if turn != DONE:
                     return turn
+            if not are_finite(robot, tables):
+                return NOT_FINITE
             period_s = begin_to_write(robot, time_ns)
             write(robot, period_s, tables)
             progress.controller = 0

@@ -283,6 +283,8 @@ class CompiledRunner(Runner):
             self._run_robot(self._rows[progress.robot])
         elif turn == turns.PUBLICATION:
             self._publish(self._rows[progress.robot], progress.controller - 1)
+        elif turn == turns.NOT_FINITE:
+            self._end_in_python(self._rows[progress.robot], progress.controller)
         elif turn == turns.LEFT:
             self._end_in_python(self._rows[progress.robot], progress.controller - 1)
         elif turn == turns.RAISED:

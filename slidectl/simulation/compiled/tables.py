@@ -16,6 +16,7 @@ from slidectl.physics.robot_hw import Drive
 
 JOINT = Columns(
     changing="position velocity effort command",
+    fixed="lowest highest",
     places="qpos dof turns is_pushed max_effort max_velocity",
     whole="qpos dof turns is_pushed",
 )
@@ -54,7 +55,9 @@ CONSTANT = {"drives"}
 RANGES = ("joints", "controllers", "limits", "drives")
 """Tables in which each robot has a range of rows; the ranges are in ROBOT."""
 
-DONE, PUBLICATION, LEFT, RAISED, ROBOT_IN_PYTHON, CONTROLLER_IN_PYTHON, STEP_IN_PYTHON, DIVERGED, FAILED = range(9)
+DONE, PUBLICATION, LEFT, RAISED, ROBOT_IN_PYTHON, CONTROLLER_IN_PYTHON, NOT_FINITE, STEP_IN_PYTHON, DIVERGED, FAILED = (
+    range(10)
+)
 """Return values of the compiled cycle: all cycles are done, the interpreter has its turn, or an error. The first four
 are results of a law: nothing, PUBLISH, LEAVE, or an exception."""
 
