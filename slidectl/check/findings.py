@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 from slidectl.description.missing import Missing
-from slidectl.description.report import one_line
+from slidectl.description.report import bounded, one_line
 from slidectl.description.robot import Notice, Verdict
 from slidectl.errors import BadFile
 
@@ -83,11 +83,15 @@ class Findings:
             self.broken.append(error)
 
     def sorted(self, only: Sequence[str] = ()) -> list[Notice]:
-        """All findings, or those with some verdicts: files in the order of their first mention, lines rising."""
+        """All findings, or those with some verdicts: files in the order of their first mention, lines rising.
+
+        Of many that say the same of different things the first are there; see `report.bounded`.
+        """
         mentioned = [*self._files, *(notice.file for notice in self._notices)]
         files = {file: index for index, file in enumerate(dict.fromkeys(mentioned))}
         wanted = [notice for notice in self._notices if not only or notice.verdict in only]
-        return sorted(wanted, key=lambda notice: (files[notice.file], notice.line or 0))
+        ordered = sorted(wanted, key=lambda notice: (files[notice.file], notice.line or 0))
+        return bounded(ordered)
 
     def count(self, verdict: Verdict) -> int:
         """The number of findings with this verdict."""

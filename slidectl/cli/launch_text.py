@@ -10,6 +10,7 @@ from typing import Any
 from slidectl.cli import output
 from slidectl.cli.context import Context, paint
 from slidectl.description import source_note
+from slidectl.description.report import bounded
 from slidectl.errors import NotThere, Refused, UnknownName
 from slidectl.launch.nodes.programs import Process
 from slidectl.launch.plan import LaunchPlan, Location, Node
@@ -122,7 +123,7 @@ def tell_tasks(ctx: Context, plan: LaunchPlan, tasks: Sequence[Task], node_name:
 
 
 def _tell_notices(ctx: Context, plan: LaunchPlan) -> None:
-    for notice in plan.notices:
+    for notice in bounded(plan.notices):
         if notice.verdict == "wrong" or ctx.verbose:
             ctx.warn(str(notice))
 

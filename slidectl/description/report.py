@@ -5,7 +5,10 @@ Readers of elements write into a Report while they read. It only collects; reade
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable
+import re
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import replace
 from itertools import islice
 from typing import Any
 
@@ -14,7 +17,11 @@ from slidectl.description.xml_tree import Element
 from slidectl.errors import BadFile, closest
 
 MOST_NOTICES = 1000
-_MOST_COMPARED = 1000
+MOST_OF_ONE = 100
+"""The most unknown attributes, and the most unknown children, of one element that are named; the rest is counted."""
+MOST_ALIKE = 100
+"""The most notices of one file in `bounded` that say the same of different things."""
+_MOST_COMPARED = 100
 
 # Tags of related formats, with the tag that replaces them here.
 _FOREIGN = {
@@ -79,14 +86,20 @@ class Report:
     ) -> None:
         """Report every attribute and child of `element` that is not among the known ones."""
         place = owner or element.title
-        for name in element.attributes:
-            if name not in attributes and not is_namespace(name):
-                hint = self.meant(name, attributes)
-                self.ignored(element, f"attribute {name!r} is unknown here and has no effect{hint}", place, name)
-        for child in element.children:
-            if child.tag not in children:
-                hint = f"; {_FOREIGN[child.tag]}" if child.tag in _FOREIGN else self.meant(child.tag, children, "<{}>")
-                self.ignored(child, f"is unknown here and has no effect{hint}", f"{place}/{child.title}")
+        names = [name for name in element.attributes if name not in attributes and not is_namespace(name)]
+        for name in names[:MOST_OF_ONE]:
+            hint = self.meant(name, attributes)
+            self.ignored(element, f"attribute {name!r} is unknown here and has no effect{hint}", place, name)
+        if len(names) > MOST_OF_ONE:
+            self.ignored(element, f"and {len(names) - MOST_OF_ONE} more unknown attributes have no effect", place)
+        strange = [child for child in element.children if child.tag not in children]
+        for child in strange[:MOST_OF_ONE]:
+            hint = f"; {_FOREIGN[child.tag]}" if child.tag in _FOREIGN else self.meant(child.tag, children, "<{}>")
+            self.ignored(child, f"is unknown here and has no effect{hint}", f"{place}/{child.title}")
+        if len(strange) > MOST_OF_ONE:
+            child = strange[MOST_OF_ONE]
+            text = f"and {len(strange) - MOST_OF_ONE} more unknown tags, from here on, have no effect"
+            self.ignored(child, text, f"{place}/{child.title}")
 
     def meant(self, name: str, known: Iterable[str], form: str = "{!r}") -> str:
         """`; did you mean ...?` with the known name closest to `name`, or an empty text.
@@ -104,6 +117,27 @@ class Report:
                 extra, f"only the first <{tag}> counts, line {found[0].line}", f"{element.title}/{extra.title}"
             )
         return found[0] if found else None
+
+
+def bounded(notices: Sequence[Notice]) -> list[Notice]:
+    """The notices; of more than MOST_ALIKE that say the same of different things, the rest is one with their number."""
+    counts = Counter(map(_kind, notices))
+    told: Counter[tuple[str, str, str]] = Counter()
+    shown = []
+    for notice in notices:
+        kind = _kind(notice)
+        told[kind] += 1
+        if notice.verdict == "used" or told[kind] <= MOST_ALIKE:
+            shown.append(notice)
+        elif told[kind] == MOST_ALIKE + 1:
+            rest = counts[kind] - MOST_ALIKE
+            shown.append(replace(notice, text=f"and {rest} more like those before, of which this is the first"))
+    return shown
+
+
+def _kind(notice: Notice) -> tuple[str, str, str]:
+    """File, verdict, and the text up to the first name in it: equal for those that say the same of different things."""
+    return notice.file, notice.verdict, re.split("['\";:]", notice.text, maxsplit=1)[0]
 
 
 def is_namespace(attribute: str) -> bool:

@@ -16,6 +16,7 @@ from slidectl import writing
 from slidectl.client import Client
 from slidectl.description import source_note
 from slidectl.description.packages import Packages
+from slidectl.description.report import bounded
 from slidectl.errors import NoDaemon, Refused, SlidectlError, UsageError
 from slidectl.launch.nodes.controller_nodes import ManagerScript, Spawner
 from slidectl.launch.nodes.gazebo import Gazebo, WorldSettings
@@ -449,7 +450,7 @@ def _prepare(run: Run, parameters: Mapping[str, Leaf]) -> None:
 def _tell_notices(run: Run) -> None:
     """Print notices with the verdict "wrong", and count the others; with `-v` print all."""
     quiet = 0
-    for notice in run.plan.notices:
+    for notice in bounded(run.plan.notices):
         if notice.verdict == "wrong" or run.console.verbose:
             run.console.warn(str(notice))
         else:

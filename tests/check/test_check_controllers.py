@@ -266,3 +266,11 @@ def test_every_type_of_controller_is_known_by_its_parameters(controllers: Check,
     required = [parameter.name for parameter in registry.find(type_name).parameters if parameter.required]
     missing = [name for name in required if "[]" not in name and "<" not in name]
     assert [name for name in missing if not lines.about(f"/bot/c/{name}: is missing")] == []
+
+
+def test_of_many_unknown_parameters_the_first_are_named_and_the_rest_is_counted(controllers: Check) -> None:
+    unknown = "".join(f"    x{number}: 1\n" for number in range(700))
+    lines = controllers(f"bot:\n  move:\n    type: effort_controllers/JointPositionController\n{unknown}")
+    assert len(lines.about("unknown to the controller")) == 100
+    assert len(lines.about("and 600 more like those before")) == 1
+    assert lines.findings.count("ignored") == 700

@@ -135,3 +135,17 @@ def test_a_launch_file_may_come_through_a_pipe_of_the_shell(slidectl: CommandLin
     command = ["bash", "-c", line, "bash", *slidectl.argv("launch", "--dump-params")]
     done = subprocess.run(command, env=slidectl.environment, capture_output=True, text=True, check=False)
     assert (done.stdout, done.stderr) == ("/a: 1\n", "")
+
+
+def test_of_many_unknown_tags_the_first_are_named_and_the_rest_is_counted(
+    slidectl: CommandLine, tmp_path: Path
+) -> None:
+    path = tmp_path / "odd.launch"
+    path.write_text("<launch>\n" + "".join(f"<x{number}/>\n" for number in range(900)) + "</launch>\n")
+    lines = slidectl("launch", str(path), "--dry-run").stderr.splitlines()
+    assert len(lines) == 101
+    assert lines[-1] == f"warning: {path}:102: <x100>: and 800 more like those before, of which this is the first"
+    lines = slidectl("check", str(path)).stdout.splitlines()
+    assert sum("unknown in <launch>" in line for line in lines) == 100
+    assert any("and 800 more like those before" in line for line in lines)
+    assert len(lines) < 250
