@@ -177,7 +177,8 @@ def check_range(names: Sequence[str], made: list[Rows], begins: Rows, ends: Rows
             at = f"point {dropped + k + side}" if k + side else "the present motion"
             raise Refused(
                 f"joint {names[column]!r} cannot move to point {dropped + k + 1} within {rows[k, DURATION]:g} s: "
-                f"with the {quantities[kind]} {values[kind, side]:g} of {at}, its {quantity} on the way is beyond any number"
+                f"with the {quantities[kind]} {values[kind, side]:g} of {at}, "
+                f"its {quantity} on the way is beyond any number"
             )
 
 
