@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
 import signal
@@ -9,7 +10,7 @@ import socket
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, suppress
 from typing import Any
 from urllib.parse import urlsplit
 from xmlrpc.client import Binary, DateTime, Fault, MultiCall, ServerProxy
@@ -17,10 +18,14 @@ from xmlrpc.client import Binary, DateTime, Fault, MultiCall, ServerProxy
 import pytest
 from daemon_fixture import Runtime, running_daemon
 from foreign_nodes import ForeignNode
+from raw_websocket import descriptors, memory_mib
 from running_gateway import log, running_gateway
 from waiting import eventually
 
 from slidectl.errors import Refused
+from slidectl.gateways import process
+from slidectl.gateways.ros1 import xmlrpc
+from slidectl.held_bytes import HeldBytes
 
 FLOAT = "std_msgs/Float64"
 COMMAND = "/slider/joint1_position_controller/command"
@@ -433,6 +438,113 @@ def test_idle_connections_make_room_for_new_ones(master: str) -> None:
     finally:
         for wire in idle:
             wire.close()
+
+
+def claiming(master: str, length: int, sent: bytes = b"") -> socket.socket:
+    """A connection that has begun a request with a body that it claims to have this length."""
+    wire = socket.create_connection(("127.0.0.1", urlsplit(master).port or 0), timeout=60)
+    wire.sendall(b"POST / HTTP/1.1\r\nContent-Length: %d\r\n\r\n" % length)
+    with suppress(BrokenPipeError, ConnectionResetError):
+        wire.sendall(sent)
+    return wire
+
+
+def test_bodies_that_are_only_claimed_lock_nobody_out(master: str) -> None:
+    with ExitStack() as stack:
+        for _ in range(20):
+            stack.enter_context(claiming(master, 16 << 20))
+        with ServerProxy(master) as server:
+            assert server.getPid("/x")[0] == 1
+            assert (
+                server.setParam("/x", "/long", "x" * 8_000_000)[0] == 1
+            )  # what it has sent counts, not what it claims
+            assert server.deleteParam("/x", "/long")[0] == 1
+
+
+def test_bodies_that_have_come_and_are_not_whole_hold_a_bounded_sum(daemon: Runtime, master: str) -> None:
+    with daemon.environment():
+        running = process.find(daemon.paths, "ros1")
+    assert running is not None
+    before = memory_mib(running.pid)
+    with ExitStack() as stack:
+        some = [stack.enter_context(claiming(master, 16 << 20, bytes(16_000_000))) for _ in range(30)]
+        with ServerProxy(master) as server:
+            assert server.getPid("/x")[0] == 1
+            assert server.setParam("/x", "/long", "x" * 8_000_000)[0] == 1
+            assert server.deleteParam("/x", "/long")[0] == 1
+        assert some[0].recv(100).startswith(b"HTTP/1.1 503")  # it held most for longest
+        assert memory_mib(running.pid) < before + 64 + 100
+    eventually(lambda: memory_mib(running.pid) < before + 60)
+
+
+def test_slow_senders_make_room_for_new_ones_before_idle_ones_do(master: str) -> None:
+    with ExitStack() as stack:
+        idle = [stack.enter_context(ServerProxy(master)) for _ in range(5)]
+        assert all(_answers(server) for server in idle)
+        slow = [stack.enter_context(claiming(master, 1000, b"<")) for _ in range(395)]
+        assert len(slow) == 395
+        for _ in range(10):
+            server = stack.enter_context(ServerProxy(master))
+            eventually(lambda server=server: _answers(server), "a new connection gets no answer")
+        for server in idle:
+            assert server.getPid("/x")[0] == 1
+
+
+def test_a_thousand_connections_leave_nothing(daemon: Runtime, master: str) -> None:
+    with daemon.environment():
+        running = process.find(daemon.paths, "ros1")
+    assert running is not None
+    had, before = descriptors(running.pid), memory_mib(running.pid)
+    with ExitStack() as stack:
+        for _ in range(1000):
+            stack.enter_context(claiming(master, 10))
+        server = stack.enter_context(ServerProxy(master))
+        eventually(lambda: _answers(server), "a new connection gets no answer")
+        assert memory_mib(running.pid) < before + 60
+    eventually(lambda: descriptors(running.pid) <= had)
+
+
+def test_a_request_has_a_limit_from_its_first_byte_to_its_last(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A sender that sends a byte now and then is ended, in the head and in the body."""
+    monkeypatch.setattr(xmlrpc, "_REQUEST_LIMIT_S", 1.0)
+
+    async def answer(*_: Any) -> Any:
+        return 1
+
+    async def sends_for_ever(head: bytes) -> None:
+        server = xmlrpc.XmlRpcServer(answer, any_user=True)
+        port = await server.open("127.0.0.1", 0)
+        _, writer = await asyncio.open_connection("127.0.0.1", port)
+        writer.write(head)
+        async with asyncio.timeout(30):
+            with suppress(ConnectionError):
+                while True:
+                    writer.write(b"x")
+                    await writer.drain()
+                    await asyncio.sleep(0.05)
+        writer.close()
+        await server.close()
+        assert (server.held, server.connections) == (0, 0)
+
+    for head in (b"POST / HTT", b"POST / HTTP/1.1\r\nContent-Length: 100000\r\n\r\n"):
+        asyncio.run(sends_for_ever(head))
+
+
+def test_an_answer_of_a_node_that_never_ends_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What nodes answer to the gateway's own calls counts as well."""
+    monkeypatch.setattr(xmlrpc, "_HELD", HeldBytes(1_000_000))
+
+    async def answer_much(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        writer.write(b"HTTP/1.1 200 OK\r\nContent-Length: 16000000\r\n\r\n" + bytes(2_000_000))
+
+    async def call() -> None:
+        node = await asyncio.start_server(answer_much, "127.0.0.1", 0)
+        port = node.sockets[0].getsockname()[1]
+        with pytest.raises(Refused, match="unfinished"):
+            await xmlrpc.call(f"http://127.0.0.1:{port}", "getPid", "/x")
+        node.close()
+
+    asyncio.run(call())
 
 
 def _answers(server: ServerProxy) -> bool:
