@@ -6,9 +6,10 @@ folder="$(mktemp -d)"  # a world of its own, of which nothing stays
 export SLIDECTL_SOCKET="$folder/arm"
 trap 'slidectl -q daemon stop; rm -r "$folder"' EXIT
 
-slidectl daemon start --rtf "${RTF:-1}"
+slidectl daemon start --rtf "${RTF:-1}" --paused  # until the controllers hold what would fall
 slidectl spawn arm --controllers config/arm_control.yaml --start joint_state_controller arm_controller
 slidectl spawn gripper --at 1 0 0 --controllers config/gripper_control.yaml --start joint_state_controller gripper_controller
+slidectl sim resume
 
 slidectl trajectory plan arm_controller --to joint1=1.5 joint2=-0.4 --duration 2 --wait
 
