@@ -39,17 +39,22 @@ arm:
 A goal for it, and what comes of it:
 
 ```console
-$ slidectl daemon start
+$ slidectl daemon start --paused
 daemon default: started, process 4711
 $ slidectl spawn arm --controllers two_joints.yaml --start arm_controller
 arm: spawned in /arm at 0 0 0, joints: joint1 joint2 joint3 joint4 joint5 joint6
-$ slidectl echo /arm/arm_controller/follow_joint_trajectory/result/result -n 1 &
+$ slidectl echo /arm/arm_controller/follow_joint_trajectory/result/result -n 1 -q > result.yaml &
 $ slidectl pub /arm/arm_controller/follow_joint_trajectory/goal '{goal: {trajectory: {joint_names: [joint1, joint2],
 >   points: [{positions: [1.0, -0.5], velocities: [0.0, 0.0], time_from_start: {secs: 2}}]}}}'
+$ slidectl sim step 3s
+time 3 s after 3000 cycles
 $ wait
+$ cat result.yaml
 error_code: 0
 error_string: ''
 ---
+$ slidectl sim resume
+running at 3 s
 $ slidectl delete arm
 arm: deleted
 ```

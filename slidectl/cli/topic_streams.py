@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from slidectl import names
 from slidectl.cli.output import check_reader
 from slidectl.errors import TimedOut, UnknownName
 from slidectl.msgs.schema import Schema, Typedefs, from_typedefs, nanoseconds
@@ -73,7 +74,8 @@ def look_up_when_there(ctx: Context, name: str, tell: Callable[[str], None]) -> 
     deadline = ctx.client.monotonic() + limit
     # The end of the name may be a field: each of these may be the topic.
     words = name.partition("[")[0].strip("/").split("/")
-    possible = ["/" + "/".join(words[:count]) for count in range(1, len(words) + 1)]
+    beginnings = ("/" + "/".join(words[:count]) for count in range(1, len(words) + 1))
+    possible = [topic for topic in beginnings if names.is_legal(topic)]  # others are never published
     begun = {topic: ctx.client.subscribe(topic, ANY_TYPE) for topic in possible}
     while True:
         try:

@@ -69,7 +69,7 @@ def _graph_services(graph: Graph) -> dict[str, ServiceEntry]:
         return {
             "subscribing": topics.subscribed_by(node),
             "publishing": topics.published_by(node),
-            "services": services.provided_by(node),
+            "services": [name for name in services.provided_by(node) if name in services.permitted_names()],
         }
 
     return {

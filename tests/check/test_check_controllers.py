@@ -33,7 +33,7 @@ def test_a_sound_file_is_all_used(controllers: Check) -> None:
 UNKNOWN = [
     ("joint: slide\n    pid: {p: 1.0}\n    jiont: a", "/bot/c/jiont", "did you mean 'joint'?"),
     ("joint: slide\n    pid: {p: 1.0, i_clmp: 1}", "/bot/c/pid/i_clmp", "did you mean 'pid/i_clamp'?"),
-    ("joint: slide\n    pid: {p: 1.0, d_gain: 1}", "/bot/c/pid/d_gain", "did you mean 'pid/d'?"),
+    ("joint: slide\n    pid: {p: 1.0, i_clam: 1}", "/bot/c/pid/i_clam", "did you mean 'pid/i_clamp'?"),
     ("joint: slide\n    pid: {p: 1.0}\n    p: 3", "/bot/c/p", "did you mean 'pid/p'?"),
     ("joint: slide\n    pid: {p: 1.0}\n    zzz: {a: 1, b: 2}", "/bot/c/zzz", "it knows joint, pid/antiwindup"),
 ]

@@ -127,7 +127,8 @@ def test_a_command_refuses_what_is_no_regular_file(world: CommandLine, tmp_path:
     assert refused.returncode == (1 if command in ("rostopic pub", "rostopic echo", "rosparam load") else 2), (
         refused.stderr
     )
-    assert path in refused.stderr or command == "rostopic echo"
+    # bag reindex names the file that a link leads to: it is the one that it would change
+    assert path in refused.stderr or str(Path(path).resolve()) in refused.stderr or command == "rostopic echo"
     assert any(text in refused.stderr for text in (*said, *AS_IN_ROS.get(command, ()))), refused.stderr
 
 

@@ -180,6 +180,8 @@ class _Run:
         except NotThere:
             raise Failure(f"ERROR: file does not exist: {file_name}") from None
         except BadFile as error:
+            if file_name is None:
+                raise
             raise Failure(f"ERROR: cannot read {file_name}: {error.reason}") from None
         except genpy.NotYaml as error:
             what = "Invalid YAML" if file_name is None else "ERROR: invalid YAML in file"

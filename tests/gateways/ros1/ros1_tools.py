@@ -303,8 +303,13 @@ Call = tuple[str, dict[str, Any]]
 
 
 def graph(client: Client, calls: Iterable[Call] = ()) -> dict[str, Any]:
-    """What the daemon's nodes publish, subscribe and serve, with a message of each topic and the answers to calls."""
+    """What the daemon's nodes publish, subscribe and serve, with a message of each topic and the answers to calls.
+
+    Services are those that the gateway offers without --allow.
+    """
     nodes: dict[str, Any] = {}
+    services = client.call("/slidectl/graph")["services"]
+    offered = {service["name"] for service in services if service["effects"][0] in ("reads", "writes")}
     for node in client.call("/rosapi/nodes")["nodes"]:
         details = client.call("/rosapi/node_details", {"node": node})
         nodes[node] = {
@@ -313,6 +318,7 @@ def graph(client: Client, calls: Iterable[Call] = ()) -> dict[str, Any]:
             "services": {
                 service: {"type": client.call("/rosapi/service_type", {"service": service})["type"], "answers": []}
                 for service in details["services"]
+                if service in offered
             },
         }
     answers = {service: found for node in nodes.values() for service, found in node["services"].items()}
