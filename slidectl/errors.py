@@ -87,6 +87,8 @@ def _is_near(one: str, other: str) -> bool:
 
     words, others = (re.split(r"[_/]+", name.lower().strip("/_")) for name in (one, other))
     if len(words) != len(others):
+        if set(words) <= set(others) or set(others) <= set(words):  # a word was left out, or is too much
+            return True
         return SequenceMatcher(None, "".join(words), "".join(others)).ratio() >= _LEAST_WHOLE
     pairs = [pair for pair in zip(words, others, strict=True) if max(map(len, pair)) >= _LEAST_WORD]
     return all(SequenceMatcher(None, *pair).ratio() >= _LEAST_RATIO for pair in pairs)

@@ -12,6 +12,7 @@ from slidectl.errors import closest
     [
         ("jonit1_position_controller", "joint1_position_controller", True),
         ("joint1_controller", "joint1_position_controller", True),
+        ("pid/d_gain", "pid/d", True),
         ("rrbot_descripton", "rrbot_description", True),
         ("flir_camera_description", "pointgrey_camera_description", False),
         ("robot_localization", "rb1_base_localization", False),

@@ -210,7 +210,8 @@ def _control_plugins(root: Element) -> list[Element]:
 
 def _is_control(plugin: Element) -> bool:
     """True for gazebo_ros_control, and for what a robot's makers have derived from it: `libNAME_gazebo_ros_control`."""
-    return library(plugin).removeprefix("lib").endswith(_CONTROL_PLUGIN.removeprefix("lib"))
+    name = library(plugin)
+    return name == _CONTROL_PLUGIN or (name.startswith("lib") and name.endswith(f"_{_CONTROL_PLUGIN[3:]}"))
 
 
 def _text(element: Element) -> str:
