@@ -7,7 +7,6 @@ Standard library only.
 from __future__ import annotations
 
 import re
-import unicodedata
 from collections.abc import Iterable, Iterator
 
 from slidectl.errors import AmbiguousName, BadName, UnknownName
@@ -80,6 +79,8 @@ def legal_robot(name: str) -> str:
     """
     if is_component(name):
         return name
+    import unicodedata  # needed for odd names alone
+
     plain = unicodedata.normalize("NFKD", name[:LONGEST])
     plain = "".join(sign for sign in plain if not unicodedata.combining(sign))
     plain = re.sub(r"(?a)\W+", "_", plain).strip("_")

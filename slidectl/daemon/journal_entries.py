@@ -129,6 +129,7 @@ OPTIONS: dict[str, tuple[Check, str]] = {
     "timestep": (_is_number, "a number"),
     "gravity": (_is_numbers(3), "three numbers"),
     "ground": (_is_flag, "true or false"),
+    "strict": (_is_flag, "true or false"),
     "engine": (_is_text, "a text"),
     "chosen": (_is_list(_is_text), "texts"),
     "imports": (_is_list(_is_text), "texts"),

@@ -55,7 +55,7 @@ def test_spawn_in_json_has_the_keys_of_robots(world: CommandLine) -> None:
     spawned = json.loads(world.ok("spawn", "rrbot", "--json"))
     assert spawned == robot(world, "rrbot")
     assert list(spawned) == [
-        "name", "namespace", "kind", "fixed", "pose", "links", "joints", "controllers", "estop", "report",
+        "name", "namespace", "kind", "fixed", "pose", "links", "joints", "controllers", "estop", "frozen", "report",
     ]  # fmt: skip
     joint = next(joint for joint in spawned["joints"] if joint["name"] == "joint1")
     assert list(joint) == [

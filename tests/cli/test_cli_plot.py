@@ -199,7 +199,7 @@ def test_two_recordings_and_two_fields_are_compared(run: tuple[CommandLine, Path
     [
         (("joint_states/name",), 2, "is string, which is no number"),
         (("joint_states/positon",), 1, "Did you mean 'position'?"),
-        (("joint_state/position",), 1, "Did you mean '/slider/joint_states'?"),
+        (("joint_state/position",), 1, "/slider/joint_states"),
         (("joint_states/position[4]",), 1, "index out of range"),
         (("joint_states/position", "--save", "x.gif"), 2, ".svg, .png, .pdf, .html, .csv"),
         (("joint_states/position", "--save", "/no/such/x.svg"), 1, "no folder /no/such"),

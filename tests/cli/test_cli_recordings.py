@@ -575,7 +575,7 @@ BAD = [
     (("play", "gone.bag"), 2, "gone.bag: no such file or directory"),
     (("play", "README.md"), 2, "neither a bag (of format 2.0) nor an mcap file"),
     (("play", "config/slider_control.yaml:=", "README.md"), 2, "names no topic"),
-    (("bag", "info", "/dev/null"), 2, "is empty"),
+    (("bag", "info", "/dev/null"), 2, "is a device"),
     (("bag", "export", "README.md"), 2, "give one of --csv and --parquet"),
 ]
 
