@@ -18,7 +18,7 @@ from slidectl.control import registry
 from slidectl.control.controller_interface import ControllerBase, State
 from slidectl.control.duration import NANOSECONDS, to_seconds
 from slidectl.control.hardware_interface import (
-    Command,
+    CommandAttribute,
     ControllerInfo,
     JointHandle,
     JointStateInterface,
@@ -422,11 +422,11 @@ class ControllerManager:
         self._loaded: dict[str, LoadedController] = {}
         self._running: tuple[LoadedController, ...] = ()
         self._updates: tuple[tuple[Callable[[int, float], None], UpdateTimes], ...] = ()
-        self._commands: tuple[tuple[LoadedController, list[Command]], ...] = ()
+        self._commands: tuple[tuple[LoadedController, list[CommandAttribute]], ...] = ()
         """The commands of each running controller."""
         self._commanded: tuple[JointHandle, ...] = ()
         """The joints of these commands."""
-        self._further: tuple[Command, ...] = ()
+        self._further: tuple[CommandAttribute, ...] = ()
         """Those of these commands that are not the attribute `command`."""
         self._switch: Switch | None = None
 

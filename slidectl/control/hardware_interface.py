@@ -315,7 +315,7 @@ class Conflict:
         return f"{self.resource} is claimed by {' and '.join(self.controllers)}"
 
 
-class Command(NamedTuple):
+class CommandAttribute(NamedTuple):
     """One command of a joint: the handle, and the name of the attribute. `holds`: `command` is a position."""
 
     handle: JointHandle
@@ -365,7 +365,7 @@ class RobotHW:
                     commands.update({(id(handle), name): (one, name) for one, name in (*found, (handle, "command"))})
         return list(handles.values()), list(commands.values())
 
-    def commands_of(self, claims: Iterable[ClaimedResources]) -> list[Command]:
+    def commands_of(self, claims: Iterable[ClaimedResources]) -> list[CommandAttribute]:
         """The commands of the joints that are claimed."""
         found = []
         for claim in claims:
@@ -373,7 +373,7 @@ class RobotHW:
             if isinstance(interface, JointCommands):
                 holds = interface.declared.quantity == "position"
                 handles = [handle for handle in interface.handles() if handle.name in claim.resources]
-                found += [Command(*one, holds) for handle in handles for one in interface.commands_of(handle)]
+                found += [CommandAttribute(*one, holds) for handle in handles for one in interface.commands_of(handle)]
         return found
 
     def interface_names(self) -> list[str]:

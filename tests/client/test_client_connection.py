@@ -25,7 +25,7 @@ def listen_without_answering(runtime: Runtime) -> socket.socket:
 
 
 def test_without_a_daemon_the_error_says_how_to_start_one(runtime: Runtime) -> None:
-    with pytest.raises(NoDaemon, match="slidectl daemon start") as failure:
+    with pytest.raises(NoDaemon, match="daemon start") as failure:
         runtime.client()
     assert str(runtime.paths.socket) in failure.value.message
     assert failure.value.exit_code == 3

@@ -26,7 +26,8 @@ def test_a_connection_that_names_its_node_is_listed_by_that_name(connect: Connec
         "name": "/chatter", "type": "std_msgs/String", "publishers": ["/talker"], "subscribers": []
     }  # fmt: skip
     assert topics["/heard"]["subscribers"] == ["/talker"]
-    assert {"name": "/say", "type": "std_srvs/Empty", "node": "/talker"} in state["services"]
+    say = {"name": "/say", "type": "std_srvs/Empty", "node": "/talker", "effects": ["writes"]}
+    assert say in state["services"]
 
 
 def test_a_name_of_a_node_is_taken_once_and_free_when_its_connection_has_ended(connect: Connect) -> None:

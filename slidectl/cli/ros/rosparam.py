@@ -15,7 +15,6 @@ from slidectl.cli.context import Context
 from slidectl.cli.ros.arguments import Failure, Parser, Tool, option, refusals, resolve
 from slidectl.errors import BadFile, UsageError
 from slidectl.input_files import MOST_TEXT, read_bytes
-from slidectl.writing import reason, write_whole
 
 _VERBOSE = option("-v", "say what is done", dest="verbose")
 _INT32 = range(-(2**31), 2**31)
@@ -209,6 +208,8 @@ def dump(ctx: Context, argv: Sequence[str]) -> None:
     value = _value(ctx, inside)
     if file is None or file == "-":
         return output.write(param.dumped(value))
+    from slidectl.writing import reason, write_whole  # most commands write no file
+
     try:
         write_whole(file, param.dumped(value))
     except OSError as error:
