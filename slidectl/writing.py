@@ -13,10 +13,12 @@ import signal
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from pathlib import Path
-from typing import BinaryIO, NamedTuple, NoReturn, cast
+from typing import TYPE_CHECKING, BinaryIO, NamedTuple, NoReturn, cast
 
 from slidectl.errors import Refused
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 AnyPath = str | os.PathLike[str]
 _FULL = {errno.ENOSPC: "is full", errno.EDQUOT: "has no more room for this user"}
@@ -149,6 +151,8 @@ def draft(target: AnyPath, mode: int | None = None) -> Iterator[Draft]:
     Raises:
         OSError: it cannot be put on the disk.
     """
+    from pathlib import Path  # imported here: everyday commands import this module, and pathlib is slow
+
     folder, name = os.path.split(os.fspath(target))
     stem, suffix = os.path.splitext(name)
     stem = os.fsdecode(os.fsencode(stem)[:_LONGEST_STEM])

@@ -196,7 +196,11 @@ def refuse_unreplaceable(path: Path) -> None:
         return
     if not path.is_file():
         raise Refused(f"{path} is no regular file", "give another name")
-    with suppress(OSError), path.open("rb") as file:  # one that cannot be read can be replaced
+    try:
+        file = input_files.opened(path)
+    except BadFile:  # it cannot be read, but perhaps replaced
+        return
+    with file:
         if not _lock(file):
             raise Refused(f"{path} is being recorded", "end that first, or give another name")
 

@@ -270,8 +270,10 @@ def test_ctrl_c_before_the_first_case_has_begun_ends_it_too(
 ) -> None:
     file = write("long.yaml", f"{PLAIN}timeout: 30\nsteps: [sim step: 1000000s --timeout 1e9]")
     xml = tmp_path / "out.xml"
-    process = slidectl.start("test", str(file), "--junitxml", str(xml), "--sim-timeout", "1e8")
-    eventually(xml.exists, "the file of results was not begun")
+    made = tmp_path / "made"
+    made.mkdir()
+    process = slidectl.start("test", str(file), "--junitxml", str(xml), "--sim-timeout", "1e8", TMPDIR=str(made))
+    eventually(lambda: list(made.glob("slidectl-test-*")), "no folder was made for the cases")
     process.send_signal(signal.SIGINT)
     process.communicate(timeout=60)
     assert process.returncode == 130

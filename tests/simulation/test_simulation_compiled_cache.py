@@ -98,7 +98,7 @@ def test_the_files_that_were_used_last_stay(folder: Path) -> None:
         os.utime(put(folder, f"cycle-{age}.o"), (10_000.0 - age, 10_000.0 - age))
     os.utime(folder / "cycle-now.o", (1.0, 1.0))
     object_file._read(object_file.place())
-    (folder / "cycle-1.o.4711").write_bytes(b"cod")
+    (folder / ".cycle-1.4711.o").write_bytes(b"cod")
     (folder / "compiling.log").touch()
     object_file.tidy()
     kept = {f"cycle-{age}.o" for age in range(object_file.KEPT - 1)}
