@@ -28,6 +28,8 @@ Message = dict[str, Any]
 
 _FARTHEST = 1e6
 """The largest position, rad or m. Polynomials to much larger positions overflow."""
+_LONGEST_S = 2.0**31 - 1
+"""The longest duration of ROS, s."""
 _TIMES = ("time", "time_from_start")
 _QUANTITIES = {"position": "positions", "velocity": "velocities", "acceleration": "accelerations"}
 _DURATIONS = (("secs", "nsecs"), ("sec", "nanosec"))
@@ -213,8 +215,9 @@ def _duration(value: Any, what: str, file: str, line: int | None = None) -> dict
             parts = value.get(seconds, 0), value.get(nanoseconds, 0)
             if all(type(part) is int for part in parts):
                 return {"secs": parts[0], "nsecs": parts[1]}
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise BadFile(f"{what} is {value!r}, expected seconds, or secs and nsecs", file, line)
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not is_number or not abs(value) <= _LONGEST_S:
+        raise BadFile(f"{what} is {value!r}, expected seconds up to 2147483647, or secs and nsecs", file, line)
     total_ns = round(value * 1e9)
     return {"secs": total_ns // 10**9, "nsecs": total_ns % 10**9}
 

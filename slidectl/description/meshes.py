@@ -84,11 +84,12 @@ def load(path: str | Path, scale: Vector = (1.0, 1.0, 1.0)) -> Triangles:
         raise BadMesh(f"is of no known kind of mesh; known: {', '.join(SUFFIXES)}", path)
     content = _content(path)
     try:
-        if kind == ".stl":
-            vertices, faces = _stl(content, path)
-        else:
-            _check_size(len(content), _MOST_BYTES_OF_TEXT, path)
-            vertices, faces = _obj(content, path) if kind == ".obj" else _dae(content, path)
+        with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused below
+            if kind == ".stl":
+                vertices, faces = _stl(content, path)
+            else:
+                _check_size(len(content), _MOST_BYTES_OF_TEXT, path)
+                vertices, faces = _obj(content, path) if kind == ".obj" else _dae(content, path)
     except (ValueError, IndexError, ArithmeticError) as error:
         raise BadMesh(f"cannot read the mesh: {_without_content(error)}", path) from None
     except RecursionError:

@@ -14,7 +14,7 @@ import random
 import reprlib
 import sys
 from array import array
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import is_dataclass
@@ -35,7 +35,7 @@ from slidectl.control.node_handle import GoalStatus
 from slidectl.control.pid import ReconfigurablePid
 from slidectl.control.reconfigure import ReconfigureServer
 from slidectl.control.user_classes import is_of_a_user, watched_for
-from slidectl.errors import Refused, SlidectlError
+from slidectl.errors import Refused, SlidectlError, listing
 from slidectl.physics import World
 from slidectl.physics.changes import JointFriction, Payload, StuckJoint
 from slidectl.physics.robot_hw import Drive, HardwareJoint
@@ -198,6 +198,23 @@ class Saving:
         return ref
 
 
+def _kinds(entries: Sequence[SavedObject], state: Any) -> Counter[str]:
+    """How many objects of each class a saved state holds."""
+    found: dict[int, str] = {}
+    left = [state]
+    while left:
+        one = left.pop()
+        if type(one) is Ref:
+            if one.number not in found:
+                found[one.number], content = entries[one.number]
+                left.append(content)
+        elif isinstance(one, dict):
+            left += [*one, *one.values()]
+        elif isinstance(one, tuple | list):
+            left += one
+    return Counter(found.values())
+
+
 # -- restoring ---------------------------------------------------------------------------------------------------------
 
 
@@ -217,6 +234,14 @@ class Restoring:
         """Publishers whose latched message has changed."""
         self.later: list[Callable[[], None]] = []
         """Called when all objects have their values."""
+
+    def check_complete(self, saved: Any, live: Any) -> None:
+        """Raise Refused when a state lacks an object that there is now, and that no later restore could make again."""
+        saving = Saving()
+        present = saving.value(live)
+        lost = _kinds(saving.entries, present) - _kinds(self._entries, saved)
+        if gone := [kind for kind in lost if kind not in _MAKERS and self._made_class(kind) is None]:
+            raise Refused(f"the snapshot lacks what there is now: {listing(gone)}")
 
     def finish(self) -> None:
         """Set the timers in the saved order, and send latched messages to subscribers."""
@@ -280,14 +305,21 @@ class Restoring:
         return found
 
     def _class(self, name: str) -> Any:
-        """Find a class by name. Classes that a user module only imports are excluded: their constructor may do
-        anything."""
+        """Find a class by name. Raises Refused."""
+        cls = self._made_class(name)
+        if cls is None:
+            raise Refused(f"the snapshot has a {name} where there is none, and none can be made", _HINT)
+        return cls
+
+    def _made_class(self, name: str) -> type | None:
+        """The class with this name, if objects of it can be made. Classes that a user module only imports are
+        excluded: their constructor may do anything."""
         known = [VALUES.get(name), *(vars(module).get(name) for module in self._users)]
         places = {*(module.__name__ for module in self._users)}
         for cls in known:
             if isinstance(cls, type) and (cls in VALUES.values() or cls.__module__ in places):
                 return cls
-        raise Refused(f"the snapshot has a {name} where there is none, and none can be made", _HINT)
+        return None
 
     def _named(self, saved: Named, live: Any) -> Any:
         name, value = saved

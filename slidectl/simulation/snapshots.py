@@ -114,6 +114,10 @@ def take(simulation: Simulation) -> Snapshot:
         raise Refused(f"a world that cannot go on is not saved: {simulation.run.trouble}", "slidectl sim reset")
     _check_settled(simulation, "save a snapshot")
     simulation.loop.settle()
+    return _taken(simulation)
+
+
+def _taken(simulation: Simulation) -> Snapshot:
     saving = Saving()
     state = saving.value(_tree(simulation))
     return Snapshot(
@@ -156,17 +160,32 @@ def put(simulation: Simulation, snapshot: Snapshot) -> list[str]:
         except SlidectlError as error:
             text = f"cannot load a snapshot: should that fail, the world could not be as it is now: {error.message}"
             raise Refused(text, error.hint) from None
+    kept = dict(simulation.kept)
     try:
         made = _put(simulation, snapshot)
+        if snapshot.is_from_file:  # what cannot be saved and loaded again is no state of a simulation
+            _put(simulation, _taken(simulation))
     except BaseException as error:
         if before is not None:
-            _put(simulation, before)
+            _go_back(simulation, before, kept)
         if isinstance(error, Exception) and not isinstance(error, SlidectlError):
             raise Refused(f"the snapshot does not fit: {type(error).__name__}: {error}") from error
         raise
     simulation.run.trouble = ""
     simulation.graph.clock_topic.publish_now(simulation.time_ns)
     return made
+
+
+def _go_back(simulation: Simulation, before: Snapshot, kept: dict[str, object]) -> None:
+    """Restore the world after a failed restore, which may have lost any part of it. `kept` is what it had."""
+    simulation.kept.clear()
+    simulation.kept.update(kept)
+    try:
+        _put(simulation, before)
+    except Exception:  # robots have lost parts: they are spawned again
+        for name in reversed([robot.name for robot in simulation.robots]):
+            simulation.robots.delete(name)
+        _put(simulation, before)
 
 
 def _put(simulation: Simulation, snapshot: Snapshot) -> list[str]:
@@ -185,6 +204,8 @@ def _put(simulation: Simulation, snapshot: Snapshot) -> list[str]:
             goal.cancel(text=PUT_BACK)
     live = _tree(simulation)
     restoring = Restoring(snapshot.entries, timers, _modules_of_users(simulation))
+    if snapshot.is_from_file:
+        restoring.check_complete(snapshot.state, live)
     state = restoring.value(snapshot.state, live)
     for robot in simulation.robots:
         robot.node.command_warning = state["robots"][robot.name]["command_warning"]
@@ -237,7 +258,9 @@ def _goals_since(simulation: Simulation, snapshot: Snapshot) -> list[ActionGoal]
     """Open goals that are not in the snapshot."""
     known = {entry.content["id"] for entry in snapshot.entries if entry.kind == ActionGoal.__qualname__}
     servers = [server for robot in simulation.robots for server in robot.node.servers_below()]
-    return [goal for server in servers for goal in server.open_goals if goal.id not in known]
+    goals = [goal for server in servers for goal in server.open_goals]
+    # After the failed restore of a file anything may be in that list.
+    return [goal for goal in goals if isinstance(goal, ActionGoal) and goal.id not in known]
 
 
 def _modules_of_users(simulation: Simulation) -> list[ModuleType]:

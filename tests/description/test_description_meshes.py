@@ -208,10 +208,12 @@ def test_every_primitive_of_a_dae_makes_triangles(tmp_path: Path, primitive: str
         ("VERTEX", "NORMAL", "has no positions"),
         ("<COLLADA>", '<COLLADA><asset><unit meter="0"/></asset>', "a unit of 0 m"),
         ("<node>", "<node><matrix>1 2</matrix>", "has 2 numbers instead of 16"),
+        ("<node>", f"<node><matrix>{'inf ' * 16}</matrix>", "infinite coordinates"),
         ('offset="0"', 'offset="99999999999"', "no triangle"),
         ('offset="0"', 'offset="-3"', "cannot read the mesh"),
     ],
 )
+@pytest.mark.filterwarnings("error")
 def test_what_is_wrong_in_a_dae_is_said(tmp_path: Path, before: str, after: str, reason: str) -> None:
     path = tmp_path / "a.dae"
     path.write_text(scene('<node><instance_geometry url="#g"/></node>').replace(before, after), "utf-8")

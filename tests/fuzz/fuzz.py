@@ -27,8 +27,9 @@ from fuzz_times import Times
 
 ATTACKS = {**ATTACKS_ON_DAEMON, Frames.kind: Frames, Times.kind: Times}
 SHARES = {
-    "lines": 0.15, "files": 0.15, "journals": 0.1, "robots": 0.1, "times": 0.05, "meshes": 0.1, "manager": 0.1,
-    "tcpros": 0.05, "xmlrpc": 0.05, "frames": 0.05, "foxglove": 0.05, "patterns": 0.05,
+    "lines": 0.12, "files": 0.12, "journals": 0.08, "robots": 0.1, "times": 0.05, "meshes": 0.08, "snapshots": 0.08,
+    "trajectories": 0.08, "textures": 0.05, "manager": 0.06, "tcpros": 0.04, "xmlrpc": 0.04, "frames": 0.04,
+    "foxglove": 0.03, "patterns": 0.03,
 }  # fmt: skip
 """Of the seconds, by kind."""
 _MOST_FAULTS = 5

@@ -16,6 +16,7 @@ from fuzz_foxglove import FoxgloveFrames
 from fuzz_journals import Journals
 from fuzz_limits import limited
 from fuzz_mutations import ODD_VALUES, mutated_bytes, mutated_text, shrunk
+from fuzz_read_files import Snapshots, Textures, Trajectories
 from fuzz_target import RawWire, Target, check_text, write
 from fuzz_tcpros import TcprosStreams
 from fuzz_xmlrpc import XmlRpcCalls
@@ -376,6 +377,9 @@ ATTACKS: dict[str, Callable[[Target], Any]] = {
         Files,
         Robots,
         Meshes,
+        Snapshots,
+        Trajectories,
+        Textures,
         Manager,
         TcprosStreams,
         XmlRpcCalls,

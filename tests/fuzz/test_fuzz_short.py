@@ -5,7 +5,10 @@ from __future__ import annotations
 import pytest
 from fuzz import run
 
-CASES = {"lines": 80, "files": 60, "robots": 30, "meshes": 15, "manager": 3, "journals": 60, "times": 3}
+CASES = {
+    "lines": 80, "files": 60, "robots": 30, "meshes": 15, "manager": 3, "journals": 60, "times": 3, "snapshots": 30,
+    "trajectories": 30, "textures": 10,
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("kind", CASES)

@@ -807,6 +807,28 @@ def of_class(kind: str, **attributes: Any) -> Callable[[dict[str, Any]], None]:
     return lambda values: [entry[1].update(attributes) for entry in values["entries"] if entry[0] == kind] and None
 
 
+def lacking(kind: str) -> Callable[[dict[str, Any]], None]:
+    """Nothing refers to the objects of the class: later snapshots have them, and nobody else can make them."""
+
+    def edit(values: dict[str, Any]) -> None:
+        numbers = {number for number, entry in enumerate(values["entries"]) if entry[0] == kind}
+        assert numbers, f"there is no {kind}"
+        values["entries"] = without(values["entries"], numbers)
+
+    return edit
+
+
+def without(value: Any, numbers: set[int]) -> Any:
+    """The saved value with None for these objects."""
+    if isinstance(value, list):
+        return [without(one, numbers) for one in value]
+    if not isinstance(value, dict):
+        return value
+    if value.get("~") == "Ref" and value["of"][0] in numbers:
+        return None
+    return {key: without(one, numbers) for key, one in value.items()}
+
+
 def chain(values: dict[str, Any]) -> None:
     first = len(values["entries"])
     values["entries"] += [["list", [{"~": "Ref", "of": [first + k + 1]}]] for k in range(5000)] + [["list", []]]
@@ -832,6 +854,11 @@ def chain(values: dict[str, Any]) -> None:
         of_class("Motion", index=-1),
         of_class("Motion", last=10**9),
         chain,
+        lacking("Pid"),
+        lacking("Faults"),
+        lacking("_DemandPublisher"),
+        lambda values: values["state"].clear() or values["state"].update({"~": "Ref", "of": [0]}),
+        lambda values: [entry[1].append("x") for entry in values["entries"] if entry[0] == "list" and not entry[1]],
     ],
 )
 def test_a_file_whose_values_no_simulation_has_is_refused_and_changes_nothing(
