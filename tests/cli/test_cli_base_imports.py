@@ -58,7 +58,7 @@ STATUS = {
     "engine": "plain", "pictures": "", "frozen": [],
     "lateness_p50": 1e-6, "lateness_p99": 1e-6, "overruns": 0, "robots": ["slider"], "estop": [], "controllers": 1,
     "controllers_running": 1, "connections": 1, "memory": 1, "uptime": 1.0, "log": "", "lockstep": [],
-    "trouble": "", "holders": [], "faults": [], "journal": "", "journal_trouble": "", "pictures": "", "frozen": [],
+    "trouble": "", "holders": [], "faults": [], "journal": "", "journal_trouble": "",
 }  # fmt: skip
 CONTROLLER = {"name": "c", "state": "running", "type": "t", "claimed_resources": []}
 
