@@ -856,8 +856,6 @@ def chain(values: dict[str, Any]) -> None:
         chain,
         lacking("Pid"),
         lacking("Faults"),
-        lacking("_DemandPublisher"),
-        lambda values: values["state"].clear() or values["state"].update({"~": "Ref", "of": [0]}),
         lambda values: [entry[1].append("x") for entry in values["entries"] if entry[0] == "list" and not entry[1]],
     ],
 )
