@@ -108,13 +108,15 @@ class Journals:
         if not entries:
             return
         place, other = rng.randrange(len(entries)), rng.randrange(len(entries))
-        kind = rng.randrange(8)
+        kind, sound = rng.randrange(8), entries[place] in self.entries
         if kind == 0:
             del entries[place]
         elif kind == 1:
-            entries.insert(other, dict(entries[place]))
+            entries.insert(other, entries[place])
         elif kind == 2:
             entries[place], entries[other] = entries[other], entries[place]
+        elif not sound:  # changed before
+            entries[place] = changed(rng, entries[place])
         elif str(entries[place].get("read", "")).startswith("code of "):
             entries[place]["cycle"] = rng.choice(_ODD)
         elif kind == 3 and "state" in entries[place]:
