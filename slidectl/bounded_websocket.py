@@ -251,8 +251,10 @@ class BoundedConnection(ServerConnection):
         self.protocol.fail(code, cut_reason(reason))
         super().send_data()
         self._cut_soon()
-        self._discard()
-        self.server.handlers[self].cancel()  # what the handler holds is freed now, and not when the client has closed
+        self._rest.clear()
+        # What the handler holds is freed now, and not when the client has closed. Then `_discard` frees the rest: the
+        # handler may be about to take a message from the queue.
+        self.server.handlers[self].cancel()
 
     def _discard(self) -> None:
         """Free what nobody will handle. The library has no way for that; a test measures the memory."""
