@@ -208,7 +208,12 @@ class BoundedConnection(ServerConnection):
             self._in_hand = 0
             self._share.handled()
             self._count()
-        message = await super().recv(decode)
+        try:
+            message = await super().recv(decode)
+        except AssertionError:  # the library: more frames have come in the moment in which the handler is cancelled
+            if self._is_given_up:
+                raise asyncio.CancelledError from None
+            raise
         size, last = self._whole.popleft()
         self._waiting -= size
         self._in_hand = _COPIES * size
@@ -232,7 +237,8 @@ class BoundedConnection(ServerConnection):
 
     def _count(self) -> None:
         unparsed = self._head + len(self._rest) + len(self.protocol.reader.buffer)
-        self._share.set(unparsed + self._unfinished + self._waiting + self._in_hand)
+        whole = self._waiting + self._in_hand
+        self._share.set(unparsed + self._unfinished + whole, whole)
 
     # --- ending -------------------------------------------------------------------------------------------------
 
@@ -251,8 +257,10 @@ class BoundedConnection(ServerConnection):
         self.protocol.fail(code, cut_reason(reason))
         super().send_data()
         self._cut_soon()
-        self._discard()
-        self.server.handlers[self].cancel()  # what the handler holds is freed now, and not when the client has closed
+        self._rest.clear()
+        # What the handler holds is freed now, and not when the client has closed. Then `_discard` frees the rest: the
+        # handler may be about to take a message from the queue.
+        self.server.handlers[self].cancel()
 
     def _discard(self) -> None:
         """Free what nobody will handle. The library has no way for that; a test measures the memory."""

@@ -9,6 +9,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
+_WHOLE_SHARE = 1 / 8
+"""How much a byte of a whole message weighs that is being handled: its sender cannot make that quicker."""
 _YOUNG_S = 1.0
 """Added to each age, so that among those that have just begun the number of bytes decides."""
 
@@ -47,7 +49,7 @@ class HeldBytes:
 
     def _give_up_worst(self) -> None:
         now = self.now()
-        worst = max(self._shares, key=lambda share: share.count * (now - share.since + _YOUNG_S))
+        worst = max(self._shares, key=lambda share: share.weight * (now - share.since + _YOUNG_S))
         held = worst.count
         worst.close()
         self.given_up += 1
@@ -62,13 +64,18 @@ class HeldShare:
         self.give_up = give_up
         self.count = 0
         """In bytes."""
+        self.weight = 0.0
         self.since = 0.0
         """The time since which it holds something."""
         self._account = account
         self._is_closed = False
 
-    def set(self, count: int) -> None:
-        """Say how many bytes are held now. This may give up any connection, this one too."""
+    def set(self, count: int, whole: int = 0) -> None:
+        """Say how many bytes are held now, and how many of them are of whole messages.
+
+        This may give up any connection, this one too.
+        """
+        self.weight = count - whole + _WHOLE_SHARE * whole
         if count != self.count and not self._is_closed:
             self._account.change(self, count)
 

@@ -21,15 +21,16 @@ sys.path.insert(0, str(Path(__file__).parent.parent))
 sys.path.insert(0, str(Path(__file__).parent.parent.parent))
 
 from fuzz_attacks import ATTACKS as ATTACKS_ON_DAEMON
+from fuzz_bombs import Bombs
 from fuzz_frames import Frames
 from fuzz_target import Tally, case_random, target
 from fuzz_times import Times
 
-ATTACKS = {**ATTACKS_ON_DAEMON, Frames.kind: Frames, Times.kind: Times}
+ATTACKS = {**ATTACKS_ON_DAEMON, Frames.kind: Frames, Times.kind: Times, Bombs.kind: Bombs}
 SHARES = {
-    "lines": 0.12, "files": 0.12, "journals": 0.08, "robots": 0.1, "times": 0.05, "meshes": 0.08, "snapshots": 0.08,
+    "lines": 0.08, "files": 0.12, "journals": 0.08, "robots": 0.1, "times": 0.05, "meshes": 0.08, "snapshots": 0.08,
     "trajectories": 0.08, "textures": 0.05, "manager": 0.06, "tcpros": 0.04, "xmlrpc": 0.04, "frames": 0.04,
-    "foxglove": 0.03, "patterns": 0.03,
+    "foxglove": 0.03, "patterns": 0.03, "bombs": 0.04,
 }  # fmt: skip
 """Of the seconds, by kind."""
 _MOST_FAULTS = 5

@@ -7,7 +7,7 @@ from fuzz import run
 
 CASES = {
     "lines": 80, "files": 60, "robots": 30, "meshes": 15, "manager": 3, "journals": 60, "times": 3, "snapshots": 30,
-    "trajectories": 30, "textures": 10,
+    "trajectories": 30, "textures": 10, "bombs": 6,
 }  # fmt: skip
 
 

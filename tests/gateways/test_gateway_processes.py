@@ -10,6 +10,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import pytest
 from daemon_fixture import Runtime
@@ -107,3 +108,24 @@ def test_a_gateway_in_the_foreground_ends_with_ctrl_c(slidectl: CommandLine) -> 
         running.send_signal(number)
         assert running.wait(60) == 0
         assert running.communicate()[1] == ""
+
+
+@pytest.mark.parametrize("kind", ["ros1", "websocket", "foxglove"])
+def test_a_gateway_that_was_killed_leaves_the_daemon_and_no_lock(slidectl: CommandLine, kind: str) -> None:
+    slidectl.ok("daemon", "start", "--paused")
+    with slidectl.client() as client:
+        before = client.call("/slidectl/status")
+        nodes = set(client.call("/rosapi/nodes")["nodes"])
+        for _ in range(3):
+            begun = json.loads(slidectl.ok("gateway", kind, "start", "--port", "0", "--json"))
+            assert not begun["already"]
+            os.kill(begun["pid"], signal.SIGKILL)
+            eventually(lambda: gateways(slidectl) == {}, "it is still listed")
+            assert slidectl("gateway", kind, "status").returncode == 1
+        eventually(lambda: set(client.call("/rosapi/nodes")["nodes"]) == nodes, "it left nodes behind")
+        assert client.call("/slidectl/status")["pid"] == before["pid"]
+    port = str(urlsplit(begun["address"]).port)
+    again = json.loads(slidectl.ok("gateway", kind, "start", "--port", port, "--json"))
+    assert again["address"] == begun["address"]
+    assert gateways(slidectl)[kind]["connections"] == 0
+    slidectl.ok("daemon", "stop")

@@ -38,7 +38,7 @@ from rosbridge_client import RosbridgeClient
 MIB = 1 << 20
 MOST_MIB = 128
 """The bound on what all connections of a gateway hold unfinished."""
-SPARE_MIB = 100
+SPARE_MIB = 150
 """For what is being copied, and for what allocators keep."""
 ATTEMPTS = 24
 KINDS = ("websocket", "foxglove")

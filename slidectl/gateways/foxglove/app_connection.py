@@ -131,11 +131,11 @@ class AppConnection:
         def ended() -> None:
             self._task_bytes -= frame_bytes
             self._in_tasks.handled()
-            self._in_tasks.set(self._task_bytes)
+            self._in_tasks.set(self._task_bytes, self._task_bytes)
 
         self._tasks.begin(work, ended)
         self._task_bytes += frame_bytes
-        self._in_tasks.set(self._task_bytes)
+        self._in_tasks.set(self._task_bytes, self._task_bytes)
 
     def _give_up(self, reason: str) -> None:
         self._socket.end_at_once(TRY_LATER, reason)

@@ -170,14 +170,14 @@ class TcprosConnection(asyncio.Protocol):
             del self._rest[:at]
         elif at < len(data):
             self._rest += data[at:]
-        self._share.set(len(self._rest) + self._kept)
+        self._share.set(len(self._rest) + self._kept, self._kept)
 
     def keep(self, more: int) -> None:
         """Count bytes of a whole message that is not handled at once; call it with their negative number afterwards."""
         self._kept += more
         if more < 0:
             self._share.handled()
-        self._share.set(len(self._rest) + self._kept)
+        self._share.set(len(self._rest) + self._kept, self._kept)
 
     def _take_frames(self, data: bytes) -> int:
         """Process whole frames. Returns the index of the unfinished rest."""

@@ -353,6 +353,7 @@ class XmlRpcServer:
                     refusal, length = _judged(line, fields)
                     body = b"" if refusal else await _read_body(reader, length, client.share)
                 client.waits(None)
+                client.share.set(len(body), len(body))
                 client.share.handled()
                 path, _, version = line.partition(" ")[2].partition(" ")
                 answer = b"" if refusal else await self._carried_out(path, body)

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import ast
 import asyncio
+import inspect
 import json
+import socket
 import ssl
+import warnings
 from collections.abc import Iterator
+from contextlib import ExitStack
 from datetime import UTC, datetime, timedelta
 from ipaddress import ip_address
 from pathlib import Path
@@ -16,11 +21,14 @@ from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from daemon_fixture import Runtime, running_daemon
+from raw_websocket import descriptors, gateway_pid, raw_socket
 from rosbridge_client import DEADLINE_S, RosbridgeClient
 from running_gateway import running_gateway
+from waiting import eventually
 from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidMessage, InvalidStatus
 
+from slidectl import web_access
 from slidectl.errors import SlidectlError
 
 TOKEN = "a.word-of_8~or-more"
@@ -181,6 +189,49 @@ def test_tls_and_certificates_that_nobody_would_take(world: Runtime, tmp_path: P
         ({"key": key}, "--cert"),
     ):
         assert text in refusal(world, **options)
+
+
+def test_what_is_no_tls_or_an_old_one_gets_no_answer_and_keeps_nobody_out(world: Runtime, tmp_path: Path) -> None:
+    cert, key = certificate(tmp_path, "good", 2)
+    trusting = ssl.create_default_context(cafile=cert)
+    with running_gateway(world, "websocket", cert=cert, key=key, token=TOKEN) as url, ExitStack() as stack:
+        had = descriptors(gateway_pid(world, "websocket"))
+        for sent in (b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n", b"\x16\x03\x01\xff\xff", b"\0" * 5000, b""):
+            with raw_socket(url) as plain:
+                plain.sendall(sent)
+                plain.shutdown(socket.SHUT_WR)
+                assert b"HTTP" not in plain.recv(4096)
+        for version in (ssl.TLSVersion.TLSv1, ssl.TLSVersion.TLSv1_1):
+            old = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+            old.check_hostname, old.verify_mode = False, ssl.CERT_NONE
+            old.set_ciphers("DEFAULT:@SECLEVEL=0")  # else the client itself refuses
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", DeprecationWarning)
+                old.minimum_version = ssl.TLSVersion.MINIMUM_SUPPORTED
+                old.maximum_version = version
+            with raw_socket(url) as plain, pytest.raises(OSError):  # noqa: PT011
+                old.wrap_socket(plain)
+        idle = [stack.enter_context(raw_socket(url)) for _ in range(1000)]
+        idle[0].sendall(b"\x16\x03\x01")
+        assert answer(f"{url}/?token={TOKEN}", ssl=trusting) == (101, "")
+        assert answer(f"{url}/?token={TOKEN}x", ssl=trusting)[0] == 401
+        for one in idle:
+            one.close()
+        eventually(lambda: descriptors(gateway_pid(world, "websocket")) <= had)
+
+
+def test_tokens_are_compared_in_constant_time() -> None:
+    """Nothing but `is_secret` compares a token or what stands for it, and it uses hmac."""
+    package = Path(web_access.__file__).parent
+    assert "hmac.compare_digest(" in inspect.getsource(web_access.is_secret)
+    compared = []
+    for path in ("gateways/websocket_listener.py", "viewing/page/guarded_server.py"):
+        for node in ast.walk(ast.parse((package / path).read_text("utf-8"))):
+            if isinstance(node, ast.Compare):
+                names = {ast.unparse(part).rpartition(".")[2] for part in (node.left, *node.comparators)}
+                compared += names & {"_token", "token", "_session", "_word", "given"} if len(names) > 1 else []
+    # `given is None`, and origins, whose spelling is no secret
+    assert [name for name in compared if name != "given"] == []
 
 
 def refusal(world: Runtime, **options: Any) -> str:
