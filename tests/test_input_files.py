@@ -157,8 +157,6 @@ ELSEWHERE = {
     "physics/rendering.py": "a file in memory for another process",
     "processes.py": "locks and logs of the instance, which slidectl wrote",
     "pytest_plugin.py": "the log of the instance, which slidectl wrote",
-    "recording/recording_files.py": "whether a file that a new recording replaces is being recorded",
-    "recording/rosbags_adapter.py": "bytes of a recording that is open",
     "scenarios/stages.py": "the log of a scenario, which is written, and /dev/null",
     "scenarios/workers.py": "a pipe to the parent process",
     "simulation/compiled/object_file.py": "the package's own code, and the cache of machine code, which slidectl wrote",
