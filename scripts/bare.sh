@@ -3,7 +3,7 @@
 # ordinary user. Nothing of this machine is there but the names of hosts and the configuration of pip.
 #   scripts/bare.sh [FOLDER [COMMAND]]
 # A FOLDER keeps the system for the next time; without one (or with "") it is a temporary one. COMMAND replaces the two
-# commands. Needs root. Where such a system cannot be made, one line says why, and the script fails when CI is set.
+# commands. Needs root. Where such a system cannot be made, one line says why, and the exit code is 77.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 folder="${1:-}"
@@ -11,8 +11,7 @@ command="${2:-make demo && make test}"
 
 cannot() {
   echo "no bare system here: $1"
-  [ -z "${CI:-}" ] || exit 1
-  exit 0
+  exit 77
 }
 
 [ "$(id -u)" = 0 ] || cannot "debootstrap and chroot need root"
