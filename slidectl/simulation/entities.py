@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from slidectl.simulation.simulation import Simulation
 
 WORLD_FRAMES = ("", "world", "map", "/map", "/world")
-_MOST_TAGS = 100_000
-"""The most opening and closing tags of a URDF: some thousand links. Reading more would block the world."""
+_MOST_TAGS = 25_000
+"""The most elements of a URDF: about a thousand links with all that stands in them. Reading more would hold the world."""
 
 Placed = tuple[ParsedRobot, Pose]
 """A parsed robot, and its pose in the world."""
@@ -150,6 +150,6 @@ class Entities:
 
 def check_size(kind: str, xml: str) -> None:
     """Raise Refused for too many elements: reading them would block the world."""
-    tags = xml.count("<")
+    tags = xml.count("<") - xml.count("</")
     if tags > _MOST_TAGS:
         raise Refused(f"the {kind} has {tags} tags, and {_MOST_TAGS} is the most")

@@ -65,6 +65,19 @@ def test_a_model_can_be_spawned_in_the_frame_of_another(simulation: Simulation) 
     assert position_of(simulation, "b", "a")["x"] == pytest.approx(0.5)
 
 
+@pytest.mark.parametrize("kind", ["urdf", "sdf"])
+def test_a_model_of_more_tags_than_any_robot_has_is_refused_before_it_is_read(
+    simulation: Simulation, kind: str
+) -> None:
+    unknown = "".join(f"<x{number}/>" for number in range(90_000))
+    model = BALL.replace("</robot>", unknown + "</robot>")
+    answer = ask(simulation, f"spawn_{kind}_model", model_name="ball", model_xml=model)
+    assert not answer["success"]
+    assert "has 90007 tags, and 25000 is the most" in answer["status_message"]
+    model = BALL.replace("</robot>", unknown[: unknown.index("<x20000/>")] + "</robot>")
+    assert ask(simulation, f"spawn_{kind}_model", model_name="ball", model_xml=model)["success"]
+
+
 def test_a_refusal_says_why_and_leaves_the_world_as_it_was(simulation: Simulation) -> None:
     broken = ask(simulation, "spawn_urdf_model", model_name="ball", model_xml="<robot name='x'>")
     assert not broken["success"]
