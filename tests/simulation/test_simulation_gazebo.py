@@ -73,7 +73,7 @@ def test_a_model_of_more_tags_than_any_robot_has_is_refused_before_it_is_read(
     model = BALL.replace("</robot>", unknown + "</robot>")
     answer = ask(simulation, f"spawn_{kind}_model", model_name="ball", model_xml=model)
     assert not answer["success"]
-    assert "has 90007 tags, and 25000 is the most" in answer["status_message"]
+    assert "has 90008 tags, and 25000 is the most" in answer["status_message"]
     model = BALL.replace("</robot>", unknown[: unknown.index("<x20000/>")] + "</robot>")
     assert ask(simulation, f"spawn_{kind}_model", model_name="ball", model_xml=model)["success"]
 
