@@ -109,7 +109,7 @@ def test_a_daemon_that_dies_is_noticed_by_whoever_waits(runtime: Runtime) -> Non
         os.kill(client.daemon_pid, signal.SIGKILL)
         with pytest.raises(NoDaemon, match="the daemon went away"):
             next(clock)
-        with pytest.raises(NoDaemon, match="start it with: slidectl .*daemon start"):
+        with pytest.raises(NoDaemon, match=r"start it with: slidectl .*daemon start"):
             client.call("/slidectl/status")
         with pytest.raises(NoDaemon):
             client.publish("/x", {"data": "x" * 1_000_000})
