@@ -182,7 +182,8 @@ def load(ctx: Context, file: str, namespace: str | None) -> None:
     """Set the parameters of a YAML file ('-' is stdin), below NAMESPACE if given.
 
     All documents of the file count; a key '_ns' puts a document into a namespace. Parameters that the file does not
-    name stay. JSON keys: parameter, value; one line for each.
+    name stay. A file that has NAMESPACE itself as its top keys, as a dump has, is loaded where it says. JSON keys:
+    parameter, value; one line for each.
     """
     from slidectl.client.spawning import leaves
 
@@ -191,6 +192,9 @@ def load(ctx: Context, file: str, namespace: str | None) -> None:
     tree = parameters_in(ctx, values.text_of(file), shown, namespace is not None)
     if tree == {}:
         ctx.say(f"{shown} holds no parameters")
+    elif namespace is not None and _names_all_of(tree, inside):
+        ctx.say(f"{shown} names {inside} itself; it is loaded there")
+        inside = "/"
     chosen = dict(leaves(tree, inside)) if isinstance(tree, dict) else {inside: tree}
     store(ctx, chosen)
     for name, value in chosen.items():
@@ -199,16 +203,31 @@ def load(ctx: Context, file: str, namespace: str | None) -> None:
         ctx.emit_rows([{"parameter": n, "value": v} for n, v in chosen.items()], ["parameter", "value"])
 
 
+def _names_all_of(tree: Any, namespace: str) -> bool:
+    """True when the only key on each level of the tree is the next part of the namespace, which is not the root."""
+    parts = [part for part in namespace.split("/") if part]
+    for part in parts:
+        if not isinstance(tree, dict) or list(tree) != [part]:
+            return False
+        tree = tree[part]
+    return bool(parts) and isinstance(tree, dict)
+
+
 @param.command("dump", examples=["slidectl param dump", "slidectl param dump slider.yaml /slider"])
 @click.argument("file", required=False, shell_complete=completion.files)
 @click.argument("namespace", required=False, shell_complete=completion.parameters)
 @click.pass_obj
 def dump(ctx: Context, file: str | None, namespace: str | None) -> None:
-    """Write the parameters, all or those below NAMESPACE, as YAML with sorted keys, to FILE or to stdout.
+    """Write what was set, all or below NAMESPACE, as YAML with sorted keys, to FILE or to stdout.
 
-    With --json it is one object.
+    The keys begin at the root, so that 'param load FILE', 'controller config FILE' and 'spawn --controllers FILE' take
+    the file. What the simulation adds itself is left out: gains that were not given, the model of a spawned robot;
+    'param get NAMESPACE' has all. With --json it is one object.
     """
-    value = get_value(ctx, "/" if namespace is None else _resolved(ctx, namespace))
+    full = "/" if namespace is None else _resolved(ctx, namespace)
+    value = json.loads(ctx.call("/slidectl/given_params", {"name": full})["value"])
+    if not value:
+        ctx.say(f"nothing was set {'' if full == '/' else f'at {full} '}by a client")
     text = output.as_json(value) + "\n" if ctx.format == "json" else dumped(value)
     if file is None or file == "-":
         output.write(text)

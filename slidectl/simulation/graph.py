@@ -193,7 +193,7 @@ class GraphNode:
         return self._graph.parameters.has(self._absolute(name))
 
     def set_param(self, name: str, value: Any) -> None:
-        self._graph.parameters.set(self._absolute(name), value)
+        self._graph.parameters.set(self._absolute(name), value, derived=True)
 
     def delete_param(self, name: str) -> None:
         """Delete the parameter, or all parameters below it. Raises UnknownName."""

@@ -1,12 +1,13 @@
 """The services of `/slidectl`, except `wait`, which has a module of its own, and `shutdown`, which is the daemon's.
 
-These are not in ROS: status, step, sleep, set_speed, set_params, list_robots, scene, joint_states, sources, resolve,
-estop, rest_joints, start_joints, load_controller_file, reload_controller, update_times, graph; and of snapshots save,
-load, snapshots, delete_snapshots, export_snapshot.
+These are not in ROS: status, step, sleep, set_speed, set_params, given_params, list_robots, scene, joint_states,
+sources, resolve, estop, rest_joints, start_joints, load_controller_file, reload_controller, update_times, graph; and of
+snapshots save, load, snapshots, delete_snapshots, export_snapshot.
 """
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from functools import partial
@@ -26,7 +27,7 @@ from slidectl.simulation.clock import SECOND
 from slidectl.simulation.gazebo_frames import pose_message, vector_message
 from slidectl.simulation.loop import whole_cycles
 from slidectl.simulation.pending import Pending
-from slidectl.simulation.rosapi import absolute, from_json, typedefs
+from slidectl.simulation.rosapi import absolute, check_size, from_json, typedefs
 from slidectl.simulation.services import Answer, Handler, answering
 from slidectl.simulation.snapshots import put
 from slidectl.simulation.spawned_robots import SpawnedRobot
@@ -61,6 +62,7 @@ class OwnServices:
             "sleep": (Effect.WRITES, "Sleep", self._sleep),
             "set_speed": (Effect.WRITES, "SetSpeed", answering(self._set_speed, "message")),
             "set_params": (Effect.WRITES, "SetParams", self._set_params),
+            "given_params": (Effect.READS, "GivenParams", self._given_params),
             "list_robots": (Effect.READS, "ListRobots", self._list_robots),
             "scene": (Effect.READS, "Scene", self._scene),
             "joint_states": (Effect.READS, "JointStates", self._joint_states),
@@ -173,6 +175,11 @@ class OwnServices:
         guarded = [name for name in created if parameters.is_guarded(name)]
         parameters.set_all(values, request["known_only"])
         return {"created": created, "guarded": guarded}
+
+    def _given_params(self, request: Message) -> Message:
+        parameters, name = self._graph.parameters, absolute(request["name"])
+        check_size(parameters.look(name), name)
+        return {"value": json.dumps(parameters.given(name))}
 
     def _sources(self, request: Message) -> Message:
         digest: str = request["digest"]

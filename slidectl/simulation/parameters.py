@@ -79,6 +79,8 @@ class Parameters:
 
     def __init__(self) -> None:
         self._root: dict[str, Any] = {}
+        self._derived: set[Path] = set()
+        """Parameters that a node of the simulation has set where no client had: defaults of gains, a robot's model."""
         self._names: list[str] | None = None
         """All names in order; None when they must be computed again."""
         self._counted = 0
@@ -106,15 +108,38 @@ class Parameters:
         """True when the parameter or one below it is set."""
         return self._find(_path(name)) is not MISSING
 
-    def set(self, name: str, value: Any, merge: bool = False) -> None:
+    def given(self, name: str) -> dict[str, Any]:
+        """What clients have set at `name` or below it, as a tree from the root, which shares its lists with this one.
+
+        Raises UnknownParameter when neither clients nor nodes have set anything there.
+        """
+        path = _path(name)
+        value = self.look(name)
+        tree: dict[str, Any] = {}
+        for leaf, content in _leaves(value, path):
+            if leaf and leaf not in self._derived:
+                _assign(tree, leaf, content)
+        return tree
+
+    def derived(self) -> list[str]:
+        """The names of the parameters that nodes have set where no client had, sorted."""
+        return sorted("/" + "/".join(path) for path in self._derived)
+
+    def set(self, name: str, value: Any, merge: bool = False, derived: bool = False) -> None:
         """Set a value. A mapping replaces the present one; with `merge` the keys that it does not have stay.
+
+        With `derived` a node of the simulation sets it, not a client: `given` leaves it out, unless it changes a value.
 
         Raises:
             BadName: an invalid name or key. UsageError: a value that no parameter can have, or a root that is not a
             mapping. SlidectlError: a guard refused it.
         """
         path, checked = _settable(name, value)
+        before = self._find(path)
+        derives = derived and (before is MISSING or (path in self._derived and before == checked))
         self._set(list(_leaves(checked, path)) if merge else [(path, checked)])
+        if derives:
+            self._derived.update(leaf for leaf, _ in _leaves(checked, path))
 
     def set_all(self, values: Mapping[str, Any], known_only: bool = False) -> None:
         """Set several, all of them or none. Raises as `set`.
@@ -128,6 +153,7 @@ class Parameters:
         self._check_room(leaves)
         if any(_has_names(content) or _has_names(self._find(leaf)) for leaf, content in leaves):
             self._names = None
+        self._forget_derived([leaf for leaf, _ in leaves])
         for leaf, content in leaves:
             if leaf:
                 _assign(self._root, leaf, content)
@@ -140,8 +166,10 @@ class Parameters:
         copy: dict[str, Any] = _copied(self._root)
         return copy
 
-    def replace(self, tree: dict[str, Any], without: Iterable[str] = ()) -> None:
+    def replace(self, tree: dict[str, Any], derived: Iterable[str], without: Iterable[str] = ()) -> None:
         """Replace the tree, without these names and without asking guards. Watchers of changed values are called.
+
+        `derived` has the names that `derived` returned for this tree.
 
         Raises UsageError: a value that no parameter can have.
         """
@@ -149,6 +177,7 @@ class Parameters:
             tree = _copied(tree)
             for name in without:
                 _assign(tree, _path(name), MISSING)
+        self._derived = set(map(_path, derived))
         if _is_same(self._root, tree):
             return
         before, after = (
@@ -170,6 +199,7 @@ class Parameters:
             raise UnknownParameter("parameter", name, self.names())
         self._judge([(path, MISSING)], deletes=True)
         self._names = None
+        self._forget_derived([path])
         deleted = path
         if not path:
             self._root = {}
@@ -230,6 +260,11 @@ class Parameters:
             for leaf, content in leaves:
                 after = _with(after, guard.path, leaf, content)
             guard.callback(ParameterChange(before, after, deletes, known_only))
+
+    def _forget_derived(self, changed: list[Path]) -> None:
+        """Take what is set or deleted now, and all below it or above it, for what clients have set."""
+        if self._derived:
+            self._derived = {one for one in self._derived if not any(_related(one, path) for path in changed)}
 
     def _find(self, path: Path) -> Any:
         node: Any = self._root

@@ -155,7 +155,7 @@ def _parameter_services(parameters: Parameters) -> dict[str, ServiceEntry]:
     def get(request: Message) -> Message:
         default = _text_or_json(request["default"]) if request["default"] else MISSING
         value = parameters.look(absolute(request["name"]), default)
-        _check_size(value, request["name"])
+        check_size(value, request["name"])
         return {"value": json.dumps(value)}
 
     def put(request: Message) -> Message:
@@ -202,7 +202,7 @@ def _text_or_json(text: str) -> Any:
         return text
 
 
-def _check_size(value: Any, name: str) -> None:
+def check_size(value: Any, name: str) -> None:
     """Raise Refused for a value that takes too long to encode and does not fit on one line."""
     left, rest = _LONGEST, [value]
     while rest and left > 0:

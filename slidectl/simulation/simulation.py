@@ -100,7 +100,7 @@ class Simulation:
         """The settings (`speed`, `timestep`, `gravity`) that the user has set. A world file does not change them."""
         self.world.clock = self.graph.clock.now_ns
         self.run.on_halt = self.robots.settle_switches
-        self.graph.parameters.set("/use_sim_time", True)
+        self.graph.parameters.set("/use_sim_time", True, derived=True)
         rosapi.advertise(self.graph)
         self.lockstep = LockStepService(self.graph, self.loop)
         OwnServices(self)

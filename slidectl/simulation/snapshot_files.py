@@ -142,6 +142,8 @@ def _check(snapshot: Snapshot) -> None:
         raise ValueError("its gravity is no vector")
     if not isinstance(snapshot.parameters, dict) or not isinstance(snapshot.world, dict):
         raise ValueError("it has no parameters, or no world")
+    if not all(type(name) is str and len(name) <= names.LONGEST for name in snapshot.derived):
+        raise ValueError("its derived parameters are no names")
     for place, asked in enumerate(snapshot.faults):
         snapshot.faults[place] = asked._replace(options=checked_options(asked.kind, asked.options))
         numbers = asked.start_ns, asked.end_ns, abs(asked.seed)

@@ -96,6 +96,8 @@ class Snapshot:
     robots: list[SpawnedAs]
     faults: list[FaultRequest]
     parameters: dict[str, Any]
+    derived: list[str]
+    """The parameters that no client has set."""
     world: dict[str, Any]
     entries: list[SavedObject]
     state: Any
@@ -130,6 +132,7 @@ def _taken(simulation: Simulation) -> Snapshot:
         [SpawnedAs.of(robot) for robot in simulation.robots],
         simulation.faults.asked(),
         simulation.parameters.tree(),
+        simulation.parameters.derived(),
         simulation.world.snapshot(),
         saving.entries,
         state,
@@ -283,7 +286,7 @@ def _make(simulation: Simulation, snapshot: Snapshot) -> list[str]:
     robots, wanted = simulation.robots, snapshot.robots
     present = [SpawnedAs.of(robot) for robot in robots]
     if _are_alike(present, wanted):
-        simulation.parameters.replace(snapshot.parameters)
+        simulation.parameters.replace(snapshot.parameters, snapshot.derived)
         return []
     for one in wanted:
         for name, type_name in one.controllers:
@@ -298,13 +301,13 @@ def _make(simulation: Simulation, snapshot: Snapshot) -> list[str]:
         if count < len(one.controllers):
             robots.get(one.name).manager.keep_only(kept[one.name])
     late = {name for one in wanted[same:] for name in one.made_parameters}
-    simulation.parameters.replace(snapshot.parameters, late)
+    simulation.parameters.replace(snapshot.parameters, snapshot.derived, late)
     for one in wanted:
         robot = robots.get(one.name) if one.name in robots else robots.spawn_read(one.parsed(), one.pose, one.hulls)
         for name, _ in one.controllers:
             if name not in kept.get(one.name, ()):
                 robot.manager.load_again(name)
-    simulation.parameters.replace(snapshot.parameters)
+    simulation.parameters.replace(snapshot.parameters, snapshot.derived)
     return [one.name for one in wanted[same:]]
 
 

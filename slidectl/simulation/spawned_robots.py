@@ -429,7 +429,7 @@ class Robots:
 def _put_description(robot: SpawnedRobot, parameters: Parameters) -> None:
     name = names.join(robot.namespace, DESCRIPTION)
     before = parameters.get(name, None)
-    parameters.set(name, robot.xml)
+    parameters.set(name, robot.xml, derived=True)
     robot.made_parameters.append(name)
 
     def take_back() -> None:

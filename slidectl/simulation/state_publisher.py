@@ -48,7 +48,7 @@ class StatePublishers:
         if shares_frames and not tf_prefix(self._simulation, robot):
             prefix = robot.namespace.strip("/") or robot.name
             chosen = names.join(robot.namespace, f"{NODE}/tf_prefix")  # further up it would apply to other robots too
-            parameters.set(chosen, prefix)
+            parameters.set(chosen, prefix, derived=True)
             robot.made_parameters.append(chosen)
             robot.taken.callback(lambda: parameters.delete(chosen) if parameters.has(chosen) else None)
             text = f"{robot.name}: another robot has frames of the same names; these are {prefix}/LINK on /tf"

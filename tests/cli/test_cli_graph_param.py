@@ -11,6 +11,8 @@ from typing import Any
 import pytest
 import yaml
 from cli_graph_world import World, slider_world
+from command_line import CommandLine
+from daemon_fixture import running_daemon
 
 from slidectl.errors import Refused
 
@@ -108,9 +110,9 @@ def test_load_takes_all_documents_and_their_namespaces(world: World, tmp_path: P
         "  offset: deg(45)\n---\nb: 2\n---\n_ns: inner\na: 1\n"
     )
     assert world.slidectl.ok("param", "load", str(file), "/loaded") == ""
-    assert world.slidectl.ok("param", "dump", "-", "/loaded") == (
+    assert world.slidectl.ok("param", "get", "/loaded") == (
         "b: 2\ncontroller:\n  limits:\n  - -0.5\n  - 0.5\n  offset: 0.7853981633974483\n"
-        "  type: position_controllers/JointPositionController\ninner:\n  a: 1\n"
+        "  type: position_controllers/JointPositionController\ninner:\n  a: 1\n\n"
     )
 
 
@@ -135,13 +137,52 @@ def test_load_warns_of_a_name_that_is_there_twice(world: World) -> None:
 
 
 def test_dump_writes_a_file_that_load_reads_back(world: World, tmp_path: Path) -> None:
-    file = tmp_path / "slider.yaml"
-    assert world.slidectl.ok("param", "dump", str(file), PID) == ""
-    dumped = yaml.safe_load(file.read_text())
-    assert {"p", "i", "d", "i_clamp_min"} <= set(dumped)
+    file = tmp_path / "dumped.yaml"
+    world.slidectl.ok("param", "set", "/here/inner", "{a: 1, list: [1, {b: 2.5}], empty: {}}")
+    assert world.slidectl.ok("param", "dump", str(file), "/here/inner") == ""
+    before = world.slidectl.ok("param", "get", "/here")
+    assert yaml.safe_load(file.read_text()) == {"here": {"inner": {"a": 1, "list": [1, {"b": 2.5}], "empty": {}}}}
+    world.slidectl.ok("param", "delete", "/here")
+    world.slidectl.ok("param", "load", str(file))
+    assert world.slidectl.ok("param", "get", "/here") == before
+    assert json.loads(world.slidectl.ok("param", "dump", "--json"))["here"] == yaml.safe_load(file.read_text())["here"]
+    loaded = world.slidectl("param", "load", str(file), "/here/inner")  # as for a dump of rosparam
+    assert (loaded.returncode, loaded.stderr) == (0, f"{file} names /here/inner itself; it is loaded there\n")
+    assert world.slidectl.ok("param", "get", "/here") == before
     world.slidectl.ok("param", "load", str(file), "/again")
-    assert json.loads(world.slidectl.ok("param", "get", "/again", "--json"))["value"] == dumped
-    assert json.loads(world.slidectl.ok("param", "dump", "--json"))["again"] == dumped
+    assert world.slidectl.ok("param", "get", "/again/here") == before
+
+
+def test_a_dump_of_gains_has_their_keys_from_the_root_and_only_what_was_set(tmp_path: Path) -> None:
+    file = tmp_path / "tuned.yaml"
+    pid = "/slider/joint1_position_controller/pid"
+    config = {
+        "joint1_position_controller": {
+            "type": "effort_controllers/JointPositionController",
+            "joint": "joint1",
+            "pid": {"p": 100.0, "d": 10.0},
+        }
+    }
+    given = tmp_path / "given.yaml"
+    given.write_text(yaml.safe_dump({"slider": config}))
+    with running_daemon() as daemon:
+        slidectl = CommandLine(daemon.folder)
+        slidectl.ok("spawn", "slider", "--controllers", str(given), "--start", "joint1_position_controller")
+        assert yaml.safe_load(slidectl.ok("param", "dump")) == {"slider": config}  # no model and no use_sim_time either
+        slidectl.ok("param", "set", f"{pid}/p", "150.0")
+        slidectl.ok("param", "set", f"{pid}/antiwindup", "true")
+        slidectl.ok("param", "dump", str(file), pid)
+        tuned = {"p": 150.0, "d": 10.0, "antiwindup": True}
+        assert yaml.safe_load(file.read_text()) == {"slider": {"joint1_position_controller": {"pid": tuned}}}
+        whole = slidectl.ok("param", "get", "/slider/joint1_position_controller")
+        slidectl.ok("controller", "unspawn", "joint1_position_controller")
+        slidectl.ok("param", "delete", "/slider/joint1_position_controller")
+        slidectl.ok("param", "load", str(given))
+        slidectl.ok("param", "load", str(file))
+        slidectl.ok("controller", "spawn", "joint1_position_controller")
+        assert slidectl.ok("param", "get", "/slider/joint1_position_controller") == whole
+        nothing = slidectl("param", "dump", "-", f"{pid}/i_clamp_max")
+        assert (nothing.stdout, nothing.stderr) == ("{}\n", f"nothing was set at {pid}/i_clamp_max by a client\n")
 
 
 @pytest.mark.parametrize("words", [("param", "dump"), ("ros", "rosparam", "dump")], ids=" ".join)
@@ -163,7 +204,7 @@ def test_a_dump_that_does_not_fit_leaves_what_was_there(world: World, tmp_path: 
     assert file.read_text() == "precious: 1\n"
     assert [path.name for path in tmp_path.iterdir()] == ["slider.yaml"]
     world.slidectl.ok(*words, str(file), PID)
-    assert "i_clamp_min" in file.read_text()
+    assert "d: 10.0" in file.read_text()
     assert file.stat().st_mode & 0o777 == 0o640
 
 

@@ -188,3 +188,27 @@ def test_all_parameters_together_are_bounded(monkeypatch: pytest.MonkeyPatch) ->
     assert parameters.names() == ["/text"]
     parameters.delete("/text")
     parameters.set("/other", "x" * 500)
+
+
+def test_what_nodes_derive_is_not_given_until_a_client_sets_it_or_it_changes() -> None:
+    parameters = Parameters()
+    parameters.set("/a/p", 1.0)
+    for name in ("/a/i", "/a/d", "/a/p"):  # the last one was given
+        parameters.set(name, 0.0, derived=True)
+    assert parameters.given("/") == {"a": {"p": 0.0}}
+    assert (parameters.given("/a/i"), parameters.derived()) == ({}, ["/a/d", "/a/i"])
+    parameters.set("/a/i", 0.0, derived=True)  # the same value once more
+    assert parameters.derived() == ["/a/d", "/a/i"]
+    parameters.set("/a/i", 0.0)
+    parameters.set("/a/d", 2.0, derived=True)
+    assert parameters.given("/a") == {"a": {"p": 0.0, "i": 0.0, "d": 2.0}}
+
+
+@pytest.mark.parametrize("change", ["delete", "set"])
+def test_a_namespace_that_is_deleted_or_replaced_takes_what_was_derived_along(change: str) -> None:
+    parameters = Parameters()
+    parameters.set("/a/i", 0.0, derived=True)
+    if change == "delete":
+        parameters.delete("/a")
+    parameters.set("/a", {"i": 0.0})
+    assert parameters.given("/") == {"a": {"i": 0.0}}

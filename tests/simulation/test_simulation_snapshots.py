@@ -442,9 +442,12 @@ def test_robots_controllers_and_parameters_are_as_they_were() -> None:
     simulation.set_timestep(0.002)
     simulation.step(100)
     simulation.save("here")
+    derived = simulation.parameters.derived()
+    assert "/b/robot_state_publisher/tf_prefix" in derived
     simulation.step(50)
     then = everything(simulation)
 
+    simulation.parameters.set("/b/robot_state_publisher/tf_prefix", "b")
     simulation.set_timestep(0.001)
     simulation.world.set_gravity((0.0, 0.0, 0.0))
     simulation.delete("a")
@@ -458,6 +461,7 @@ def test_robots_controllers_and_parameters_are_as_they_were() -> None:
     assert simulation.robots.names() == ["a", "b"]
     simulation.step(50)
     assert everything(simulation) == then
+    assert simulation.parameters.derived() == derived
     assert not [topic for topic in simulation.graph.topics.names() if topic.startswith("/c/")]
     for name in ("a", "b"):
         simulation.delete(name)
