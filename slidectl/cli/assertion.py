@@ -97,8 +97,19 @@ class _Verdict(NamedTuple):
 def _measure_options(function: Callable[..., None]) -> Callable[..., None]:
     """Add an option for each measure."""
     for name, measure in reversed(MEASURES.items()):
-        click.option(f"--{name}", metavar="COND", callback=_bound, help=f"{measure.help}.")(function)
+        click.option(f"--{name}", metavar="COND", callback=_bound, help=f"{measure.help}{_in_unit(measure.unit)}.")(
+            function
+        )
     return function
+
+
+def _in_unit(unit: str) -> str:
+    """The unit of a measure, for its help."""
+    named = {
+        "value": "in the unit of the value", "value·s": "in the unit of the value times s", "effort": "N or N m",
+        "": "a number of times", "%": "",
+    }.get(unit, unit)  # fmt: skip
+    return named and f", {named}"
 
 
 def _conditions(
@@ -131,22 +142,42 @@ def _conditions(
     ],
 )
 @click.argument("target", shell_complete=completion.topics_and_fields)
-@click.option("--near", type=float, callback=finite, metavar="X", help="Within --tol of X.")
-@click.option("--above", type=float, callback=finite, metavar="X", help="Greater than X.")
-@click.option("--below", type=float, callback=finite, metavar="X", help="Less than X.")
-@click.option("--equals", type=float, callback=finite, metavar="X", help="Exactly X.")
+@click.option(
+    "--near",
+    type=float,
+    callback=finite,
+    metavar="X",
+    help="Within --tol of X, in the unit of the value: m or rad, say.",
+)
+@click.option("--above", type=float, callback=finite, metavar="X", help="Greater than X, in the unit of the value.")
+@click.option("--below", type=float, callback=finite, metavar="X", help="Less than X, in the unit of the value.")
+@click.option("--equals", type=float, callback=finite, metavar="X", help="Exactly X, in the unit of the value.")
 @click.option("--tol", type=click.FloatRange(min=0), callback=finite, metavar="T",
-              help="How far --near may be off (0.01).")  # fmt: skip
+              help="How far --near may be off, in the unit of the value (0.01).")  # fmt: skip
 @_measure_options
 @click.option("--set-point", callback=_set_point, metavar="X|FIELD",
-              help="What the value is to be: a number, or a field of the same topic.")  # fmt: skip
+              help="What the value is to be: a number in its unit, or a field of the same topic.")  # fmt: skip
 @click.option("--since", type=float, callback=finite, metavar="T",
-              help="Simulated time of the step; else when the motion began.")  # fmt: skip
+              help="Simulated time of the step, s; else when the motion began.")  # fmt: skip
 @click.option("--band", type=click.FloatRange(0, 100, min_open=True), default=2.0, callback=finite, metavar="PERCENT",
-              help="Half the width of the band of --settling, of the step (2).")  # fmt: skip
-@click.option("--effort-limit", type=float, callback=finite, metavar="X", help="Of --saturation; else the joint's.")
-@click.option("--lower", type=float, callback=finite, metavar="X", help="Bound of --limit-hits; else the joint's.")
-@click.option("--upper", type=float, callback=finite, metavar="X", help="Bound of --limit-hits; else the joint's.")
+              help="Half the width of the band of --settling, % of the step (2).")  # fmt: skip
+@click.option(
+    "--effort-limit", type=float, callback=finite, metavar="X", help="Of --saturation, N or N m; else the joint's."
+)
+@click.option(
+    "--lower",
+    type=float,
+    callback=finite,
+    metavar="X",
+    help="Bound of --limit-hits, in the unit of the value; else the joint's.",
+)
+@click.option(
+    "--upper",
+    type=float,
+    callback=finite,
+    metavar="X",
+    help="Bound of --limit-hits, in the unit of the value; else the joint's.",
+)
 @click.option("--last", type=float, callback=simulated_seconds, metavar="S", help="Of the last S simulated seconds.")
 @click.option("--for", "duration", type=float, callback=simulated_seconds, metavar="S",
               help="Of the next S simulated seconds.")  # fmt: skip

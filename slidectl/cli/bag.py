@@ -115,9 +115,11 @@ def _info_text(record: dict[str, Any]) -> str:
 )
 @click.argument("run", shell_complete=completion.files)
 @click.argument("baseline", shell_complete=completion.files)
-@click.option("--fields", cls=Variadic, metavar="F[=TOL]...", help="Only these topics or fields, with tolerances.")
+@click.option(
+    "--fields", cls=Variadic, metavar="F[=TOL]...", help="Only these topics or fields, with tolerances in their units."
+)
 @click.option("--tol", type=click.FloatRange(min=0), default=0.0, callback=finite, metavar="T",
-              help="How far numbers may be off (0).")  # fmt: skip
+              help="How far numbers may be off, in their own units (0).")  # fmt: skip
 @click.option("--update-baseline", is_flag=True, help="Make the run the baseline instead.")
 @click.pass_obj
 def diff(ctx: Context, run: str, baseline: str, fields: tuple[str, ...], tol: float, update_baseline: bool) -> None:

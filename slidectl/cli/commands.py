@@ -115,7 +115,7 @@ def common_options() -> tuple[click.Option, ...]:
         (["--json"], "The same as -o json: one object a line.", _store("format", lambda _: "json"), {"is_flag": True}),
         (["-q", "--quiet"], "Only results and errors.", _store("quiet"), {"is_flag": True}),
         (["-v", "--verbose"], "Say more; twice shows tracebacks.", _add_verbosity, {"count": True}),
-        (["--timeout"], "Wait at most so long (wall time).", _store_timeout, {"type": float, "metavar": "SECONDS"}),
+        (["--timeout"], "Wait at most so long, s of wall time.", _store_timeout, {"type": float, "metavar": "SECONDS"}),
     ]  # fmt: skip
     # `common_` gives a parameter name that no command uses.
     return tuple(

@@ -444,7 +444,8 @@ def unspawn(ctx: Context, manager: str | None, rest: str | None, names: tuple[st
 )
 @_cm
 @click.argument("name", shell_complete=completion.controllers)
-@click.option("--step", type=float, required=True, callback=finite, metavar="X", help="The new set point.")
+@click.option("--step", type=float, required=True, callback=finite, metavar="X",
+              help="The new set point: m or rad, m/s or rad/s, N or N m, as the command.")  # fmt: skip
 @click.option("--for", "duration", type=float, callback=simulated_seconds, default=10.0, metavar="S",
               help="Follow it for S simulated seconds (10).")  # fmt: skip
 @click.option("--save", metavar="FILE", shell_complete=completion.files,

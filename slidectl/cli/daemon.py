@@ -40,10 +40,24 @@ def daemon() -> None:
 def _world(function: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options of a new world."""
     options = [
-        click.option("--rtf", default="1.0", metavar="FACTOR|max", help="Real-time factor, or as fast as possible."),
+        click.option(
+            "--rtf",
+            default="1.0",
+            metavar="FACTOR|max",
+            help="Simulated s in an s of wall time, or as fast as possible.",
+        ),
         click.option("--paused/--running", default=False, help="Begin paused, or running (the default)."),
-        click.option("--timestep", type=float, default=0.001, metavar="S", help="Length of a cycle (0.001 s)."),
-        click.option("--gravity", type=float, nargs=3, default=(0.0, 0.0, -9.8), metavar="X Y Z", help="In m/s^2."),
+        click.option(
+            "--timestep", type=float, default=0.001, metavar="S", help="Length of a cycle, s of simulated time (0.001)."
+        ),
+        click.option(
+            "--gravity",
+            type=float,
+            nargs=3,
+            default=(0.0, 0.0, -9.8),
+            metavar="X Y Z",
+            help="In the axes of the world, m/s^2 (0 0 -9.8).",
+        ),
         click.option("--ground/--no-ground", default=True, help="With a floor at height 0, or without."),
         click.option("--strict", is_flag=True, help="Stop the world when a robot diverges; else that robot is frozen."),
         click.option(

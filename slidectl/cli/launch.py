@@ -80,9 +80,9 @@ def _launch_files(context: click.Context, param: click.Parameter, incomplete: st
 @click.option("--required", is_flag=True, help="The launch ends when any process of it ends.")
 @click.option("--pid", "pid_file", metavar="FILE", help="Write the process id into a file; removed at the end.")
 @click.option("--sigint-timeout", type=float, default=15.0, callback=positive_seconds, metavar="S",
-              help="How long a process may take to end on SIGINT (15 s).")  # fmt: skip
+              help="How long a process may take to end on SIGINT, s of wall time (15).")  # fmt: skip
 @click.option("--sigterm-timeout", type=float, default=2.0, callback=positive_seconds, metavar="S",
-              help="How long it may take on SIGTERM (2 s).")  # fmt: skip
+              help="How long it may take on SIGTERM, s of wall time (2).")  # fmt: skip
 @click.pass_obj
 def launch(ctx: Context, /, words: tuple[str, ...], packages: tuple[str, ...], **given: Any) -> None:
     """Run a launch file as roslaunch does.

@@ -45,10 +45,16 @@ _SECONDS: dict[str, Any] = {"type": click.FloatRange(min=0), "callback": finite,
 @click.argument("words", nargs=-1, required=True, metavar="FILE... [OLD:=NEW]...", shell_complete=completion.files)
 @click.option("--topic", "topics", multiple=True, metavar="TOPIC", help="Only this topic; may repeat.")
 @click.option(
-    "-r", "--rate", type=float, default=1.0, callback=positive_seconds, metavar="FACTOR", help="FACTOR times as fast."
+    "-r",
+    "--rate",
+    type=float,
+    default=1.0,
+    callback=positive_seconds,
+    metavar="FACTOR",
+    help="FACTOR times as fast (1).",
 )
-@click.option("-s", "--start", default=0.0, help="Begin S seconds after its start.", **_SECONDS)
-@click.option("-u", "--until", help="End S seconds after its start.", **_SECONDS)
+@click.option("-s", "--start", default=0.0, help="Begin S simulated seconds after its start.", **_SECONDS)
+@click.option("-u", "--until", help="End S simulated seconds after its start.", **_SECONDS)
 @click.option("-l", "--loop", is_flag=True, help="Again and again, until Ctrl-C.")
 @click.option("--at-recorded-times", is_flag=True, help="At the very simulated times of the recording.")
 @click.option("--clock", is_flag=True, help="Also the recorded /clock, which the world itself publishes.")

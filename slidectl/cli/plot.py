@@ -48,7 +48,7 @@ _ENTER, _HOME, _LEAVE = "\033[?1049h\033[?25l", "\033[H", "\033[?25h\033[?1049l"
 @click.option("--for", "duration", type=float, callback=simulated_seconds, metavar="S",
               help="End after S simulated seconds (10 where it is drawn once).")  # fmt: skip
 @click.option("--window", type=float, callback=simulated_seconds, metavar="S",
-              help="Draw the last S seconds only (10 in a live plot).")  # fmt: skip
+              help="Draw the last S simulated seconds only (10 in a live plot).")  # fmt: skip
 @click.option("--once", is_flag=True, help="Draw once, at the end.")
 @click.option("--save", metavar="FILE", shell_complete=completion.files,
               help="Into a file: .svg, .png, .pdf, .html or .csv.")  # fmt: skip

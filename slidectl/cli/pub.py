@@ -58,7 +58,12 @@ def _complete(click_context: click.Context, param: click.Parameter, incomplete: 
 @click.argument("words", nargs=-1, required=True, metavar="TOPIC [TYPE] [VALUE]...", shell_complete=_complete)
 @click.option("--once", is_flag=True, help="Only one message; also -1.")
 @click.option(
-    "-r", "--rate", type=float, callback=positive_seconds, metavar="HZ", help="Again and again, at this rate."
+    "-r",
+    "--rate",
+    type=float,
+    callback=positive_seconds,
+    metavar="HZ",
+    help="Again and again, at this rate, Hz of wall time.",
 )
 @click.option("-n", "--count", type=click.IntRange(min=1), metavar="COUNT", help="So many messages.")
 @click.option("--latch", is_flag=True, help="Keep the last message for those who come later; stays until Ctrl-C.")

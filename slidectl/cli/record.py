@@ -69,7 +69,7 @@ def _chosen(topics: tuple[str, ...], **given: Any) -> tuple[_Choice, Path]:
 @click.option("-x", "--exclude", metavar="REGEX", help="Without the topics that match.")
 @click.option("-O", "--output-name", "file", metavar="FILE", help="The file; its suffix says .bag or .mcap.")
 @click.option("--force", is_flag=True, help="Write over a file that is there.")
-@click.option("--duration", callback=_duration, metavar="T", help="End after so much simulated time: 30, 5m, 1h.")
+@click.option("--duration", callback=_duration, metavar="T", help="End after so much simulated time: 30 (s), 5m, 1h.")
 @click.option("--size", type=click.FloatRange(min=0, min_open=True), callback=finite, metavar="MB",
               help="End at this size, 10^6 bytes.")  # fmt: skip
 @click.option("--split", is_flag=True, help="Go on in a new file where --duration or --size would end it.")

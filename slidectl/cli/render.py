@@ -79,7 +79,7 @@ def render(ctx: Context, /, file: str, **given: Any) -> None:
 )
 @click.argument("file", metavar="FILE", shell_complete=completion.files)
 @click.option("--for", "seconds", type=float, callback=simulated_seconds, metavar="S",
-              help="So much simulated time; else until Ctrl-C.")  # fmt: skip
+              help="So much simulated time, s; else until Ctrl-C.")  # fmt: skip
 @click.option("--fps", type=click.FloatRange(min=0.1), callback=finite, default=30.0, show_default=True, metavar="N",
               help="Pictures in a simulated second.")  # fmt: skip
 @_looks

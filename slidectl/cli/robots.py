@@ -147,11 +147,11 @@ def delete(ctx: Context, names: tuple[str, ...]) -> None:
 def estop(ctx: Context, words: tuple[str, ...], namespaces: tuple[str, ...]) -> None:
     """Stop robots at once, or release them.
 
-    All robots, unless some are named. From the next cycle on efforts and velocities are 0 and positions stay where
-    they were read, whatever controllers command; these go on. 'slidectl estop release' ends it: running controllers are
-    stopped and started, so they begin where the joints are. It outlasts a reset and goes with the robot. It is the
-    service /slidectl/estop, and the topic that <eStopTopic> of a robot's plugin names does the same.
-    JSON keys: name, namespace, estop, before.
+    All robots, unless some are named. From the next cycle on efforts (N or N m) and velocities (m/s or rad/s) are 0 and
+    positions (m or rad) stay where they were read, whatever controllers command; these go on. 'slidectl estop release'
+    ends it: running controllers are stopped and started, so they begin where the joints are. It outlasts a reset and
+    goes with the robot. It is the service /slidectl/estop, and the topic that <eStopTopic> of a robot's plugin names
+    does the same. JSON keys: name, namespace, estop, before.
     """
     stop = words[:1] != ("release",)
     present = [robot for robot in all_robots(ctx) if robot["kind"] == "robot"]

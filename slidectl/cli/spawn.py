@@ -59,7 +59,12 @@ def _check_words(
 @click.argument("arguments", nargs=-1, metavar="[FILE] [KEY:=VALUE]...")
 @click.option("-n", "--name", metavar="NAME", help="Name of the robot; by default that of the model.")
 @click.option(
-    "--at", cls=Variadic, type=float, takes=looks_like_number, metavar="X Y Z [R P Y]", help="Place, m and rad."
+    "--at",
+    cls=Variadic,
+    type=float,
+    takes=looks_like_number,
+    metavar="X Y Z [R P Y]",
+    help="Place in the world, m; roll, pitch and yaw about its axes, rad.",
 )
 @click.option(
     "--joint", "joints", multiple=True, metavar="JOINT=POSITION", help="Where it starts, rad or m; may repeat."

@@ -34,7 +34,7 @@ _PUBLISH_EVERY_S = 0.1
 @click.option("--turn", type=float, callback=finite, default=1.0, show_default=True, metavar="X",
               help="Turning speed to begin with, rad/s.")  # fmt: skip
 @click.option("--key-timeout", type=float, callback=positive_seconds, default=0.6, show_default=True, metavar="S",
-              help="How long a key counts that does not repeat yet (wall time).")  # fmt: skip
+              help="How long a key counts that does not repeat yet, s of wall time.")  # fmt: skip
 @click.pass_obj
 def teleop(
     ctx: Context, topic: str | None, joint: str | None, speed: float | None, turn: float, key_timeout: float

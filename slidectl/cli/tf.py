@@ -143,7 +143,7 @@ def tree(ctx: Context) -> None:
 @click.option("-n", "--count", type=click.IntRange(min=1), metavar="COUNT", help="So many transforms.")
 @click.option("-f", "--follow", is_flag=True, help="Go on until Ctrl-C.")
 @click.option(
-    "--rate", type=float, default=1.0, callback=positive_seconds, metavar="HZ", help="How often, on the wall clock (1)."
+    "--rate", type=float, default=1.0, callback=positive_seconds, metavar="HZ", help="How often, Hz of wall time (1)."
 )
 @click.pass_obj
 def echo(ctx: Context, reference: str, target: str, count: int | None, follow: bool, rate: float) -> None:

@@ -21,7 +21,7 @@ from slidectl.viewing.world_monitor import WorldMonitor
 @command(examples=["slidectl top", "slidectl top rrbot", "slidectl top --once", "slidectl top --json"])
 @click.argument("text", required=False, default="", shell_complete=completion.robots)
 @click.option("-d", "--delay", type=float, callback=positive_seconds, default=0.5, show_default=True, metavar="S",
-              help="Look again after so long (wall time).")  # fmt: skip
+              help="Look again after so long, s of wall time.")  # fmt: skip
 @click.option("--once", is_flag=True, help="Print it once, as text.")
 @click.pass_obj
 def top(ctx: Context, text: str, delay: float, once: bool) -> None:

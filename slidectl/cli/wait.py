@@ -44,12 +44,22 @@ def _condition(
     ],
 )
 @click.argument("target", metavar="TOPIC/FIELD[I]", shell_complete=completion.topics_and_fields)
-@click.option("--near", type=float, callback=finite, metavar="X", help="Within --tol of X.")
-@click.option("--above", type=float, callback=finite, metavar="X", help="Greater than X.")
-@click.option("--below", type=float, callback=finite, metavar="X", help="Less than X.")
-@click.option("--equals", metavar="X", help="Exactly X: a number, true, false or text.")
 @click.option(
-    "--tol", type=click.FloatRange(min=0), callback=finite, metavar="T", help="How far --near may be off (0.01)."
+    "--near",
+    type=float,
+    callback=finite,
+    metavar="X",
+    help="Within --tol of X, in the unit of the value: m or rad, say.",
+)
+@click.option("--above", type=float, callback=finite, metavar="X", help="Greater than X, in the unit of the value.")
+@click.option("--below", type=float, callback=finite, metavar="X", help="Less than X, in the unit of the value.")
+@click.option("--equals", metavar="X", help="Exactly X: a number in the unit of the value, true, false or text.")
+@click.option(
+    "--tol",
+    type=click.FloatRange(min=0),
+    callback=finite,
+    metavar="T",
+    help="How far --near may be off, in the unit of the value (0.01).",
 )
 @click.option(
     "--for", "hold", type=click.FloatRange(min=0), default=0.0, callback=finite, metavar="S",

@@ -37,6 +37,48 @@ def test_every_command_has_a_help_and_an_example_of_itself() -> None:
         assert any(name in example for example in examples), f"{name}: {examples}"
 
 
+_QUANTITIES = ("COND", "FACTOR|max", "TIME", "T", "X", "X|FIELD", "JOINT=POSITION", "JOINT=POSITION...", "F[=TOL]...")
+"""What stands for a number in options that click does not take as numbers."""
+_UNIT = re.compile(
+    r"(?<![\w'-])(s|seconds|m|rad|m/s|rad/s|m/s\^2|N|N m|N s/m|kg|J|Hz|10\^6 bytes)(?![\w'-])"
+    r"|%|in (the|its|their)( own)? units?\b|times as fast|from 0 to 1|a number of times|Pictures in a simulated second"
+)
+_COUNTED = re.compile(
+    r"\b(lines|port|Seed|messages|files|reports|Characters|transforms|Clients|Frames|frame|cases|failures)\b",
+    re.IGNORECASE,
+)
+
+
+def options_with_numbers() -> Iterator[tuple[str, click.Option, bool]]:
+    """The options that take numbers, each with its command, and whether it counts something."""
+    for name, one in every_command():
+        with click.Context(one) as context:
+            for option in one.get_params(context):
+                if isinstance(option, click.Option) and not (option.is_flag or option.count):
+                    counts = isinstance(option.type, click.types.IntParamType | click.IntRange)
+                    is_real = isinstance(option.type, click.types.FloatParamType | click.FloatRange)
+                    if counts or is_real or option.metavar in _QUANTITIES:
+                        yield f"{name} {option.opts[-1]}", option, counts
+
+
+def test_every_option_that_takes_a_number_names_its_unit_or_what_it_counts() -> None:
+    found = list(options_with_numbers())
+    assert {"slidectl wait --near", "slidectl spawn --at", "slidectl daemon logs --lines"} <= {
+        name for name, *_ in found
+    }
+    for name, option, counts in found:
+        assert (_COUNTED if counts else _UNIT).search(option.help or ""), f"{name}: {option.help}"
+
+
+def test_every_time_says_which_clock_it_is_of_and_every_place_in_which_frame() -> None:
+    for name, option, counts in options_with_numbers():
+        text = option.help or ""
+        if option.metavar in ("S", "SECONDS", "TIME"):
+            assert re.search(r"\bsimulated\b|\bwall\b", text, re.IGNORECASE), f"{name}: {text}"
+        if not counts and (option.metavar or "").startswith("X Y Z"):
+            assert re.search(r"\bworld\b|\bframe\b", text), f"{name}: {text}"
+
+
 def test_the_root_help_lists_every_command_and_every_exit_code() -> None:
     text = root.get_help(click.Context(root, info_name="slidectl"))
     for name, entry in COMMANDS.items():
