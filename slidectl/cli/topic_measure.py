@@ -306,8 +306,12 @@ def _options(function: Callable[..., None]) -> Callable[..., None]:
 @_options
 @click.option("--filter", "condition", metavar="EXPR", help="Count only messages for which it is true, as in echo.")
 @click.option("--wall-time", is_flag=True, help="Rates on the computer's clock.")
-@click.option("--min", "least", type=float, callback=finite, metavar="HZ", help="Exit 1 when the last rate is below it, in Hz.")
-@click.option("--max", "most", type=float, callback=finite, metavar="HZ", help="Exit 1 when the last rate is above it, in Hz.")
+@click.option(
+    "--min", "least", type=float, callback=finite, metavar="HZ", help="Exit 1 when the last rate is below it, in Hz."
+)
+@click.option(
+    "--max", "most", type=float, callback=finite, metavar="HZ", help="Exit 1 when the last rate is above it, in Hz."
+)
 @click.pass_obj
 def hz(
     ctx: Context,
