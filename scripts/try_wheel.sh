@@ -46,6 +46,7 @@ install
 "$slidectl" version
 if "$work/venv/bin/python" -c "import pytest" 2>/dev/null; then echo "the wheel brings pytest unasked" >&2; exit 1; fi
 test -f "$work"/venv/lib/python3*/site-packages/slidectl/py.typed
+test -f "$work/venv/share/man/man1/slidectl-spawn.1"
 slide
 
 "$slidectl" launch my_slider slider.launch --detach

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import re
 import runpy
+import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -15,6 +18,7 @@ from slidectl.cli.main import COMMANDS
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+MAN_PAGES = sorted((ROOT / "docs" / "man").iterdir())
 EXIT_CODES = sorted({value for name, value in vars(errors).items() if name.startswith("EXIT_")})
 
 
@@ -69,9 +73,39 @@ def test_every_service_type_of_slidectl_is_its_own_data() -> None:
     assert {"slidectl/Status", "slidectl/Step", "slidectl/Wait"} <= set(msgs.service_names())
 
 
-def test_the_man_page_shows_every_command_and_no_line_of_it_is_taken_for_a_request() -> None:
-    text = read("docs/man/slidectl.1")
+def test_every_command_has_a_man_page_whose_lines_are_taken_for_no_other_request() -> None:
+    overview = read("docs/man/slidectl.1")
+    pages = {page.name for page in MAN_PAGES}
+    assert pages == {"slidectl.1", *(f"slidectl-{name}.1" for name in COMMANDS)}
     for name in COMMANDS:
-        assert f".SS slidectl {name}\n" in text
-    requests = set(re.findall(r"^[.'](\w+)", text, re.MULTILINE))
-    assert requests == {"TH", "SH", "SS", "B", "BR", "TP", "I", "nf", "fi"}
+        assert f".BR slidectl\\-{name} (1)\n" in overview
+    for page in MAN_PAGES:
+        requests = set(re.findall(r"^[.'](\w+)", page.read_text(encoding="ascii"), re.MULTILINE))
+        assert requests <= {"TH", "SH", "SS", "B", "BR", "TP", "PP", "I", "nf", "fi", "nh", "ad"}
+
+
+@pytest.mark.foreign
+@pytest.mark.skipif(shutil.which("groff") is None, reason="groff is not installed")
+def test_man_pages_are_read_without_a_warning() -> None:
+    done = subprocess.run(
+        ["groff", "-man", "-ww", "-Tutf8", "-z", *map(str, MAN_PAGES)], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.foreign
+@pytest.mark.skipif(shutil.which("man") is None, reason="man is not installed")
+def test_man_shows_the_options_of_a_command_as_they_are_typed() -> None:
+    shown = subprocess.run(
+        ["man", "-l", str(ROOT / "docs" / "man" / "slidectl-spawn.1")],
+        env={**os.environ, "MANPAGER": "cat", "MANWIDTH": "100", "LC_ALL": "C.UTF-8"},
+        capture_output=True, text=True, check=True,
+    ).stdout  # fmt: skip
+    text = re.sub(".\b", "", shown)
+    assert "--at X Y Z [R P Y]" in text
+    assert "slidectl spawn slider --controllers config/slider_control.yaml" in text
+
+
+def test_the_wheel_brings_the_man_pages() -> None:
+    settings = tomllib.loads(read("pyproject.toml"))["tool"]["hatch"]["build"]["targets"]["wheel"]
+    assert settings["shared-data"] == {"docs/man": "share/man/man1"}
