@@ -13,6 +13,7 @@ import sys
 import zlib
 from collections import Counter
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -466,6 +467,38 @@ def test_copies_and_tables(slider: CommandLine, tmp_path: Path) -> None:
         message["position"][0] for topic, _, message in messages(tmp_path / "run.bag") if topic == STATES
     ]
     assert {"time", "topic", "header.stamp", "name[0]", "effort[0]"} <= rows[0].keys()
+
+
+@pytest.mark.skipif(find_spec("pyarrow") is None, reason="pyarrow is not installed")
+def test_a_parquet_file_has_the_rows_and_columns_of_the_csv_file_with_their_types(
+    slider: CommandLine, tmp_path: Path
+) -> None:
+    from pyarrow import parquet
+
+    slider.ok("sim", "reset")
+    run, table, text = (str(tmp_path / name) for name in ("run.bag", "run.parquet", "run.csv"))
+    recorded(slider, Path(run), STATES, COMMAND)
+    written = [message for topic, _, message in messages(Path(run)) if topic == STATES]
+    assert f"{len(written)} rows" in slider.ok("bag", "export", run, "--topic", STATES, "--parquet", table)
+    slider.ok("bag", "export", run, "--topic", STATES, "--csv", text)
+    with open(text) as file:
+        names, *_ = rows = list(csv.reader(file))
+    read = parquet.read_table(table)
+    assert read.column_names == names
+    states = read.to_pylist()
+    assert [row["position[0]"] for row in states] == [message["position"][0] for message in written]
+    assert {type(row[name]) for row in states for name in ("time", "position[0]")} == {float}
+    assert {row["name[0]"] for row in states} == {"joint1"}
+    assert len(states) == len(rows) - 1
+
+
+def test_without_the_library_for_parquet_it_says_what_to_install(slidectl: CommandLine, tmp_path: Path) -> None:
+    two_publishers(tmp_path / "run.bag")
+    (tmp_path / "pyarrow.py").write_text("raise ImportError")
+    search = f"{tmp_path}:{slidectl.environment['PYTHONPATH']}"
+    done = slidectl("bag", "export", "run.bag", "--parquet", "run.parquet", cwd=tmp_path, PYTHONPATH=search)
+    assert (done.returncode, "pip install 'slidectl[parquet]', or use --csv" in done.stderr) == (1, True)
+    assert not (tmp_path / "run.parquet").exists()
 
 
 def test_a_table_takes_the_place_of_no_file_unasked_and_never_of_its_recording(
