@@ -81,8 +81,8 @@ class Gateway:
         return int(dict(zip(answer["names"], answer["values"], strict=True))["connections"])
 
     def send_long(self) -> None:
-        """A whole message of 4 MiB of the client that works: less than any of the attackers holds, counted thrice."""
-        text = "x" * (4 * MIB)
+        """A whole message of 8 MiB of the client that works."""
+        text = "x" * (8 * MIB)
         if self.kind == "websocket":
             self.client.send(op="publish", topic="/long", type="std_msgs/String", msg={"data": text})
         else:
