@@ -128,7 +128,8 @@ class Loads:
     def bind(self, model: Any, data: Any) -> None:
         """Use this model. All robots are bound to it already."""
         self._acted = -1.0, None
-        self.has_efforts |= not self.motors.is_empty
+        if not self.motors.is_empty:
+            self.has_efforts = True
         if len(self.efforts) < model.nv:
             self.efforts = np.append(self.efforts, np.zeros(model.nv - len(self.efforts)))
         self.motors.bind(model, data)
@@ -162,7 +163,7 @@ class Loads:
 
     def restore_last_step(self, state: dict[str, Any]) -> None:
         """Restore the results of the last step, which `bind` discards."""
-        self.has_efforts = state["has_efforts"]
+        self.has_efforts = bool(state["has_efforts"])
         self._acted = state["acted"], state["acted_wrenches"]
 
     def clear_efforts(self) -> None:

@@ -121,6 +121,10 @@ class Named(NamedTuple):
     value: Any
 
 
+_NOT_CLASSES = ("frozenset", "numpy")
+"""Names of Named values that are no named tuples."""
+
+
 class SavedObject(NamedTuple):
     """One object: the name of its class, and its content."""
 
@@ -199,8 +203,9 @@ class Saving:
 
 
 def _kinds(entries: Sequence[SavedObject], state: Any) -> Counter[str]:
-    """How many objects of each class a saved state holds."""
+    """How many objects and named tuples of each class a saved state holds."""
     found: dict[int, str] = {}
+    named: Counter[str] = Counter()
     left = [state]
     while left:
         one = left.pop()
@@ -211,8 +216,10 @@ def _kinds(entries: Sequence[SavedObject], state: Any) -> Counter[str]:
         elif isinstance(one, dict):
             left += [*one, *one.values()]
         elif isinstance(one, tuple | list):
+            if type(one) is Named and isinstance(one.value, tuple) and one.name not in _NOT_CLASSES:
+                named[one.name] += 1
             left += one
-    return Counter(found.values())
+    return named + Counter(found.values())
 
 
 # -- restoring ---------------------------------------------------------------------------------------------------------
@@ -479,8 +486,10 @@ class _SetTimer(Rule):
         return saving.object(value, lambda: (value.active, value.due_ns, value.number))
 
     def fill(self, restoring: Restoring, live: Any, content: Any) -> None:
-        live.cancel()
         is_active, due_ns, number = content
+        if not all(type(one) is int and -NEVER <= one <= NEVER for one in (due_ns, number)):
+            raise Refused(f"a timer of the snapshot is due at {reprlib.repr(due_ns)}, as number {reprlib.repr(number)}")
+        live.cancel()
         if is_active:
             restoring.set_timers.append((number, due_ns, live))
 
@@ -492,7 +501,10 @@ class _Publisher(Rule):
         return saving.object(value, lambda: (value.sequence, value.last))
 
     def fill(self, restoring: Restoring, live: Any, content: Any) -> None:
-        live.sequence, last = content
+        sequence, last = content
+        if type(sequence) is not int:
+            raise Refused(f"the number of a message in the snapshot is {reprlib.repr(sequence)}")
+        live.sequence = sequence
         if last is not live.last and last != live.last:
             live.last = last
             restoring.latched.append(live)

@@ -833,6 +833,21 @@ def without(value: Any, numbers: set[int]) -> Any:
     return {key: without(one, numbers) for key, one in value.items()}
 
 
+def with_late_timers(values: dict[str, Any]) -> None:
+    timers = [entry[1]["of"] for entry in values["entries"] if entry[0] == "Timer"]
+    assert timers, "no timer is set"
+    for timer in timers:
+        timer[1] = "late"
+
+
+def without_tolerances(values: dict[str, Any]) -> None:
+    """One of a controller's tolerances is a number; what else refers to them stays."""
+    found = [
+        entry[1] for entry in values["entries"] if entry[0] == "list" and '["SegmentTolerances"' in json.dumps(entry)
+    ]
+    found[0][0] = 2**64
+
+
 def chain(values: dict[str, Any]) -> None:
     first = len(values["entries"])
     values["entries"] += [["list", [{"~": "Ref", "of": [first + k + 1]}]] for k in range(5000)] + [["list", []]]
@@ -858,6 +873,8 @@ def chain(values: dict[str, Any]) -> None:
         of_class("Motion", index=-1),
         of_class("Motion", last=10**9),
         chain,
+        with_late_timers,
+        without_tolerances,
         lacking("Pid"),
         lacking("Faults"),
         lambda values: [entry[1].append("x") for entry in values["entries"] if entry[0] == "list" and not entry[1]],
