@@ -96,6 +96,10 @@ STRUCTURE = (
 VALUES: dict[str, type] = {cls.__qualname__: cls for cls in (ActionGoal, GoalStatus, MonitoredGoal, RollingMean, State)}
 """Classes of objects that are created and dropped while a simulation runs: a restore creates them again."""
 
+NUMBER_TYPES: dict[str, np.dtype[Any]] = {
+    kind.str: kind for code in "?bBhHiIlLqQefdgFDG" for kind in (np.dtype(code), np.dtype(code).newbyteorder())
+}
+"""The types of numbers in arrays, by NumPy's name. NumPy's own reader of names takes far more than names."""
 _SCALARS = frozenset((bool, int, float, str, bytes, type(None)))
 _FUNCTIONS = (FunctionType, BuiltinFunctionType, partial)
 _HINT = "leave it out of the class, or give the class save_state and load_state"
@@ -337,7 +341,7 @@ class Restoring:
         if name == "frozenset":
             return frozenset(self.value(one, None) for one in value)
         if name == "numpy":
-            return np.dtype(value[0]).type(value[1])
+            return NUMBER_TYPES[value[0]].type(value[1])
         cls: Any = type(live) if type(live).__qualname__ == name else self._class(name)
         if issubclass(cls, Enum):
             return cls(value)

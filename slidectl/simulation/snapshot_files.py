@@ -26,7 +26,7 @@ from slidectl.physics import mujoco_library
 from slidectl.physics.hulls import Hull, MeshSource
 from slidectl.simulation.clock import NEVER
 from slidectl.simulation.faults import FaultRequest
-from slidectl.simulation.saved_state import NOT_SAVED, Method, Named, NotSaved, Ref, SavedObject
+from slidectl.simulation.saved_state import NOT_SAVED, NUMBER_TYPES, Method, Named, NotSaved, Ref, SavedObject
 from slidectl.simulation.snapshots import Snapshot, SpawnedAs
 
 MAGIC = b"slidectl snapshot\n"
@@ -91,7 +91,16 @@ def read(path: str) -> Snapshot:
         snapshot = _unpack_all(json.loads(expanded))
         _check(snapshot)
         return snapshot
-    except (ValueError, LookupError, TypeError, AttributeError, RecursionError, zlib.error, SlidectlError) as error:
+    except (
+        ArithmeticError,
+        ValueError,
+        LookupError,
+        TypeError,
+        AttributeError,
+        RecursionError,
+        zlib.error,
+        SlidectlError,
+    ) as error:
         raise BadFile(f"the snapshot is damaged: {type(error).__name__}: {error}", path) from None
 
 
@@ -203,5 +212,5 @@ def _unpack(packed: _Packed) -> Any:
         return base64.b64decode(of)
     if kind == "numbers":
         dtype, shape, content = of
-        return np.frombuffer(base64.b64decode(content), np.dtype(str(dtype))).reshape(shape).copy()
+        return np.frombuffer(base64.b64decode(content), NUMBER_TYPES[dtype]).reshape(shape).copy()
     return {"Ref": Ref, "Method": Method, "Named": Named}[kind](*map(_unpack, of))
