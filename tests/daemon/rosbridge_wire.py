@@ -35,6 +35,10 @@ class Wire:
         message: dict[str, Any] = json.loads(line)
         return message
 
+    def rest(self) -> list[dict[str, Any]]:
+        """All objects until the daemon closes the connection. They are taken before any is looked at."""
+        return [json.loads(line) for line in self._lines.readlines()]
+
     def until(self, op: str, **keys: Any) -> dict[str, Any]:
         """The next object of this op with these keys; the others are skipped."""
         while True:

@@ -28,6 +28,7 @@ def memory_bytes() -> int:
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 
+@pytest.mark.timeout(1200)  # it computes all the time, and so takes as long as the machine is busy with others
 @pytest.mark.parametrize("kind", OF_A_CASE)
 def test_a_hundred_thousand_inputs_end_in_answers(kind: str) -> None:
     cases = -(-INPUTS // OF_A_CASE[kind])

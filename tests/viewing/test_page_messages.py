@@ -142,4 +142,4 @@ def test_who_only_looks_publishes_and_calls_nothing(world: CommandLine) -> None:
     with served_page(world, "--read-only") as url, PageBrowser(url) as browser:
         browser.set("publish topic", COMMAND)
         for label in ("data", "Publish once", "Publish at the rate", "Call"):
-            assert browser.element(label)["disabled"], label
+            eventually(lambda: browser.element(label)["disabled"], f"{label} can be used")  # noqa: B023
