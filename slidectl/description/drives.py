@@ -84,7 +84,8 @@ class DriveReader:
             for tag in sorted(_GAINS):
                 if (child := plugin.find(tag)) is not None:
                     self.report.converted(child, "the robot has the commanded velocity at once", f"{place}/<{tag}>")
-            self.drives.append(PlanarMove(**common, tells_height=False, odometry_rate_hz=rate, timeout_s=timeout_s))
+            drive = PlanarMove(**common, tells_height=False, odometry_rate_hz=rate, timeout_s=timeout_s, falls=True)
+            self.drives.append(drive)
             return
         read = self._diff if library == DIFF else self._skid
         wheels = read(plugin, place)

@@ -378,6 +378,8 @@ class PlanarMove(BaseDrive):
 
     timeout_s: float = -1.0
     """How long a command is valid, s; below 0: until the next."""
+    falls: bool = False
+    """True when the robot falls and tilts as any other; else it keeps its height and its attitude in the air."""
 
 
 @dataclass(frozen=True)

@@ -39,7 +39,20 @@ from slidectl.description.transmissions import driving
 from slidectl.errors import Refused, SlidectlError
 from slidectl.physics.hulls import Hull, Hulls, source_of
 from slidectl.physics.touching import ORDINARY, self_colliding
-from slidectl.rotations import ORIGIN, Pose, Quaternion, Vector, compose, from_rpy, matrix, perpendicular, unit, wxyz
+from slidectl.rotations import (
+    ORIGIN,
+    Pose,
+    Quaternion,
+    Vector,
+    compose,
+    cross,
+    from_rpy,
+    matrix,
+    perpendicular,
+    rotate,
+    unit,
+    wxyz,
+)
 
 Array = np.ndarray[Any, np.dtype[Any]]
 
@@ -62,6 +75,9 @@ GAZEBO_FRICTION = 1.0
 
 LARGEST_FRICTION = 1e6
 """Upper bound of coefficients, also for `Inf`: nothing slides at it, and its square is an exact number."""
+
+STEEPEST_AXLE = 0.5
+"""Sine of the largest angle between the axle of a wheel and the ground on which its robot stands."""
 
 
 class BadPart(SlidectlError):
@@ -285,10 +301,24 @@ def _principal(tensor: Array) -> tuple[list[float], tuple[float, float, float, f
     return _within_triangle(small, middle, large), (w, x, y, z)
 
 
-def put_shapes(spec: Any, body: Any, robot: str, link: Link, frame: Pose, bits: tuple[int, int], hulls: Hulls) -> None:
+def put_shapes(
+    spec: Any,
+    body: Any,
+    robot: str,
+    link: Link,
+    frame: Pose,
+    bits: tuple[int, int],
+    hulls: Hulls,
+    axle: Vector | None = None,
+) -> None:
     """Add one geom per collision of the link, with these collision bits (contype, conaffinity).
 
-    `frame` is the link's pose in the body, `hulls` has the hulls of its meshes.
+    `frame` is the link's pose in the body, `hulls` has the hulls of its meshes. `axle`: the body turns about this axis
+    of its frame, and its cylinders about it are wheels.
+
+    A wheel is an ellipsoid with the cylinder's radius and width: it touches the ground at the middle of its width. A
+    cylinder touches along a line, whose ends would have to roll at different speeds when the robot turns. With the high
+    friction that wheels have in models they cannot slip, and the robot would not turn.
 
     Raises:
         BadShape: a size that is not positive, or a mesh that could not be read.
@@ -302,6 +332,18 @@ def put_shapes(spec: Any, body: Any, robot: str, link: Link, frame: Pose, bits: 
             _put_mesh(spec, geom, robot, link, shape, hulls)
         else:
             geom.type, geom.size = _primitive(robot, link, shape)
+            if axle is not None and _is_wheel(shape, position, attitude, axle):
+                radius, half_width, _ = geom.size
+                geom.type, geom.size = mujoco.mjtGeom.mjGEOM_ELLIPSOID, [radius, radius, half_width]
+
+
+def _is_wheel(shape: Shape, position: Vector, attitude: Quaternion, axle: Vector) -> bool:
+    """True for a cylinder about the axle, through the body's origin, that is not wider than its diameter."""
+    cylinder = shape.geometry
+    if not isinstance(cylinder, Cylinder) or cylinder.length > 2.0 * cylinder.radius:
+        return False
+    is_along = math.hypot(*cross(rotate(attitude, (0.0, 0.0, 1.0)), axle)) < 1e-2
+    return is_along and math.hypot(*cross(position, axle)) < 1e-2 * cylinder.radius
 
 
 def mesh_names(robot: Robot, name: str) -> list[str]:
@@ -325,11 +367,11 @@ def put_friction(geom: Any, mu: float) -> None:
 
 
 def sliding_friction(surface: Surface) -> float:
-    """The coefficient, which MuJoCo uses for both directions: mu1, else mu2, else Gazebo's default."""
-    for mu in (surface.mu1, surface.mu2):
-        if mu is not None:
-            return mu
-    return GAZEBO_FRICTION
+    """The coefficient, which MuJoCo uses for both directions: the smaller of mu1 and mu2, else Gazebo's default.
+
+    With the larger one, rovers whose wheels slip sideways (mu2) could not turn.
+    """
+    return min((mu for mu in (surface.mu1, surface.mu2) if mu is not None), default=GAZEBO_FRICTION)
 
 
 def _primitive(robot: str, link: Link, shape: Shape) -> tuple[Any, list[float]]:
@@ -399,10 +441,16 @@ class RobotBuilder:
         if joint is not None:
             raise BadJoint(self.name, joint, TOO_DEEP)
         places: dict[str, tuple[Any, Pose]] = {}
+        standing: dict[str, Pose] = {}
         for lump in lumps(self.robot):
+            head = ORIGIN
+            if lump.joint is not None:
+                origin = lump.joint.origin
+                head = compose(standing[lump.joint.parent], (origin.xyz, from_rpy(origin.rpy)))
             body = self._root(pose) if lump.joint is None else self._child(*places[lump.joint.parent], lump.joint)
-            self._fill(body, lump)
+            self._fill(body, lump, head[1])
             places.update({link: (body, frame) for link, frame in lump.frames.items()})
+            standing.update({link: compose(head, frame) for link, frame in lump.frames.items()})
         check_moving_masses(self.robot, self.name)
         for joint in self.robot.joints.values():
             self._mimic(joint)
@@ -434,13 +482,19 @@ class RobotBuilder:
             self._floating(body, joint)
         return body
 
-    def _fill(self, body: Any, lump: Lump) -> None:
+    def _fill(self, body: Any, lump: Lump, standing: Quaternion) -> None:
+        """Add masses and shapes. `standing` is the body's attitude in the root link while all joints are at 0."""
+        axle = None
+        if lump.joint is not None and lump.joint.type == "continuous":
+            axis = self._axis(lump.joint)
+            # A turntable or a fan, whose axis is upright, is no wheel.
+            axle = unit(axis) if abs(rotate(standing, unit(axis))[2]) <= STEEPEST_AXLE else None
         links = {link: self.robot.links[link] for link in lump.frames}
         put_inertia(body, self.name, [(link, lump.frames[link.name]) for link in links.values()])
         body.gravcomp = 1.0 if lump.moves and lump.has_gravity is False else 0.0
         for name, link in links.items():
             bits = self._self_colliding.get(name, ORDINARY)
-            put_shapes(self.spec, body, self.name, link, lump.frames[name], bits, self.hulls)
+            put_shapes(self.spec, body, self.name, link, lump.frames[name], bits, self.hulls, axle)
 
     def _scalar(self, body: Any, joint: Joint) -> None:
         made = body.add_joint(name=self._named(joint.name), type=SCALAR_TYPES[joint.type], axis=self._axis(joint))

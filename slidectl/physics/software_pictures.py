@@ -102,6 +102,9 @@ def _triangles(model: Any, geom: int) -> Array:
         vertices, faces = rasteriser.cylinder(float(size[0]), 2.0 * float(size[1]))
     elif kind == mujoco.mjtGeom.mjGEOM_SPHERE:
         vertices, faces = rasteriser.sphere(float(size[0]))
+    elif kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
+        vertices, faces = rasteriser.sphere(1.0)
+        vertices = vertices * size
     else:  # builder.py makes no others
         assert kind == mujoco.mjtGeom.mjGEOM_MESH, kind
         mesh = model.geom_dataid[geom]

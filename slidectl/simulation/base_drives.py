@@ -227,10 +227,13 @@ class WheelMotors(RunningDrive):
 
 
 class PlanarDrive(RunningDrive):
-    """planar_move: the root link gets the commanded velocity at the beginning of each step; others are 0."""
+    """planar_move: the root link gets the commanded velocity at the beginning of each step; others are 0.
+
+    A drive based on forces lets the robot fall and tilt as any other.
+    """
 
     def __init__(self, simulation: Simulation, robot: SpawnedRobot, drive: PlanarMove) -> None:
-        self._timeout_s = drive.timeout_s
+        self._timeout_s, self._falls = drive.timeout_s, drive.falls
         super().__init__(simulation, robot, drive)
         robot.on_emergency_stop.append(self.reset)
         self._repeat(EACH_STEP_NS)
@@ -239,10 +242,15 @@ class PlanarDrive(RunningDrive):
         if 0.0 <= self._timeout_s < (self._simulation.time_ns - self._wanted_ns) / SECOND:
             self.reset()
         forwards, left, turning = self._wanted
-        yaw = to_rpy(self._world.link_pose(self._robot.name, self._robot.paper.root)[1])[2]
+        name, root = self._robot.name, self._robot.paper.root
+        yaw = to_rpy(self._world.link_pose(name, root)[1])[2]
         x = forwards * math.cos(yaw) - left * math.sin(yaw)
         y = left * math.cos(yaw) + forwards * math.sin(yaw)
-        self._world.set_root_twist(self._robot.name, ((x, y, 0.0), (0.0, 0.0, turning)))
+        upwards, tilting = 0.0, (0.0, 0.0)
+        if self._falls:
+            linear, angular = self._world.link_twist(name, root)
+            upwards, tilting = linear[2], (angular[0], angular[1])
+        self._world.set_root_twist(name, ((x, y, upwards), (*tilting, turning)))
 
 
 def _covariance(variances: Vector) -> list[float]:

@@ -103,6 +103,15 @@ def test_a_box_that_nobody_pushes_stays_where_it_is(friction: float) -> None:
     assert abs(sunk) < 1e-3
 
 
+@pytest.mark.parametrize("surface", [Surface(mu1=3.0, mu2=0.1), Surface(mu1=0.1, mu2=3.0), Surface(mu2=0.1)], ids=str)
+def test_of_two_coefficients_of_a_link_the_smaller_one_counts(surface: Surface) -> None:
+    world = World(gravity=(3.0, 0.0, -9.81))
+    world.attach(block((0.4, 0.4, 0.1), 5.0, surface), "block", at(0.0, 0.0, 0.05))
+    for _ in range(1000):
+        world.step()
+    assert world.link_pose("block", "base")[0][0] == pytest.approx((3.0 - 0.981) / 2.0, rel=0.1)
+
+
 def test_without_friction_a_box_slides_as_if_nothing_held_it() -> None:
     world = World(gravity=SLOPE)
     world.attach(block((0.4, 0.4, 0.1), 5.0, Surface(mu1=0.0)), "block", at(0.0, 0.0, 0.05))

@@ -5,10 +5,11 @@ from __future__ import annotations
 import struct
 from pathlib import Path
 
+import mujoco
 import pytest
 from physics_robots import at, block, box_inertial, tree
 
-from slidectl.description.robot import Box, Cylinder, Geometry, Link, Mesh, Pose, Robot, Shape, Sphere, Surface
+from slidectl.description.robot import Box, Cylinder, Geometry, Joint, Link, Mesh, Pose, Robot, Shape, Sphere, Surface
 from slidectl.errors import SlidectlError
 from slidectl.physics import World
 
@@ -46,6 +47,39 @@ def test_a_shape_rests_at_half_its_height(geometry: Geometry, height: float) -> 
 def test_the_origin_of_a_shape_counts_with_its_attitude() -> None:
     lying = Pose((0.0, 0.0, -0.2), (1.5707963267948966, 0.0, 0.0))
     assert height_at_rest(shaped(Box((0.4, 0.1, 0.4)), lying)) == pytest.approx(0.2 + 0.05, abs=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("geometry", "kind", "axis", "is_wheel"),
+    [
+        (Cylinder(0.2, 0.1), "continuous", (0.0, 1.0, 0.0), True),
+        (Cylinder(0.2, 0.1), "revolute", (0.0, 1.0, 0.0), False),
+        (Cylinder(0.2, 0.1), "continuous", (1.0, 0.0, 0.0), False),
+        (Cylinder(0.05, 0.5), "continuous", (0.0, 1.0, 0.0), False),
+        (Sphere(0.2), "continuous", (0.0, 1.0, 0.0), False),
+    ],
+    ids=["wheel", "with limits", "across", "long", "ball"],
+)
+def test_a_wheel_touches_at_the_middle_of_its_width(
+    geometry: Geometry, kind: str, axis: tuple[float, float, float], is_wheel: bool
+) -> None:
+    lying = Pose((0.0, 0.03, 0.0), (1.5707963267948966, 0.0, 0.0))
+    wheel = Link("wheel", box_inertial(1.0, (0.2, 0.2, 0.2)), collisions=(Shape(geometry, lying),))
+    base = Link("base", box_inertial(1.0, (0.2, 0.2, 0.2)))
+    world = World()
+    world.attach(tree([base, wheel], [Joint("axle", kind, "base", "wheel", axis=axis)], "base"), "cart")
+    assert (world.model.geom_type[-1] == mujoco.mjtGeom.mjGEOM_ELLIPSOID) == is_wheel
+    if is_wheel:
+        assert world.model.geom_size[-1].tolist() == [0.2, 0.2, 0.05]
+
+
+def test_a_turntable_is_no_wheel() -> None:
+    disc = Link("disc", box_inertial(1.0, (0.2, 0.2, 0.2)), collisions=(Shape(Cylinder(0.3, 0.02)),))
+    base = Link("base", box_inertial(1.0, (0.2, 0.2, 0.2)))
+    world = World()
+    turns = Joint("turn", "continuous", "base", "disc", axis=(0.0, 0.0, 1.0))
+    world.attach(tree([base, disc], [turns], "base"), "table")
+    assert world.model.geom_type[-1] == mujoco.mjtGeom.mjGEOM_CYLINDER
 
 
 def test_meshes_are_read_with_their_scale(tmp_path: Path) -> None:

@@ -229,6 +229,34 @@ def test_what_a_plugin_cannot_do_is_said(plugin: str, words: str) -> None:
     assert any(words in str(notice) for notice in description.parse(box(plugin)).report)
 
 
+def test_a_robot_of_a_force_based_drive_falls_to_the_ground_and_stays_there() -> None:
+    simulation = Simulation()
+    simulation.spawn(box(force_based()), name="box", pose=((0.0, 0.0, 0.4), (0.0, 0.0, 0.0, 1.0)))
+    simulation.step(2000)
+    position = simulation.world.link_pose("box", "base")[0]
+    assert position[2] == pytest.approx(0.1, abs=2e-3)
+    simulation.step(45_000)
+    assert simulation.world.link_pose("box", "base")[0] == pytest.approx(position, abs=1e-4)
+
+
+@pytest.mark.parametrize("friction", [0.5, 100.0, 1e14])
+def test_a_base_with_wheels_of_any_friction_turns_as_commanded(friction: float) -> None:
+    surface = f"<mu1>{friction}</mu1><mu2>{friction}</mu2>"
+    wheels = [f'<gazebo reference="{link}">{surface}</gazebo>' for link in ("left_wheel", "right_wheel")]
+    simulation = Simulation()
+    simulation.spawn(cart("plugin", ("</robot>", "".join(wheels) + "</robot>")), name="cart")
+    drive(simulation, "/cart/cmd_vel", yaw=0.5)
+    simulation.step(2000)
+    _, _, before = place(simulation, "cart", "base_link")
+    simulation.step(2000)
+    assert place(simulation, "cart", "base_link")[2] - before == pytest.approx(1.0, abs=0.03)
+    drive(simulation, "/cart/cmd_vel", 0.25)
+    simulation.step(2000)
+    x, y, _ = place(simulation, "cart", "base_link")
+    simulation.step(4000)
+    assert math.dist((x, y), place(simulation, "cart", "base_link")[:2]) == pytest.approx(1.0, abs=0.03)
+
+
 ON_WHEELS = """<robot name="b"><link name="base"><inertial><origin xyz="-0.001 0 0.05"/><mass value="0.8"/>
 <inertia ixx="0.003" iyy="0.002" izz="0.004" ixy="0" ixz="0" iyz="0"/></inertial>
 <collision><origin xyz="-0.08 0 0.013"/><geometry><box size="0.03 0.009 0.02"/></geometry></collision></link>{}{}
