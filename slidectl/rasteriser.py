@@ -78,7 +78,7 @@ class Rasteriser:
             shades = colours[front] * light(corners[front].mean(axis=1), normals[front])
             self._fill(corners[front], shades, view, pixels, nearness)
         width, height = self._size
-        return np.rint(255.0 * pixels.reshape(height, width, 3)).clip(0, 255).astype(np.uint8)
+        return np.rint(255.0 * pixels.reshape(height, width, 3).clip(0, 1)).astype(np.uint8)
 
     def _background(self, planes: Sequence[Plane], light: Light, view: Viewpoint) -> tuple[Array, Array]:
         """Colour, and 1 / depth, of a plane or the sky in each pixel, row by row from the top."""

@@ -176,3 +176,12 @@ def test_software_and_opengl_draw_the_same(camera: str) -> None:
     ours, theirs = (drawer(SIZE).draw(scene, view).astype(int) for drawer in (SoftwareRenderer, GlRenderer))
     differing = (np.abs(ours - theirs).max(axis=2) > 30).mean()
     assert differing < 0.03  # edges, which OpenGL smooths, and round bodies, which it shades smoothly
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_colour_beyond_white_is_white() -> None:
+    simulation = Simulation()
+    simulation.spawn(body(colour="1e308 1e308 1e308"), "body")
+    scene = Watched(simulation, "iso").view.scene
+    picture = SoftwareRenderer(SIZE).draw(scene, ViewpointChoice(scene, "iso", SIZE).of(scene))
+    assert picture[SIZE[1] // 2, SIZE[0] // 2].tolist() == [255, 255, 255]
