@@ -1,7 +1,7 @@
 # slidectl in a container: the daemon in the foreground, as a user without rights.
 #   docker build -t slidectl .
 #   docker run --rm -v "$PWD:/work" slidectl test scenarios/
-FROM python:3.11-slim
+FROM python:3.13-slim
 
 COPY . /src
 RUN python -m pip install --no-cache-dir "/src[fast,mcap]" && rm -rf /src

@@ -5,7 +5,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: docs help demo test fuzz soak lint types bench pictures examples wheel clean
+.PHONY: docs help demo test quick fuzz soak lint types bench pictures examples wheel clean
 .DEFAULT_GOAL := help
 
 help:  ## this list
@@ -24,6 +24,9 @@ demo: $(STAMP)  ## start a daemon, slide up, to the middle and down, show it mov
 
 test: $(STAMP)  ## all tests, two at a time
 	@$(BIN)/python -m pytest -n 2 --dist loadfile $(ARGS)
+
+quick: $(STAMP)  ## the tests that are not slow, in a few minutes; with another Python: PYTHON=python3.13 VENV=.venv-3.13
+	@$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow" $(ARGS)
 
 fuzz: $(STAMP)  ## attack a daemon and the readers of files for 2 to 3 minutes, with another seed each time
 	@$(BIN)/python tests/fuzz/fuzz.py $(ARGS)
@@ -58,5 +61,5 @@ wheel: $(STAMP)  ## build the wheel and try it in a bare environment
 	@bash scripts/try_wheel.sh
 
 clean:  ## remove what the other targets made
-	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) .venv-3* build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

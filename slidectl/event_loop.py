@@ -6,16 +6,12 @@ asyncio and epoll's own wait (whole milliseconds) cannot.
 
 from __future__ import annotations
 
-import select
 from collections import deque
 from collections.abc import Callable
 
-READ = select.EPOLLIN
-WRITE = select.EPOLLOUT
-HANG_UP = select.EPOLLHUP | select.EPOLLERR
-PEER_CLOSED = select.EPOLLRDHUP
-ONCE = select.EPOLLET | PEER_CLOSED
-"""Report each arrival once, not as long as data is there. Only in this mode do events come in order of arrival."""
+from slidectl.operating_system import HANG_UP, ONCE, PEER_CLOSED, READ, WRITE, poller
+
+__all__ = ["HANG_UP", "ONCE", "PEER_CLOSED", "READ", "WRITE", "EventLoop"]
 
 _LONGEST_WAIT_S = 1e6
 """The longest wait: `select` has a limit. A longer wait returns early."""
@@ -27,11 +23,10 @@ Handler = Callable[[int], None]
 
 
 class EventLoop:
-    """Handlers by file descriptor. `select` on the epoll descriptor itself waits in microseconds."""
+    """Handlers by file descriptor."""
 
     def __init__(self) -> None:
-        self._epoll = select.epoll()
-        self._waiting = [self._epoll.fileno()]
+        self._epoll, self._is_ready, self._read_all = poller()
         self._handlers: dict[int, Handler] = {}
         self._soon: deque[Callable[[], None]] = deque()
 
@@ -44,6 +39,10 @@ class EventLoop:
         """Change the watched events of a descriptor."""
         self._epoll.modify(fd, events)
 
+    def read_all(self, fd: int) -> None:
+        """Tell that all was read that had come on a descriptor that is watched ONCE, but not its end."""
+        self._read_all(fd)
+
     def forget(self, fd: int) -> None:
         """Stop watching a descriptor; call this before it is closed."""
         if self._handlers.pop(fd, None) is not None:
@@ -55,7 +54,7 @@ class EventLoop:
 
     def is_ready(self) -> bool:
         """True when `poll` would have something to do at once. Costs a microsecond."""
-        return bool(self._soon or select.select(self._waiting, (), (), 0.0)[0])
+        return bool(self._soon or self._is_ready(0.0))
 
     def poll(self, timeout_s: float | None) -> None:
         """Handle what is ready, after a wait of at most `timeout_s`, or a millisecond less; None: no limit."""
@@ -66,7 +65,7 @@ class EventLoop:
         epoll_s = 0.0
         if wait_s > 2.0 * _EPOLL_S:  # one system call; the next `poll` waits for the exact rest, with two
             epoll_s = wait_s - _EPOLL_S
-        elif wait_s and not select.select(self._waiting, (), (), wait_s)[0]:
+        elif wait_s and not self._is_ready(wait_s):
             return
         for fd, events in self._epoll.poll(epoll_s):
             handler = self._handlers.get(fd)
@@ -74,7 +73,7 @@ class EventLoop:
                 handler(events)
 
     def close(self) -> None:
-        """Close the epoll descriptor; nothing is watched any more."""
+        """Nothing is watched any more."""
         self._handlers.clear()
         self._soon.clear()
         self._epoll.close()

@@ -14,6 +14,7 @@ import sys
 from typing import TYPE_CHECKING, BinaryIO, TextIO, cast
 
 from slidectl.errors import BadFile, NotThere
+from slidectl.operating_system import OPEN_FILES
 
 if TYPE_CHECKING:
     from _typeshed import WriteableBuffer
@@ -27,8 +28,6 @@ _KINDS = {
     stat.S_IFDIR: "a folder", stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket",
     stat.S_IFLNK: "a link", stat.S_IFCHR: "a device", stat.S_IFBLK: "a device",
 }  # fmt: skip
-_OF_THE_SHELL = ("/dev/fd", "/proc/self/fd")
-"""Folders of a process's own open files, in which a shell's `<(...)` is."""
 
 
 def opened(
@@ -148,7 +147,7 @@ class _InputFile(io.FileIO):
 
 def _is_of_the_shell(path: str | os.PathLike[str]) -> bool:
     whole = os.path.abspath(path)
-    return whole == "/dev/stdin" or os.path.dirname(whole) in _OF_THE_SHELL
+    return whole == "/dev/stdin" or os.path.dirname(whole) in OPEN_FILES
 
 
 def _check(there: os.stat_result, shown: str, most_bytes: int | None, pipes: bool, may_be_pipe: bool) -> None:

@@ -9,9 +9,10 @@ from __future__ import annotations
 import os
 import socket
 import struct
-import sys
 from contextlib import suppress
 from ipaddress import IPv4Address, IPv6Address, ip_address
+
+from slidectl.operating_system import tells_owners_of_connections
 
 Address = tuple[str, int]
 """Host, as a number, and port."""
@@ -43,7 +44,7 @@ def owner(peer: Address, here: Address) -> int | None:
     None when it is no connection of this machine, or when its process has closed it already: the kernel then shows it
     as one of root.
     """
-    if sys.platform != "linux":
+    if not tells_owners_of_connections():
         return None
     ends = _numbers(peer), _numbers(here)
     with suppress(OSError):  # a sandbox without this kind of socket

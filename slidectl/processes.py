@@ -11,27 +11,22 @@ import errno
 import fcntl
 import os
 import stat
-import struct
 import sys
 from contextlib import suppress
 from typing import IO, TYPE_CHECKING, Any
 
 from slidectl.errors import Refused
+from slidectl.operating_system import lock_holder
 from slidectl.paths import with_package
 
 if TYPE_CHECKING:
     import subprocess
     from pathlib import Path
 
-# struct flock of a 64-bit Linux: type, whence, start, length, pid. Other systems have another layout, for which the
-# answers would be wrong.
-assert sys.maxsize > 1 << 32, "slidectl needs a 64-bit Linux"
-_FLOCK = struct.Struct("hhqqi4x")
+assert sys.maxsize > 1 << 32, "slidectl needs a 64-bit system"
 _HELD = (errno.EAGAIN, errno.EACCES)
 """errno values that mean another process holds the lock."""
 _LAST_LINES = 8
-_PR_SET_PDEATHSIG = 1
-_M_MMAP_THRESHOLD = -3
 
 
 def holder(path: Path) -> int | None:
@@ -44,13 +39,12 @@ def holder(path: Path) -> int | None:
         if not stat.S_ISREG(os.lstat(path).st_mode):
             return None  # a link, a FIFO or a device is nobody's lock
         with open(path, "rb+", buffering=0) as file:
-            question = _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, 0, 0, 0)
-            kind, _, _, _, pid = _FLOCK.unpack(fcntl.fcntl(file, fcntl.F_GETLK, question))
+            pid = lock_holder(file)
     except (FileNotFoundError, NotADirectoryError):
         return None
     except OSError as error:
         raise _lock_failed("ask", path, error) from None
-    return None if kind == fcntl.F_UNLCK else max(0, pid)
+    return None if pid is None else max(0, pid)
 
 
 def lock(path: Path) -> int | None:
@@ -123,23 +117,3 @@ def last_lines(log: Path, after: int) -> str:
     except OSError:
         text = ""
     return "\n".join(text.splitlines()[-_LAST_LINES:]) or f"its log {log} says nothing"
-
-
-def end_with(parent: int, number: int) -> bool:
-    """Get this signal from the kernel when the parent ends. Returns False if it has already ended."""
-    import ctypes
-
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number)
-    return os.getppid() == parent
-
-
-def return_large_blocks() -> None:
-    """Let the allocator give blocks of 128 KiB and more back to the system when they are freed.
-
-    glibc keeps such blocks after it has seen some of them freed: a server would keep the most that it ever held. On
-    other systems this does nothing.
-    """
-    import ctypes
-
-    with suppress(OSError, AttributeError):
-        ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, 128 * 1024)

@@ -16,13 +16,13 @@ from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple, NoReturn, cast
 
 from slidectl.errors import Refused
+from slidectl.operating_system import take_room
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 AnyPath = str | os.PathLike[str]
 _FULL = {errno.ENOSPC: "is full", errno.EDQUOT: "has no more room for this user"}
-_NO_ALLOCATION = (errno.EOPNOTSUPP, errno.EINVAL, errno.ENOSYS)
 _ENDING = (signal.SIGTERM, signal.SIGHUP)
 _LONGEST_STEM = 200
 """Bytes of a name that its draft has too; a file system takes 255 in all."""
@@ -247,12 +247,11 @@ def _overwrite(target: str, content: BinaryIO) -> None:
             before = os.fstat(file.fileno()).st_size
             try:
                 if size:
-                    os.posix_fallocate(file.fileno(), 0, size)
+                    take_room(file.fileno(), size)
             except OSError as error:
                 os.ftruncate(file.fileno(), before)
-                if error.errno not in _NO_ALLOCATION:
-                    error.filename = target
-                    raise
+                error.filename = target
+                raise
             shutil.copyfileobj(content, file)
             file.truncate()
             file.flush()

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
+from slow_tests import is_slow
 
 # No test may depend on how fast the machine is, nor leave a database behind; `make fuzz` takes another seed each time.
 settings.register_profile(
@@ -47,6 +48,14 @@ def _share_cache(config: pytest.Config) -> None:
     if not hasattr(config, "workerinput"):
         config.stash[_CACHE] = pytest.MonkeyPatch()
         config.stash[_CACHE].setenv("XDG_CACHE_HOME", tempfile.mkdtemp(prefix="slidectl-cache-"))
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the tests of the files in SLOW."""
+    here = Path(__file__).parent
+    for item in items:
+        if item.path.is_relative_to(here) and is_slow(item.path.relative_to(here).as_posix()):
+            item.add_marker("slow")
 
 
 def pytest_unconfigure(config: pytest.Config) -> None:

@@ -19,10 +19,13 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
+import pytest
+
 from slidectl import paths
 from slidectl.client import Client
 from slidectl.daemon import lifecycle
 from slidectl.daemon.options import DaemonOptions
+from slidectl.operating_system import LINUX, PORTABLE
 from slidectl.processes import holder
 
 ROOT = Path(__file__).parent.parent
@@ -35,14 +38,22 @@ def shown(page: str, text: str) -> list[list[str]]:
     return [shlex.split(line, comments=True) for line in block.splitlines()]
 
 
+knows_peers = pytest.mark.skipif(not LINUX, reason="the kernel does not tell whose a connection is")
+"""Marks a test that asks the kernel for the process or the user at the other end of a Unix socket."""
+
+
+def clean_environment() -> dict[str, str]:
+    """This process's environment without the settings of a user's slidectl, with the package on the path."""
+    kept = {key: value for key, value in os.environ.items() if not key.startswith("SLIDECTL_") or key == PORTABLE}
+    return {**kept, "PYTHONPATH": os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))}
+
+
 class Runtime:
     """A private XDG_RUNTIME_DIR with one instance in it. The folder's path is short: socket paths are limited."""
 
     def __init__(self, folder: Path | None = None, name: str = paths.DEFAULT_INSTANCE) -> None:
         self.folder = folder or Path(tempfile.mkdtemp(prefix="slidectl-", dir="/tmp"))
-        self.env = {key: value for key, value in os.environ.items() if not key.startswith("SLIDECTL_")}
-        self.env["XDG_RUNTIME_DIR"] = str(self.folder)
-        self.env["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
+        self.env = {**clean_environment(), "XDG_RUNTIME_DIR": str(self.folder)}
         with self.environment():
             self.paths = paths.instance(name)
 

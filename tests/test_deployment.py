@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 import sysconfig
+import tomllib
 import venv
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -46,6 +47,13 @@ def run_step(step: dict[str, Any], values: dict[str, str], folder: Path, bin_fol
     return subprocess.run(shell, env=environment, cwd=folder, timeout=LIMIT_S).returncode
 
 
+def known_pythons() -> list[str]:
+    """The versions that pyproject.toml names."""
+    classifiers = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["classifiers"]
+    found = (re.fullmatch(r"Programming Language :: Python :: (3\.\d+)", one) for one in classifiers)
+    return [match[1] for match in found if match]
+
+
 def docker_lines() -> dict[str, list[str]]:
     """What stands behind each word of the Dockerfile."""
     lines: dict[str, list[str]] = {}
@@ -71,7 +79,7 @@ def bare(tmp_path: Path) -> Path:
 @pytest.fixture
 def sources(tmp_path: Path) -> Path:
     """A copy of what the repository holds."""
-    ignored = shutil.ignore_patterns(".git", ".venv", "__pycache__", "build", "dist", "results", ".*_cache")
+    ignored = shutil.ignore_patterns(".git", ".venv*", "__pycache__", "build", "dist", "results", ".*_cache")
     return Path(shutil.copytree(ROOT, tmp_path / "src", ignore=ignored))
 
 
@@ -98,10 +106,27 @@ def test_the_action_runs_scenarios_and_keeps_what_failed(tmp_path: Path) -> None
     assert [case for case in cases if case.find("failure") is not None] == []
 
 
+def test_the_pythons_of_the_action_the_image_and_the_pages_are_those_that_are_tested() -> None:
+    known = known_pythons()
+    assert known == ["3.11", "3.12", "3.13"]
+    [image] = docker_lines()["FROM"]
+    assert image == f"python:{known[-1]}-slim"
+    version = yaml.safe_load((ROOT / "action.yml").read_text(encoding="utf-8"))["inputs"]["python-version"]
+    assert version["default"] == known[-1]
+    assert re.findall(r"3\.\d+", version["description"]) == known
+    assert f"image: {image}" in (ROOT / "docs" / "ci.md").read_text(encoding="utf-8")
+    assert "Python 3.11, 3.12 or 3.13" in (ROOT / "README.md").read_text(encoding="utf-8")
+    assert f"for version in {' '.join(known)} " in (ROOT / "scripts" / "pythons.sh").read_text(encoding="utf-8")
+
+
 def test_what_the_page_gives_to_ci_servers_runs_scenarios(tmp_path: Path) -> None:
     page = (ROOT / "docs" / "ci.md").read_text(encoding="utf-8")
-    github, gitlab = map(yaml.safe_load, re.findall(r"^```yaml\n(.*?)^```", page, re.MULTILINE | re.DOTALL))
+    blocks = re.findall(r"^```yaml\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
+    github, of_several, gitlab = map(yaml.safe_load, blocks)
     given = github["jobs"]["scenarios"]["steps"][-1]["with"]
+    job = of_several["jobs"]["scenarios"]
+    assert job["strategy"]["matrix"]["python"] == known_pythons()
+    assert job["steps"][-1]["with"] == {"python-version": "${{ matrix.python }}"}
     inputs = yaml.safe_load((ROOT / "action.yml").read_text(encoding="utf-8"))["inputs"]
     assert given.keys() <= inputs.keys()
     (tmp_path / given["scenarios"]).mkdir()

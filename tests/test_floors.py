@@ -14,7 +14,8 @@ PACKAGE = Path(__file__).parent.parent / "slidectl"
 
 FLOORS = {
     "effects": 0, "errors": 0, "local_peers": 0,
-    "names": 0, "expressions": 0, "fault_kinds": 0, "file_reads": 0, "held_bytes": 0, "input_files": 0, "paths": 0,
+    "names": 0, "expressions": 0, "fault_kinds": 0, "file_reads": 0, "held_bytes": 0, "input_files": 0,
+    "operating_system": 0, "paths": 0,
     "bounded_websocket": 1, "logfile": 1, "processes": 1,
     "event_loop": 0, "rotations": 0, "web_access": 0, "writing": 0, "msgs": 0, "measures": 1, "rasteriser": 1,
     "description": 1, "control": 1, "client": 1, "recording": 1,
@@ -33,7 +34,7 @@ SAME_FLOOR = {
     ("control", "description"),
     *(("web_access", room) for room in ("effects", "local_peers")),
     *(("msgs", room) for room in ("expressions", "names")),
-    *((room, "errors") for room in FLOORS if not FLOORS[room]),
+    *((room, below) for room in FLOORS if not FLOORS[room] for below in ("errors", "operating_system")),
 }
 
 FORBIDDEN = {
@@ -50,6 +51,7 @@ FORBIDDEN = {
     "input_files": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "held_bytes": {"asyncio", "click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket", "websockets"},
     "bounded_websocket": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
+    "operating_system": {"asyncio", "click", "lxml", "mujoco", "numpy", "rosbags", "yaml"},
     "paths": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "rotations": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "web_access": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml"},
@@ -75,6 +77,28 @@ FORBIDDEN = {
     "pytest_plugin": {"asyncio", "click", "mujoco", "numpy", "socket", "threading", "yaml"},
 }
 
+# What Linux has and macOS has not.
+LINUX_ONLY = {
+    "CDLL.prctl", "CDLL.mallopt",
+    *(f"os.{name}" for name in (
+        "EFD_CLOEXEC", "P_PIDFD", "SCHED_BATCH", "copy_file_range", "eventfd", "getrandom", "getxattr", "memfd_create",
+        "pidfd_open", "pipe2", "posix_fadvise", "posix_fallocate", "sched_getaffinity", "sched_setaffinity",
+        "sched_setscheduler", "setns", "setxattr", "splice", "timerfd_create", "unshare", "waitid",
+    )),
+    *(f"select.{name}" for name in ("POLLRDHUP", "epoll")),
+    *(f"signal.{name}" for name in ("pidfd_send_signal", "sigtimedwait", "sigwaitinfo", "SIGPWR", "SIGRTMIN")),
+    *(f"socket.{name}" for name in (
+        "AF_NETLINK", "AF_PACKET", "AF_VSOCK", "MSG_CMSG_CLOEXEC", "MSG_NOSIGNAL", "SOCK_CLOEXEC", "SOCK_NONBLOCK",
+        "SO_BINDTODEVICE", "SO_DOMAIN", "SO_PASSCRED", "SO_PEERCRED", "SO_PEERSEC", "SO_PROTOCOL", "TCP_KEEPIDLE",
+        "TCP_QUICKACK", "TCP_USER_TIMEOUT",
+    )),
+    *(f"fcntl.{name}" for name in ("F_ADD_SEALS", "F_GETPIPE_SZ", "F_NOTIFY", "F_OFD_SETLK", "F_SETLEASE",
+                                   "F_SETPIPE_SZ")),
+    *(f"resource.{name}" for name in ("RLIMIT_NICE", "RLIMIT_RTPRIO", "RLIMIT_SIGPENDING", "prlimit")),
+    *(f"time.{name}" for name in ("CLOCK_BOOTTIME", "CLOCK_TAI")),
+}  # fmt: skip
+LINUX_PATHS = ("/proc/", "/sys/", "/dev/shm")
+
 # The daemon's life cycle and journals are all that the command line takes from the daemon's floor directly.
 CLI_MAY_TAKE = {
     "effects",
@@ -85,6 +109,7 @@ CLI_MAY_TAKE = {
     "file_reads",
     "input_files",
     "logfile",
+    "operating_system",
     "paths",
     "rotations",
     "web_access",
@@ -164,6 +189,51 @@ def test_each_room_keeps_out_the_libraries_that_it_must_not_know() -> None:
 def test_the_client_imports_the_description_of_robots_only_when_a_robot_is_spawned() -> None:
     code = "import sys, slidectl.client; assert not any('description' in name for name in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def linux_only(source: str) -> set[str]:
+    """What of LINUX_ONLY and LINUX_PATHS a source uses. Doc strings and comments may name all of it."""
+    tree = ast.parse(source)
+    found: set[str] = set()
+    names = {name.partition(".")[2] for name in LINUX_ONLY}
+    texts = {node.value for node in ast.walk(tree) if isinstance(node, ast.Expr)}  # a text that stands alone
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute):
+            owner = ast.unparse(node.value)
+            full = f"{'CDLL' if 'CDLL(' in owner else owner}.{node.attr}"
+            if full in LINUX_ONLY or (owner == "select" and node.attr.startswith("EPOLL")):
+                found.add(full)
+        elif isinstance(node, ast.ImportFrom):
+            found |= {f"{node.module}.{alias.name}" for alias in node.names} & LINUX_ONLY
+        elif isinstance(node, ast.Call) and ast.unparse(node.func) in ("getattr", "hasattr"):
+            found |= {part.value for part in node.args if isinstance(part, ast.Constant)} & names
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and node not in texts:
+            found |= {path for path in LINUX_PATHS if node.value.startswith(path)}
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).rpartition(".")[2] in ("bind", "connect"):
+            found |= {"an abstract socket" for part in ast.walk(node)
+                      if isinstance(part, ast.Constant) and str(part.value)[:1] == "\0"}  # fmt: skip
+    return found
+
+
+def test_what_linux_alone_has_is_used_in_one_module() -> None:
+    """And in local_peers.py, which asks there whether it may: elsewhere whose a connection is cannot be told."""
+    used = {str(path.relative_to(PACKAGE)): linux_only(path.read_text(encoding="utf-8")) for path in modules()}
+    assert {name for name, found in used.items() if found} == {"operating_system.py", "local_peers.py"}, used
+    assert used["local_peers.py"] == {"socket.AF_NETLINK", "/proc/"}
+
+
+def test_the_search_for_what_linux_alone_has_finds_it() -> None:
+    for source, found in (
+        ("os.pidfd_open(1)", "os.pidfd_open"),
+        ("from os import memfd_create", "os.memfd_create"),
+        ("select.EPOLLIN", "select.EPOLLIN"),
+        ("getattr(os, 'splice')", "splice"),
+        ("ctypes.CDLL(None).prctl(1)", "CDLL.prctl"),
+        ("open(f'/proc/{pid}/comm')", "/proc/"),
+        ("one.bind('\\0name')", "an abstract socket"),
+    ):
+        assert linux_only(source) == {found}, source
+    assert linux_only('def one():\n    """/proc/ is not used."""\n    os.pipe()  # not os.pipe2') == set()
 
 
 def test_every_room_has_a_floor() -> None:

@@ -22,6 +22,7 @@ from slidectl.cli.context import Context
 from slidectl.cli.terminal_progress import progress_bar
 from slidectl.errors import EXIT_INTERRUPTED, EXIT_REFUSED, BadFile, UsageError, listing
 from slidectl.expressions import evaluate, parsed
+from slidectl.operating_system import usable_cores
 from slidectl.writing import check_writable
 
 if TYPE_CHECKING:
@@ -134,7 +135,7 @@ def test(
         with output.writing_to(junitxml):
             check_writable(junitxml)  # before anything runs
     runner = stages.CaseRuns(commands, stage, sim_timeout, keep_failed, baselines)
-    count = 1 if live else workers or len(os.sched_getaffinity(0))
+    count = 1 if live else workers or usable_cores()
     results, interrupted = _run(ctx, cases, lambda: stage.warm(cases, commands), runner, count, timeout, maxfail)
     if baselines is not None and not interrupted:
         for case, result in baselines.without_case(known):

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import os
 import select
-import struct
 import time
 from collections.abc import Callable
-from socket import AF_UNIX, SO_PEERCRED, SOL_SOCKET, socket
+from socket import AF_UNIX, socket
 from typing import Any, Protocol
 
 from slidectl.client.lines import LineBuffer, decode
 from slidectl.errors import NoDaemon, Refused, TimedOut
+from slidectl.operating_system import lock_holder, peer
 from slidectl.paths import DEFAULT_INSTANCE, InstancePaths, check_private, is_named_by_instance
 
 _CHUNK = 64 * 1024
@@ -31,12 +31,6 @@ def command(paths: InstancePaths, words: str) -> str:
         return f"slidectl --socket {paths.socket_text} {words}"
     name = paths.name
     return f"slidectl {words}" if name == DEFAULT_INSTANCE else f"slidectl -i {name} {words}"
-
-
-def peer(connection: socket) -> tuple[int, int]:
-    """Process id and user id of the process at the other end, from the kernel (SO_PEERCRED)."""
-    pid, uid, _ = struct.unpack("3i", connection.getsockopt(SOL_SOCKET, SO_PEERCRED, struct.calcsize("3i")))
-    return pid, uid
 
 
 class ClientLink(Protocol):
@@ -80,7 +74,9 @@ class SocketLink:
         self._socket = self._connect(deadline)
         self._to_wait = (self._socket.fileno(),)
         self.daemon_pid, uid = peer(self._socket)
-        if uid != os.geteuid():
+        if uid is None:  # the kernel does not tell
+            self.daemon_pid = _lock_holder(paths)
+        if uid not in (None, os.geteuid()):
             self.close()
             raise Refused(f"the daemon on {paths.socket_text} belongs to another user (uid {uid})")
 
@@ -192,6 +188,15 @@ class SocketLink:
     def close(self) -> None:
         self._closed = True
         self._socket.close()
+
+
+def _lock_holder(paths: InstancePaths) -> int:
+    """The process id of the daemon, by its lock; 0 when that cannot be asked."""
+    try:
+        with open(paths.lock, "rb+", buffering=0) as file:
+            return lock_holder(file) or 0
+    except OSError:
+        return 0
 
 
 def _for_select(left: float) -> float | None:

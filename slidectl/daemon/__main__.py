@@ -20,7 +20,8 @@ from slidectl.daemon.options import Start
 from slidectl.daemon.place import Place
 from slidectl.errors import EXIT_DONE, Refused, SlidectlError
 from slidectl.logfile import LogFile
-from slidectl.processes import end_with, holder
+from slidectl.operating_system import end_with
+from slidectl.processes import holder
 
 if TYPE_CHECKING:
     from slidectl.daemon.main_loop import Daemon

@@ -5,7 +5,6 @@ Each check is a function that yields its findings. A failed check is a finding t
 
 from __future__ import annotations
 
-import ctypes
 import os
 import platform
 import resource
@@ -25,6 +24,7 @@ from slidectl.client import Client
 from slidectl.client.link import command
 from slidectl.daemon import lifecycle
 from slidectl.errors import SlidectlError
+from slidectl.operating_system import set_timer_slack
 from slidectl.paths import InstancePaths
 
 OK, LOOK, BROKEN = "ok", "look here", "broken"
@@ -44,7 +44,6 @@ _WAKE_UPS = 200
 _WAIT_S = 0.001
 _LATE_S = 0.001
 """A one-millisecond wait that ends this late costs a cycle at 1 kHz."""
-_PR_SET_TIMERSLACK = 29
 
 
 class Finding(NamedTuple):
@@ -88,7 +87,7 @@ def _python() -> _Found:
     if sys.version_info < _PYTHON:
         yield BROKEN, here, f"slidectl needs Python {'.'.join(map(str, _PYTHON))} or newer"
     elif sys.platform != "linux":
-        yield BROKEN, f"{here}, on {sys.platform}", "slidectl runs on Linux"
+        yield LOOK, f"{here}; slidectl {__version__}, on {sys.platform}", "slidectl was tried on Linux alone"
     else:
         yield OK, f"{here}; slidectl {__version__}"
 
@@ -225,16 +224,13 @@ def _descriptors() -> _Found:
 
 def _punctuality() -> _Found:
     """Measure how late a wait of one millisecond ends, with the timer slack that the daemon requests."""
-    libc = ctypes.CDLL(None)
-    slack = Path("/proc/self/timerslack_ns")
-    before = int(slack.read_text()) if slack.exists() else 0
-    libc.prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
+    before = set_timer_slack(1)
     late = []
     for _ in range(_WAKE_UPS):
         began = time.perf_counter()
         time.sleep(_WAIT_S)
         late.append(time.perf_counter() - began - _WAIT_S)
-    libc.prctl(_PR_SET_TIMERSLACK, before, 0, 0, 0)
+    set_timer_slack(before)
     late.sort()
     median, most = late[len(late) // 2], late[int(0.99 * len(late))]
     text = f"wakes up {1e6 * median:.0f} us late, 99 % within {1e6 * most:.0f} us; timer slack {before / 1000:g} us"

@@ -15,7 +15,6 @@ import sys
 import time
 from contextlib import suppress
 from dataclasses import replace
-from pathlib import Path
 from typing import IO, NoReturn
 
 from slidectl import processes
@@ -23,6 +22,7 @@ from slidectl.client import Client
 from slidectl.client.link import command
 from slidectl.daemon.options import DaemonOptions, Start
 from slidectl.errors import NoDaemon, Refused, SlidectlError, TimedOut
+from slidectl.operating_system import ProcessEnd, command_line
 from slidectl.paths import InstancePaths, make_private, with_package
 
 _MODULE = "slidectl.daemon"
@@ -56,9 +56,8 @@ def start(paths: InstancePaths, options: DaemonOptions | None = None, timeout: f
 def options_of(pid: int) -> DaemonOptions | None:
     """The start options of a daemon's process, from its command line; None when that cannot be read."""
     try:
-        words = os.fsdecode(Path(f"/proc/{pid}/cmdline").read_bytes()).split("\0")[:-1]
-        return Start.read(words[words.index(_MODULE) + 1]).options
-    except (OSError, LookupError, ValueError, TypeError):
+        return Start.read(command_line(pid).partition(f" {_MODULE} ")[2]).options
+    except (LookupError, ValueError, TypeError):
         return None
 
 
@@ -146,19 +145,19 @@ def stop(paths: InstancePaths, timeout: float = 10.0) -> int | None:
     if pid is None:
         return None
     deadline = time.monotonic() + timeout
-    process: int | None = None
+    process: ProcessEnd | None = None
     with suppress(OSError):  # in another pid namespace, or just ended: only the lock can be checked then
-        process = os.pidfd_open(pid)  # a descriptor, since the id may be reused after the end
+        process = ProcessEnd(pid)
     try:
         if not _ask_to_stop(paths, min(2.0, timeout / 2)) and process is not None and running(paths) == pid:
             with suppress(ProcessLookupError):
-                signal.pidfd_send_signal(process, signal.SIGTERM)
+                process.send_signal(signal.SIGTERM)
         while not _has_ended(process, pid, paths):
             if time.monotonic() > deadline:
                 raise TimedOut(f"the daemon (process {pid}) is still there after {timeout:g} s", f"kill -KILL {pid}")
     finally:
         if process is not None:
-            os.close(process)
+            process.close()
     with suppress(ChildProcessError):  # the caller may be its parent
         os.waitpid(pid, os.WNOHANG)
     return pid
@@ -176,7 +175,7 @@ def fork(source: Client, name: str, paths: InstancePaths, timeout: float) -> tup
     from tempfile import TemporaryDirectory
 
     status = source.call("/slidectl/status")
-    options = options_of(source.daemon_pid) or DaemonOptions()
+    options = options_of(source.daemon_pid or status["pid"]) or DaemonOptions()
     options = options.of_another(rtf=status["speed"] or math.inf, paused=True, child=False)
     with TemporaryDirectory() as folder:
         file = os.path.join(folder, "snapshot")
@@ -197,7 +196,7 @@ def fork(source: Client, name: str, paths: InstancePaths, timeout: float) -> tup
     return pid, time_s
 
 
-def _has_ended(process: int | None, pid: int, paths: InstancePaths) -> bool:
+def _has_ended(process: ProcessEnd | None, pid: int, paths: InstancePaths) -> bool:
     """Wait briefly. Returns True when the process has ended."""
     if process is not None:
         return bool(select.select([process], [], [], 0.1)[0])
@@ -232,7 +231,7 @@ def _wait_for_the_other(paths: InstancePaths, deadline: float) -> int | None:
         try:
             with Client(socket=paths.socket_text, timeout=left) as client:
                 client.call("/slidectl/status")
-                return client.daemon_pid
+                return client.daemon_pid or pid
         except NoDaemon:
             time.sleep(_PAUSE_S)
     return None

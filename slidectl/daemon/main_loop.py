@@ -5,14 +5,12 @@ It contains no control, no physics and no operations of the wire protocol: only 
 
 from __future__ import annotations
 
-import ctypes
 import gc
 import os
 import signal
 import socket
 import time
 import traceback
-from contextlib import suppress
 from typing import Any
 
 import slidectl
@@ -32,6 +30,7 @@ from slidectl.errors import SlidectlError
 from slidectl.event_loop import READ, EventLoop
 from slidectl.logfile import LogFile
 from slidectl.names import OWN_NODE
+from slidectl.operating_system import resident_bytes, set_timer_slack
 from slidectl.paths import shown
 from slidectl.simulation.clock import SECOND
 from slidectl.simulation.loop import FAILED
@@ -46,7 +45,6 @@ _FIRST_COMMANDS_S = 1.0
 _YOUNG_OBJECTS = 2000
 _PROPERTIES = {"rtf": "speed", "timestep": "timestep", "gravity": "gravity"}
 """The options that describe the world, with their names in the status."""
-_PR_SET_TIMERSLACK = 29
 
 
 class Daemon:
@@ -119,8 +117,7 @@ class Daemon:
 
     def run(self) -> None:
         """Loop until stopped: run due cycles, send what they published, then serve the sockets and send answers."""
-        with suppress(OSError, AttributeError):  # otherwise the kernel delays our waits by 50 µs to save power
-            ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
+        set_timer_slack(1)  # otherwise the kernel delays our waits by 50 µs to save power
         self._log.write("info", f"slidectl {slidectl.__version__} answers on {shown(self._start.paths.socket_text)}")
         turn, server = self._pacer.turn, self._server
         fresh = server.publications.fresh
@@ -206,7 +203,9 @@ class Daemon:
 
     def _watch_signals(self) -> None:
         """Receive signals as bytes in a pipe, to handle them between two cycles. Until now they were blocked."""
-        self._signals, write_end = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+        self._signals, write_end = os.pipe()
+        for end in (self._signals, write_end):
+            os.set_blocking(end, False)
         signal.set_wakeup_fd(write_end, warn_on_full_buffer=False)
         for number in (signal.SIGTERM, signal.SIGINT, *([signal.SIGHUP] if self._start.foreground else [])):
             signal.signal(number, lambda *_: None)
@@ -246,15 +245,10 @@ class Daemon:
             "pid": os.getpid(),
             "instance": shown(self._start.paths.name),
             "connections": len(self._server.connections),
-            "memory": _resident_bytes(),
+            "memory": resident_bytes(),
             "uptime": time.monotonic() - self._began_s,
             "log": shown(str(self._start.paths.log)),
             "journal": "" if self._journal is None else shown(self._journal.path),
             "journal_trouble": "" if self._journal is None else self._journal.trouble,
             **self._pacer.report(),
         }
-
-
-def _resident_bytes() -> int:
-    with open("/proc/self/statm", encoding="ascii") as statm:
-        return int(statm.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")

@@ -21,9 +21,9 @@ from functools import partial
 from slidectl.description.meshes import BadMesh
 from slidectl.errors import Refused
 from slidectl.event_loop import READ, EventLoop
+from slidectl.operating_system import end_with, limit_new_memory
 from slidectl.physics import hulls
 from slidectl.physics.hulls import Hull, MeshSource
-from slidectl.processes import end_with
 from slidectl.simulation.pending import Pending
 
 MOST_CPU_S = 30
@@ -135,7 +135,7 @@ class _Job:
     def begin(self) -> int:
         """Start the process. Returns the descriptor of its output. Raises OSError."""
         parent = os.getpid()
-        reading, writing = os.pipe2(os.O_CLOEXEC)
+        reading, writing = os.pipe()
         try:
             with warnings.catch_warnings():
                 # Python warns of threads: those of numpy's linear algebra, which are idle.
@@ -210,9 +210,7 @@ def _confine(writing: int, parent: int) -> None:
     os.closerange(3, writing)
     os.closerange(writing + 1, _LARGEST_DESCRIPTOR)
     os.nice(_NICER)
-    with open("/proc/self/statm", encoding="ascii") as statm:
-        mapped = int(statm.read().split()[0]) * resource.getpagesize()
-    _limit(resource.RLIMIT_AS, mapped + MOST_MEMORY)
+    limit_new_memory(MOST_MEMORY)
     _limit(resource.RLIMIT_CPU, MOST_CPU_S)
     _limit(resource.RLIMIT_CORE, 0)
     signal.alarm(MOST_S)

@@ -8,8 +8,8 @@ import stat
 from contextlib import suppress
 from pathlib import Path
 
-from slidectl.client.link import peer
 from slidectl.errors import Refused
+from slidectl.operating_system import peer
 from slidectl.paths import InstancePaths, make_private
 from slidectl.processes import holder, is_at, lock
 
@@ -113,4 +113,5 @@ def _remove_old(path: Path) -> None:
         except OSError:
             path.unlink()
             return
-    raise Refused(f"process {pid} answers on {path} without holding its lock", f"end it first: kill {pid}")
+    who, way = (f"process {pid}", f"kill {pid}") if pid else ("a process", f"lsof {path} names it")
+    raise Refused(f"{who} answers on {path} without holding its lock", f"end it first: {way}")

@@ -16,11 +16,11 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from slidectl.client.lines import BadLine, LineBuffer, encode
-from slidectl.client.link import peer
 from slidectl.daemon.outbox import Outbox, Publications, Reader
 from slidectl.daemon.session import Session
 from slidectl.event_loop import HANG_UP, ONCE, PEER_CLOSED, READ, WRITE, EventLoop
 from slidectl.names import OWN_NODE
+from slidectl.operating_system import peer
 from slidectl.simulation.graph import Graph
 from slidectl.simulation.loop import RunState
 
@@ -186,7 +186,7 @@ class Server:
     def _admit(self, connection: socket.socket) -> None:
         pid, uid = peer(connection)
         connection.setblocking(False)
-        if uid == os.geteuid():
+        if uid in (None, os.geteuid()):
             self._serial += 1
             self.connections[Connection(connection, self, pid, self._serial)] = None
             return
@@ -268,6 +268,7 @@ class Connection:
             data = self._socket.recv(_CHUNK)
         except BlockingIOError:
             self._readable = False
+            self._loop.read_all(self._fd)
             return
         except OSError:
             data = b""
@@ -280,6 +281,8 @@ class Connection:
         self._ended = not data or self._failure is not None
         # A short piece is all the input, except for the end; later input raises a new event: see epoll(7).
         self._readable = not self._ended and (len(data) == _CHUNK or self._ends)
+        if not self._readable and not self._ended:
+            self._loop.read_all(self._fd)
 
     # --- out ----------------------------------------------------------------------------------------------------
 

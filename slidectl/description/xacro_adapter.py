@@ -26,7 +26,6 @@ import errno
 import math
 import os
 import re
-import resource
 import sys
 import time
 from collections import ChainMap
@@ -47,6 +46,7 @@ from slidectl.description.robot import Notice
 from slidectl.description.xml_tree import Comment, Element
 from slidectl.errors import BadFile, NoFileThere, NotThere, Refused, SlidectlError, listing
 from slidectl.expressions import FUNCTIONS, MATH, compute
+from slidectl.operating_system import limit_new_memory, restore_memory_limit
 
 MOST_MEMORY = 1 << 30
 """The most memory of a run on top of that of the process, bytes."""
@@ -434,16 +434,11 @@ def _replaced(module: ModuleType, names: Mapping[str, Any]) -> Iterator[None]:
 @contextlib.contextmanager
 def _bounded_memory() -> Iterator[None]:
     """Limit new memory to MOST_MEMORY inside the block. The limit holds for the whole process: nothing else may run."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
-    with open("/proc/self/statm", encoding="ascii") as statm:
-        limit = int(statm.read().split()[0]) * resource.getpagesize() + MOST_MEMORY
-    if soft != resource.RLIM_INFINITY:
-        limit = min(limit, soft)
-    resource.setrlimit(resource.RLIMIT_AS, (limit, hard))
+    before = limit_new_memory(MOST_MEMORY)
     try:
         yield
     finally:
-        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
+        restore_memory_limit(before)
 
 
 def _check_size(root: Any, file: str) -> None:

@@ -13,10 +13,11 @@ from contextlib import suppress
 from typing import Any
 
 from slidectl.client.lines import LONGEST_LINE, BadLine, LineBuffer, decode, encode
-from slidectl.client.link import command, peer
+from slidectl.client.link import command
 from slidectl.effects import Effect
 from slidectl.errors import NoDaemon, Refused, SlidectlError, TimedOut
 from slidectl.gateways.tasks import Tasks
+from slidectl.operating_system import peer
 from slidectl.paths import InstancePaths, check_private
 
 Message = dict[str, Any]
@@ -87,7 +88,7 @@ class DaemonConnection(asyncio.Protocol):
             hint = "start it with: " + command(paths, "daemon start")
             raise NoDaemon(f"no daemon answers on {paths.socket_text}{why}", hint) from None
         _, uid = peer(transport.get_extra_info("socket"))
-        if uid != os.geteuid():
+        if uid not in (None, os.geteuid()):
             transport.close()
             raise Refused(f"the daemon on {paths.socket_text} belongs to another user (uid {uid})")
         try:

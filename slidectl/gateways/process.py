@@ -23,6 +23,7 @@ from slidectl import processes
 from slidectl.client.link import command
 from slidectl.errors import EXIT_DONE, Refused, SlidectlError, TimedOut
 from slidectl.logfile import LogFile
+from slidectl.operating_system import return_large_blocks
 from slidectl.paths import InstancePaths, instance, make_private
 
 if TYPE_CHECKING:
@@ -153,7 +154,7 @@ def run(paths: InstancePaths, kind: str, options: dict[str, Any], opened: Callab
         tell(address)
         opened(address)
 
-    processes.return_large_blocks()
+    return_large_blocks()
     with _locked(paths, kind) as tell:
         asyncio.run(serve(gateway_class(gateway_class.Options(**options)), paths, listens))
 

@@ -19,6 +19,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from slidectl.event_loop import READ, EventLoop
+from slidectl.operating_system import ProcessEnd
 
 if TYPE_CHECKING:
     from slidectl.client import Client
@@ -245,7 +246,7 @@ class Child:
             start_new_session=True,
         )
         self.pid = self._process.pid
-        self._descriptor = os.pidfd_open(self.pid)
+        self._end = ProcessEnd(self.pid)
         self._pipes = {
             name: pipe.fileno()
             for name, pipe in (("stdout", self._process.stdout), ("stderr", self._process.stderr))
@@ -254,7 +255,7 @@ class Child:
         for name, descriptor in self._pipes.items():
             os.set_blocking(descriptor, False)
             loop.watch(descriptor, READ, lambda _, name=name: self._take(name))  # type: ignore[misc]
-        loop.watch(self._descriptor, READ, lambda _: self._ended())
+        loop.watch(self._end.fileno(), READ, lambda _: self._ended())
 
     def _take(self, name: str, is_last: bool = False) -> None:
         """Read one chunk and pass on its lines; with `is_last` also a line without an end."""
@@ -272,14 +273,13 @@ class Child:
             self._on_line(name, line.decode("utf-8", "replace").rstrip("\r"))
 
     def _ended(self) -> None:
-        """Handle the end. The process stays a zombie until `release`, so that the id of its group is not reused."""
-        result = os.waitid(os.P_PIDFD, self._descriptor, os.WEXITED | os.WNOWAIT)
-        assert result is not None
+        """Handle the end. On Linux the process stays a zombie until `release`, so that its group's id is not reused."""
+        code = self._end.code()
         for name in list(self._pipes):  # its own output; output of its children may come later
             self._take(name, is_last=True)
         # The descriptor is watched up to here: if a signal interrupts this method, the end is noticed again.
-        self.code = result.si_status if result.si_code == os.CLD_EXITED else -result.si_status
-        self._loop.forget(self._descriptor)
+        self.code = code
+        self._loop.forget(self._end.fileno())
         self._on_end(self.code)
 
     def signal(self, number: int) -> None:
@@ -290,11 +290,11 @@ class Child:
     def release(self) -> None:
         """Kill what is left of the process group, and free all resources."""
         self.signal(signal.SIGKILL)
-        for descriptor in (self._descriptor, *self._pipes.values()):
+        for descriptor in (self._end.fileno(), *self._pipes.values()):
             self._loop.forget(descriptor)
         self._pipes.clear()
         with self._process:  # waits for the process, and closes its pipes
-            os.close(self._descriptor)
+            self._end.close()
 
 
 def run(arguments: Sequence[str], environment: Mapping[str, str], most_bytes: int) -> tuple[int, bytes]:

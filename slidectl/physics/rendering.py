@@ -15,13 +15,14 @@ import struct
 import subprocess
 import sys
 from contextlib import suppress
-from typing import IO, TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 
 import mujoco
 import numpy as np
 
 from slidectl.description import link_colours
 from slidectl.errors import Refused
+from slidectl.operating_system import memory_file
 from slidectl.physics.body import Array
 from slidectl.physics.software_pictures import SoftwareDrawer
 from slidectl.physics.touching import link_of
@@ -85,7 +86,7 @@ class RenderProcess:
         self._looked_at: Any = None
         self._colours: Array = np.zeros(0)
         self._said = bytearray()
-        self._request: IO[bytes] | None = None
+        self._request: BinaryIO | None = None
         """Memory file that the process reads after it receives a byte. A pipe would block: it holds 64 KB, and is not
         read while the process starts."""
 
@@ -152,6 +153,9 @@ class RenderProcess:
     def close(self) -> None:
         """End the process."""
         process, self._process, self._model = self._process, None, None
+        if self._request is not None:
+            self._request.close()
+            self._request = None
         self._said.clear()
         if process is not None:
             process.kill()
@@ -167,9 +171,9 @@ class RenderProcess:
         else:
             why = ""
         environment = {**os.environ, "MUJOCO_GL": "disable" if why else backend}
-        self._request = self._request or open(os.memfd_create("request"), "wb")  # noqa: SIM115 - kept for the next one
+        self._request, path = memory_file("request")
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "slidectl.physics.rendering", f"/proc/self/fd/{self._request.fileno()}", why],
+            [sys.executable, "-m", "slidectl.physics.rendering", path, why],
             bufsize=0,  # no unwritten data remains when the process has ended
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -297,7 +301,7 @@ class _OpenGlDrawer:
             renderer.close()
 
 
-def main(source: IO[bytes], target: IO[bytes], request: str, why: str) -> None:
+def main(source: BinaryIO, target: BinaryIO, request: str, why: str) -> None:
     """For each byte from `source`, render the request in the file `request`. Ends at the end of `source`."""
 
     def answer(kind: int, content: bytes) -> None:

@@ -20,7 +20,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 
 from slidectl.event_loop import READ, EventLoop
-from slidectl.processes import end_with
+from slidectl.operating_system import end_with
 from slidectl.scenarios.case_run import ERROR, CaseResult, WallTimeUp
 from slidectl.scenarios.scenario_file import Case
 
@@ -92,7 +92,7 @@ class WorkerPool:
 
     def _begin(self, case: Case) -> None:
         folder = tempfile.mkdtemp(prefix="slidectl-test-")
-        reading, writing = os.pipe2(os.O_CLOEXEC)
+        reading, writing = os.pipe()
         parent = os.getpid()
         sys.stdout.flush()
         sys.stderr.flush()

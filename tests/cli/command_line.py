@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+from daemon_fixture import clean_environment
 from waiting import eventually
 
 from slidectl import Client
@@ -21,9 +22,7 @@ class CommandLine:
 
     def __init__(self, runtime: Path) -> None:
         self.runtime = runtime
-        kept = {key: value for key, value in os.environ.items() if not key.startswith("SLIDECTL_")}
-        search = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
-        self.environment = {**kept, "XDG_RUNTIME_DIR": str(runtime), "PYTHONPATH": search}
+        self.environment = {**clean_environment(), "XDG_RUNTIME_DIR": str(runtime)}
 
     def client(self) -> Client:
         """A connection to the daemon of the default instance."""

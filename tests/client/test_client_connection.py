@@ -9,7 +9,7 @@ import subprocess
 import sys
 
 import pytest
-from daemon_fixture import Runtime
+from daemon_fixture import Runtime, knows_peers
 
 from slidectl.client import Client
 from slidectl.errors import NoDaemon, Refused, TimedOut, UsageError
@@ -57,6 +57,7 @@ def test_a_name_that_is_no_file_name_is_a_usage_error() -> None:
         Client("../other")
 
 
+@knows_peers
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")
 def test_a_daemon_of_another_user_is_refused(runtime: Runtime) -> None:
     runtime.paths.folder.mkdir(mode=0o700, parents=True)

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from daemon_fixture import Runtime
+from daemon_fixture import Runtime, knows_peers
 from rosbridge_wire import Wire
 
 from slidectl import Client, description
@@ -432,6 +432,7 @@ def test_connections_beyond_what_the_process_can_hold_wait_for_their_turn(runtim
     clients[-1].close()
 
 
+@knows_peers
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")
 def test_a_process_of_another_user_is_turned_away_with_a_word(runtime: Runtime) -> None:
     runtime.start(paused=True)

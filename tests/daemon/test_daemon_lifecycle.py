@@ -20,7 +20,7 @@ from pathlib import Path
 from unittest import mock
 
 import pytest
-from daemon_fixture import Runtime
+from daemon_fixture import Runtime, knows_peers
 from rosbridge_wire import Wire
 
 from slidectl import description, paths
@@ -146,6 +146,7 @@ def test_a_file_that_is_no_socket_is_left_alone(runtime: Runtime) -> None:
     assert runtime.pid is None
 
 
+@knows_peers
 def test_a_living_socket_is_never_taken_over_even_without_its_lock(runtime: Runtime) -> None:
     pid, _ = runtime.start()
     runtime.paths.lock.unlink()

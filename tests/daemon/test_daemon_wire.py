@@ -9,6 +9,7 @@ import socket
 from collections.abc import Callable
 from pathlib import Path
 
+from daemon_fixture import knows_peers
 from rosbridge_wire import Wire
 
 Connect = Callable[[], Wire]
@@ -250,6 +251,7 @@ def test_set_level_chooses_which_statuses_come(wire: Wire) -> None:
     assert "warning" in wire.receive()["msg"]
 
 
+@knows_peers
 def test_a_client_stands_in_the_graph_under_its_process_id(wire: Wire) -> None:
     wire.send(op="advertise", topic="/mine", type="std_msgs/String")
     publishers = wire.call("/rosapi/publishers", topic="/mine")["values"]["publishers"]

@@ -8,7 +8,6 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
-from contextlib import suppress
 from importlib import import_module
 from io import TextIOWrapper
 from shlex import quote
@@ -20,6 +19,7 @@ from slidectl.cli import output
 from slidectl.cli.commands import command
 from slidectl.cli.context import Context
 from slidectl.errors import NoDaemon, SlidectlError, UsageError, closest
+from slidectl.operating_system import program_name
 
 # Tool -> module in this package, which has a function of the tool's name. Its `PREFIX` begins error texts.
 TOOLS = {
@@ -118,10 +118,9 @@ def ros_commands(ctx: Context, shell: str | None) -> None:
 
 def _users_shell() -> str:
     """The shell that started this program, else that of $SHELL. Raises UsageError for a shell without functions."""
-    with suppress(OSError, UnicodeDecodeError), open(f"/proc/{os.getppid()}/comm", encoding="utf-8") as file:
-        caller = file.read().strip()
-        if caller in SHELLS or caller in _LIKE_BASH:
-            return caller
+    caller = program_name(os.getppid())
+    if caller in SHELLS or caller in _LIKE_BASH:
+        return caller
     name = os.path.basename(os.environ.get("SHELL") or "bash")
     if name in SHELLS or name in _LIKE_BASH:
         return name

@@ -6,7 +6,6 @@ for those about ports or threads a warning is printed. `roscore` runs a daemon u
 
 from __future__ import annotations
 
-import os
 import select
 import signal
 from collections.abc import Sequence
@@ -19,6 +18,7 @@ from slidectl.cli import output
 from slidectl.cli.context import Context
 from slidectl.cli.ros.arguments import Failure, Parser, option
 from slidectl.errors import BadFile, SlidectlError, UnknownName
+from slidectl.operating_system import ProcessEnd
 
 PREFIX = "RLException: "
 
@@ -122,13 +122,13 @@ def roscore(ctx: Context, argv: Sequence[str]) -> None:
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         pid = _start(ctx)
-        process = os.pidfd_open(pid)
+        process = ProcessEnd(pid)
         select.select([process], [], [])
     except KeyboardInterrupt:
         output.write("[master] killing on exit\nshutting down processing monitor...")
         lifecycle.stop(ctx.paths, ctx.wait_limit(limit))
         return output.write("... shutting down processing monitor complete\ndone")
-    code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+    code = process.code()
     if code:
         raise Failure(f"[master] process has died [pid {pid}, exit code {code}]")
     return output.write("[master] process has finished cleanly")

@@ -18,6 +18,7 @@ from slidectl.client.lines import LONGEST_LINE
 from slidectl.errors import Refused, SlidectlError, TimedOut, UsageError
 from slidectl.gateways.strangers import Strangers
 from slidectl.held_bytes import HeldBytes
+from slidectl.operating_system import keepalive
 
 T = TypeVar("T")
 Fields = dict[str, str]
@@ -36,7 +37,7 @@ _MOST_HELD = 128 * 1024 * 1024
 """Limit of the bytes of messages that are unfinished or not handled, over all connections."""
 _WRITE_AHEAD = 64 * 1024
 """Bytes in asyncio's write buffer beyond which messages are queued here."""
-_KEEPALIVE = ((socket.TCP_KEEPIDLE, 60), (socket.TCP_KEEPINTVL, 10), (socket.TCP_KEEPCNT, 9))
+_KEEPALIVE = keepalive(60, 10, 9)
 """rospy's values: a vanished host is detected after two and a half minutes."""
 _U32 = Struct("<I")
 

@@ -31,7 +31,7 @@ from websockets.http11 import Request, Response
 from slidectl import local_peers
 from slidectl.bounded_websocket import BoundedConnection, ConnectionBounds, answering_bad_requests
 from slidectl.errors import Refused, UnknownName
-from slidectl.processes import return_large_blocks
+from slidectl.operating_system import return_large_blocks
 from slidectl.web_access import LOOPBACK, host_of, is_secret
 
 if TYPE_CHECKING:

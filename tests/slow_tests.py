@@ -1,0 +1,22 @@
+"""Which tests `make quick` leaves out."""
+
+from __future__ import annotations
+
+from fnmatch import fnmatch
+
+SLOW = (
+    # foreign programs, browsers, whole pages, attacks, and runs of the tests themselves
+    "fuzz/*", "gateways/ros1/*", "gateways/websocket/test_websocket_clients.py", "viewing/test_page*",
+    "gateways/websocket/test_websocket_page.py", "test_deployment.py", "test_examples.py", "test_pytest_plugin.py",
+    "test_shown_sessions.py", "test_test_runs.py", "test_portable_ways.py",
+    # compilers, recorded runs, many daemons
+    "control/test_control_conformance.py", "daemon/test_daemon_journal.py", "daemon/test_daemon_pictures.py",
+    "simulation/test_simulation_all_or_nothing.py", "simulation/test_simulation_compiled_cache.py",
+    "simulation/test_simulation_own_laws.py", "simulation/test_simulation_snapshots.py",
+)  # fmt: skip
+"""The files whose tests `make quick` leaves out, as patterns of paths in this folder."""
+
+
+def is_slow(file: str) -> bool:
+    """True for a file of SLOW; its path is relative to this folder."""
+    return any(fnmatch(file, entry) for entry in SLOW)

@@ -1,0 +1,87 @@
+"""`make quick`, and `scripts/pythons.sh`, which runs it with each Python of the machine."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from fnmatch import fnmatch
+from pathlib import Path
+
+import pytest
+from slow_tests import SLOW, is_slow
+
+ROOT = Path(__file__).parent.parent
+OWN = f"{sys.version_info.major}.{sys.version_info.minor}"
+OTHER = "3.12" if OWN != "3.12" else "3.13"
+
+
+def program(path: Path, text: str) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(f"#!/bin/sh\n{text}\n")
+    path.chmod(0o755)
+    return path
+
+
+@pytest.fixture
+def machine(tmp_path: Path) -> dict[str, str]:
+    """The environment of a machine with this Python alone, and with a `make` that tells its words and fails if told."""
+    program(tmp_path / "bin" / "make", 'echo "make $*"; exit "${MAKE_FAILS:-0}"')
+    for name in ("bash", "dirname", "env"):
+        (tmp_path / "bin" / name).symlink_to(f"/usr/bin/{name}")
+    return {"PATH": str(tmp_path / "bin"), "HOME": str(tmp_path), "PYTHON": sys.executable}
+
+
+def run(environment: dict[str, str]) -> subprocess.CompletedProcess[str]:
+    script = ["/bin/bash", str(ROOT / "scripts" / "pythons.sh")]
+    return subprocess.run(script, env=environment, capture_output=True, text=True, check=False)
+
+
+def test_each_other_python_of_the_machine_runs_the_quick_tests(machine: dict[str, str], tmp_path: Path) -> None:
+    """Those are stand-ins that say which version they are: they start, and can make environments."""
+    says = "case $2 in *{0}*) exit 0;; esac; exit 1"
+    on_path = program(tmp_path / "bin" / f"python{OTHER}", says.format(OTHER))
+    of_pyenv = program(tmp_path / ".pyenv" / "versions" / "3.14.2" / "bin" / "python3", says.format("3.14"))
+    done = run(machine)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[:2] == [
+        f"make PYTHON={on_path} VENV=.venv-{OTHER} quick",
+        f"make PYTHON={of_pyenv} VENV=.venv-3.14 quick",
+    ]
+    assert f"VENV=.venv-{OWN}" not in done.stdout
+
+
+def test_pythons_that_are_not_there_or_do_not_start_are_named_and_no_failure(
+    machine: dict[str, str], tmp_path: Path
+) -> None:
+    program(tmp_path / "bin" / f"python{OTHER}", f'echo "pyenv: python{OTHER}: command not found" >&2; exit 127')
+    done = run(machine)
+    assert done.returncode == 0, done.stderr
+    missing = [version for version in ("3.11", "3.12", "3.13", "3.14") if version != OWN]
+    assert done.stdout == f"not tested, since they are not on this machine: Python {' '.join(missing)}\n"
+
+
+def test_a_python_whose_tests_fail_is_a_failure(machine: dict[str, str], tmp_path: Path) -> None:
+    program(tmp_path / "bin" / f"python{OTHER}", f"case $2 in *{OTHER}*) exit 0;; esac; exit 1")
+    assert run({**machine, "MAKE_FAILS": "2"}).returncode == 2
+
+
+def test_make_takes_another_python_and_folder_and_leaves_the_slow_tests_out() -> None:
+    command = ["make", "--dry-run", "--always-make", f"PYTHON={sys.executable}", "VENV=elsewhere/venv", "quick"]
+    told = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    assert f"{sys.executable} -m venv --clear elsewhere/venv" in told
+    assert 'elsewhere/venv/bin/python -m pytest -n 2 --dist loadfile -m "not slow"' in told
+
+
+def test_every_entry_of_the_slow_tests_means_files_that_are_there() -> None:
+    files = [path.relative_to(ROOT / "tests").as_posix() for path in (ROOT / "tests").rglob("test_*.py")]
+    assert [entry for entry in SLOW if not any(fnmatch(file, entry) for file in files)] == []
+
+
+def test_most_files_of_tests_are_quick() -> None:
+    files = [path.relative_to(ROOT / "tests").as_posix() for path in (ROOT / "tests").rglob("test_*.py")]
+    quick = [file for file in files if not is_slow(file)]
+    assert len(quick) > 0.6 * len(files)
+    assert {file.partition("/")[0] for file in quick} >= {
+        "check", "cli", "client", "control", "daemon", "description", "gateways", "launch", "msgs", "physics",
+        "simulation", "viewing",
+    }  # fmt: skip
