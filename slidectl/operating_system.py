@@ -18,7 +18,6 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, BinaryIO, cast
 
 if TYPE_CHECKING:
-    import threading
     from io import FileIO
 
 PORTABLE = "SLIDECTL_PORTABLE"
@@ -190,9 +189,10 @@ class ProcessEnd:
             raise ProcessLookupError(errno.ESRCH, os.strerror(errno.ESRCH))
         import threading
 
-        self._descriptor, writing = os.pipe()
-        self._is_closed = threading.Event()
-        self._thread = _start_thread(self._wait, writing)
+        self._lock = threading.Lock()
+        self._writing: int | None
+        self._descriptor, self._writing = os.pipe()
+        _start_thread(self._wait)
 
     def fileno(self) -> int:
         """A descriptor that is readable when the process has ended."""
@@ -219,17 +219,24 @@ class ProcessEnd:
         """Close the descriptor."""
         os.close(self._descriptor)
         if not LINUX:
-            self._is_closed.set()
-            self._thread.join(_LOOK_EVERY_S)
+            self._close_pipe()
 
-    def _wait(self, writing: int) -> None:
-        """Wait for the end, and close the pipe's end."""
+    def _wait(self) -> None:
+        """Wait for the end, and close the pipe's other end."""
+        import time
+
         try:
             self._status = os.waitpid(self.pid, 0)[1]
         except ChildProcessError:  # not a child of ours, or somebody else has waited for it
-            while is_there(self.pid) and not self._is_closed.wait(_LOOK_EVERY_S):
-                pass
-        os.close(writing)
+            while is_there(self.pid) and self._writing is not None:
+                time.sleep(_LOOK_EVERY_S)
+        self._close_pipe()
+
+    def _close_pipe(self) -> None:
+        with self._lock:
+            writing, self._writing = self._writing, None
+            if writing is not None:
+                os.close(writing)
 
 
 def is_there(pid: int) -> bool:
@@ -262,18 +269,16 @@ def _follow(parent: int, number: int) -> None:
     os.kill(os.getpid(), number)
 
 
-def _start_thread(target: Callable[..., None], *arguments: int) -> threading.Thread:
+def _start_thread(target: Callable[..., None], *arguments: int) -> None:
     """Start a thread that takes no signals: they shall interrupt the waits of the main thread."""
     import signal
     import threading
 
     held = signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())
     try:
-        thread = threading.Thread(target=target, args=arguments, daemon=True)
-        thread.start()
+        threading.Thread(target=target, args=arguments, daemon=True).start()
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, held)
-    return thread
 
 
 def lock_holder(file: FileIO) -> int | None:

@@ -804,7 +804,8 @@ class Client:
     @property
     def daemon_pid(self) -> int:
         """The daemon's process id, as the kernel gives it."""
-        return self._link.daemon_pid
+        pid = self._link.daemon_pid
+        return int(self.call("/slidectl/status")["pid"]) if pid is None else pid
 
     def another(self) -> Client:
         """Open a further connection to the same daemon, with the same `timeout`. Raises as the constructor."""

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 
 from slidectl.client.lines import LineBuffer, decode
 from slidectl.errors import NoDaemon, Refused, TimedOut
-from slidectl.operating_system import lock_holder, peer
+from slidectl.operating_system import peer
 from slidectl.paths import DEFAULT_INSTANCE, InstancePaths, check_private, is_named_by_instance
 
 _CHUNK = 64 * 1024
@@ -37,7 +37,8 @@ class ClientLink(Protocol):
     """A client's connection to a daemon. Deadlines are on `monotonic`; `inf` is none."""
 
     paths: InstancePaths
-    daemon_pid: int
+    daemon_pid: int | None
+    """0 in another process namespace; None where the kernel does not tell it."""
     last_status: str
 
     def another(self, deadline: float) -> ClientLink:
@@ -73,9 +74,8 @@ class SocketLink:
         """The text of the last status. When the daemon ends, it gives the reason."""
         self._socket = self._connect(deadline)
         self._to_wait = (self._socket.fileno(),)
-        self.daemon_pid, uid = peer(self._socket)
-        if uid is None:  # the kernel does not tell
-            self.daemon_pid = _lock_holder(paths)
+        pid, uid = peer(self._socket)
+        self.daemon_pid = None if uid is None else pid
         if uid not in (None, os.geteuid()):
             self.close()
             raise Refused(f"the daemon on {paths.socket_text} belongs to another user (uid {uid})")
@@ -188,15 +188,6 @@ class SocketLink:
     def close(self) -> None:
         self._closed = True
         self._socket.close()
-
-
-def _lock_holder(paths: InstancePaths) -> int:
-    """The process id of the daemon, by its lock; 0 when that cannot be asked."""
-    try:
-        with open(paths.lock, "rb+", buffering=0) as file:
-            return lock_holder(file) or 0
-    except OSError:
-        return 0
 
 
 def _for_select(left: float) -> float | None:

@@ -265,7 +265,7 @@ class InProcessLink:
     def __init__(self, world: InProcessWorld) -> None:
         """Raises NoDaemon: the world has ended."""
         self.paths = paths.instance(_NAME)
-        self.daemon_pid = os.getpid()
+        self.daemon_pid: int | None = os.getpid()
         self.last_status = ""
         self.connection = world.connect()
         self._world = world

@@ -175,7 +175,7 @@ def fork(source: Client, name: str, paths: InstancePaths, timeout: float) -> tup
     from tempfile import TemporaryDirectory
 
     status = source.call("/slidectl/status")
-    options = options_of(source.daemon_pid or status["pid"]) or DaemonOptions()
+    options = options_of(source.daemon_pid) or DaemonOptions()
     options = options.of_another(rtf=status["speed"] or math.inf, paused=True, child=False)
     with TemporaryDirectory() as folder:
         file = os.path.join(folder, "snapshot")
