@@ -13,7 +13,7 @@ from itertools import chain
 from typing import TYPE_CHECKING, Any, cast, get_args
 
 from slidectl import names
-from slidectl.description import drives, element_values
+from slidectl.description import drives, element_values, interfaces
 from slidectl.description.missing import Missing
 from slidectl.description.report import Report
 from slidectl.description.robot import ControlPlugin, Surface, Transmissions
@@ -167,6 +167,8 @@ class GazeboReader:
 def leave_out_hardware(root: Element, missing: Missing) -> None:
     """Remove `<robotSimType>` tags with unknown simulated hardware, so that the default is used, and note each.
 
+    Interfaces of transmissions that only the unknown hardware may have go with them.
+
     Not when nothing is missing and nothing may be, nor for a daemon that runs already: it may have imported more.
     """
     if missing.forgiven != "all" and (missing.world_decides or (not missing and not missing.keeps_going)):
@@ -180,6 +182,30 @@ def leave_out_hardware(root: Element, missing: Missing) -> None:
             error = NotThere(text, kind.file, kind.line, thing=f"robotSimType {_text(kind)}")
             missing.note(error, "the default is taken")
             plugin.content[:] = [node for node in plugin.content if node is not kind]
+            _leave_out_interfaces(root, missing)
+
+
+def _leave_out_interfaces(root: Element, missing: Missing) -> None:
+    """Remove the interfaces of joints that the default hardware does not have, and transmissions without any other.
+
+    All transmissions are one note, at the first of them.
+    """
+    left_out: list[Element] = []
+    for transmission in root.find_all("transmission"):
+        joints = transmission.find_all("joint")
+        tags = [tag for joint in joints for tag in joint.find_all("hardwareInterface") if tag.first_text]
+        unknown = [tag for tag in tags if interfaces.find(tag.first_text) is None]
+        if unknown and len(unknown) == len(tags):
+            left_out.append(transmission)
+        for joint in joints:
+            joint.content[:] = [node for node in joint.content if not any(node is tag for tag in unknown)]
+    root.content[:] = [node for node in root.content if not any(node is one for one in left_out)]
+    if left_out:
+        first = left_out[0]
+        text = f"{first.title} is by no interface that the default hardware has"
+        others = f"; so are {len(left_out) - 1} others" if left_out[1:] else ""
+        error = NotThere(f"{text}{others}", first.file, first.line, thing="transmissions of robotSimType")
+        missing.note(error, "left out")
 
 
 @cache

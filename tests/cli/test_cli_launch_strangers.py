@@ -248,6 +248,23 @@ def test_a_plugin_that_is_derived_from_the_control_plugin_is_taken_for_it(ends: 
     assert "/control: jsc, hold running in /arm" in done.stdout
 
 
+def test_interfaces_of_hardware_that_is_not_there_are_left_out_with_it(ends: CommandLine, tmp_path: Path) -> None:
+    begin, end = ARM.index("<transmission"), ARM.index("</transmission>") + len("</transmission>")
+    driven, state = ARM[begin:end], "<hardwareInterface>hardware_interface/JointStateInterface</hardwareInterface>"
+    both = driven.replace("<hardwareInterface>", f"{state}<hardwareInterface>")
+    kept = driven.index("<hardwareInterface>"), driven.index("</joint>")
+    only = (driven[: kept[0]] + state + driven[kept[1] :]).replace('name="t"', 'name="seen"')
+    plugin = '<plugin name="c" filename="libgazebo_ros_control.so"'
+    model = ARM.replace(driven, only + both)
+    model = model.replace(f"{plugin}/>", f"{plugin}><robotSimType>their_hw/TheirSim</robotSimType></plugin>")
+    launch = written(tmp_path, WORLD, MODEL, SPAWN.format("-model arm"), CONTROL, model=model)
+    done = ends("launch", launch, "--detach")
+    assert done.returncode == 0, done.stderr
+    assert "their_hw/TheirSim' is no simulated hardware" in done.stderr
+    assert '<transmission name="seen"> is by no interface that the default hardware has; left out' in done.stderr
+    assert "/control: jsc, hold running in /arm" in done.stdout
+
+
 # --- hints -----------------------------------------------------------------------------------------------------------
 
 
