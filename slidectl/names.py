@@ -76,17 +76,25 @@ def legal_robot(name: str) -> str:
 
     Gazebo takes any text as the name of a model, and here it is a part of names of topics. Accents are dropped, other
     signs become '_', and a name that does not begin with a letter gets `robot_` before it.
+
+    Raises BadName for no text at all, TooLong.
     """
-    if is_component(name):
-        return name
+    if is_component(name) or not name or len(name) > LONGEST:
+        return check_robot(name)
     import unicodedata  # needed for odd names alone
 
-    plain = unicodedata.normalize("NFKD", name[:LONGEST])
+    plain = unicodedata.normalize("NFKD", name)
     plain = "".join(sign for sign in plain if not unicodedata.combining(sign))
     plain = re.sub(r"(?a)\W+", "_", plain).strip("_")
     if not plain:
         return "robot"
-    return plain if plain[0].isalpha() else f"robot_{plain}"
+    return plain[:LONGEST] if plain[0].isalpha() else f"robot_{plain}"[:LONGEST]
+
+
+def remark_on_robot(name: str) -> str:
+    """The remark that the name of a robot was changed by `legal_robot`; empty if it was not."""
+    legal = legal_robot(name)
+    return "" if legal == name else f"{name!r} cannot be a part of a topic's name: the robot is {legal} here"
 
 
 def legal_namespace(name: str) -> str:

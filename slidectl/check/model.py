@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from slidectl import description
+from slidectl import description, names
 from slidectl.check import bodies
 from slidectl.check.findings import Findings
 from slidectl.check.tags import Tags, Trace, TracedElement, TracedReport, plain
@@ -190,6 +190,8 @@ def _tell_transmissions(root: Element, meshes: MeshFiles, asked: TransmissionVal
 
 def _namespace(robot: Robot, root: Element, findings: Findings) -> str:
     """The namespace of the robot's controllers when it is spawned under its own name."""
+    if remark := names.remark_on_robot(robot.name):
+        findings.add("converted", f"robot {robot.name!r}", remark, root.file, root.line)
     try:
         return description.namespace_of(robot, robot.name)
     except BadName as error:

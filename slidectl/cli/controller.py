@@ -605,13 +605,13 @@ def manager_of_some(context: Context, wanted: str | None, controllers: Sequence[
 
 def next_step(context: Context, topic: str) -> str | None:
     """A hint with the command that must run before a controller takes messages on `topic`; None when none must."""
-    controller = parent(join("/", topic)).strip("/").rpartition("/")[2]
+    above = parent(join("/", topic)) + "/"
     found = context.managers()
     steps = [] if found else ["no robot with controllers is in the world; spawn one: slidectl spawn slider"]
     for manager in found:
         space, states, configured = manager.namespace, manager.states(), manager.configured()
         waiting = [name for name in configured if name not in states]
-        if controller in waiting:
+        if controller := next((name for name in waiting if above.endswith(f"/{name}/")), None):
             return f"{controller} is not loaded; load and start it: slidectl controller spawn {controller}"
         if waiting:
             steps.append(f"not loaded in {space}: {listing(waiting)}; load and start: slidectl controller spawn NAME")
@@ -634,7 +634,7 @@ def _places(known: Mapping[str, Collection[str]], controllers: Sequence[str]) ->
     places: dict[str, dict[str, str]] = {name: {} for name in controllers}
     for name, found in places.items():
         for namespace, inside in known.items():
-            local = name.removeprefix(namespace.rstrip("/") + "/")
+            local = name.removeprefix(namespace.rstrip("/") + "/").rstrip("/")
             if not local.startswith("/") and local in inside:
                 found[namespace] = local
     return places

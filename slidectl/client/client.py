@@ -409,6 +409,7 @@ class Client:
         Returns slidectl/RobotInfo; for a world, that of the first model.
 
         Args:
+            name: any text; what is no graph name becomes one, with a warning.
             model: a shipped model's name, the path of a .xacro, .urdf, .sdf or .world file, or `model://NAME`.
             at: x, y, z in m, or these and roll, pitch, yaw in rad.
             controllers: the YAML file of its controllers' parameters.
@@ -422,14 +423,17 @@ class Client:
         # Imported here because it reads robot files: a script that spawns nothing starts without it.
         from slidectl.client import spawning
 
-        if name is not None:
-            names.check_robot(name)
+        if name is not None and (remark := names.remark_on_robot(name)):
+            import warnings
+
+            warnings.warn(remark, stacklevel=2)
         pose = spawning.pose(at)
         if spawning.is_scene(model):
             spawning.check_scene_options(xacro_arguments, controllers, start, joints or {}, transmissions)
             models = spawning.scene(model).named(name)
-            self.spawn_models([spawning.request(one, at) for one in models])
-            return dict(self.call("/slidectl/list_robots", {"name": models[0].name})["robots"][0])
+            requests = [spawning.request(one, at) for one in models]
+            self.spawn_models(requests)
+            return dict(self.call("/slidectl/list_robots", {"name": requests[0]["model_name"]})["robots"][0])
         document = spawning.document(model, xacro_arguments, name)
         given = {f"{argument}:=" for argument in xacro_arguments}
         for notice in document.report:
@@ -1222,10 +1226,17 @@ class Manager:
 
 
 def configured(parameters: Sequence[str], namespace: str) -> list[str]:
-    """Names of the controllers in a namespace that have a `type` among these parameters."""
+    """Names of the controllers in a namespace that have a `type` among these parameters.
+
+    A name may have one slash, as `arm/position`, where no controller `arm` has a parameter of that name, and not in the
+    root, which holds the namespaces of others.
+    """
     prefix = namespace.rstrip("/") + "/"
     inside = (name.removeprefix(prefix) for name in parameters if name.startswith(prefix))
-    return [name.removesuffix("/type") for name in inside if name.endswith("/type") and name.count("/") == 1]
+    typed = [name.removesuffix("/type") for name in inside if name.endswith("/type")]
+    plain = [name for name in typed if "/" not in name]
+    grouped = [name for name in typed if name.count("/") == 1 and name.partition("/")[0] not in plain]
+    return plain if prefix == "/" else plain + grouped
 
 
 def is_configured(parameters: Sequence[str], namespace: str, name: str) -> bool:

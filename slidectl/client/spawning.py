@@ -43,7 +43,7 @@ def document(
 
     places = places or description.Packages({}, Path.cwd())
     if name and "namespace" not in arguments and "namespace" in description.declared_arguments(source, places):
-        arguments = {**arguments, "namespace": f"/{name}"}
+        arguments = {**arguments, "namespace": f"/{names.legal_robot(name)}"}
     return description.load(source, dict(arguments), places, title=title, missing=missing)
 
 
@@ -58,7 +58,7 @@ def with_transmissions(model: Document, how: str | None, xml: str | None = None)
 def identity(
     xml: str, model: Document, name: str | None, strict: bool = False, joints: Mapping[str, float] | None = None
 ) -> tuple[str, str, Robot]:
-    """The robot's name and namespace, and the robot. `joints` holds start positions of joints, rad or m.
+    """The robot's name, made legal, its namespace, and the robot. `joints` holds start positions of joints, rad or m.
 
     Raises:
         BadFile: the model is broken. BadName. UnknownName: no such moving joint. Refused: a position out of range.
@@ -67,7 +67,7 @@ def identity(
     from slidectl.description.robot import MOVING, check_position
 
     robot = description.parse(xml, model.file, strict=strict)
-    chosen = names.check_robot(robot.name if name is None else name)
+    chosen = names.legal_robot(robot.name if name is None else name)
     moving = {one.name: one for one in robot.joints.values() if one.type in MOVING}
     for joint, position in (joints or {}).items():
         if joint not in moving:
@@ -130,7 +130,7 @@ def scene(source: str, places: Packages | None = None, missing: Missing | None =
 def request(model: SdfModel, at: Sequence[float] = (), what: str = "at") -> dict[str, Any]:
     """A gazebo_msgs/SpawnModel request: the model's own pose moved by X Y Z (m) R P Y (rad)."""
     place = rotations.compose(_pose(at, what), model.pose)
-    return {"model_name": names.check_robot(model.name), "model_xml": model.xml, "initial_pose": _message(place)}
+    return {"model_name": names.legal_robot(model.name), "model_xml": model.xml, "initial_pose": _message(place)}
 
 
 def pose(at: Sequence[float], what: str = "at") -> dict[str, Any]:

@@ -427,8 +427,10 @@ def check_position(joint: Joint, position: float) -> None:
 def namespace_of(robot: Robot, name: str) -> str:
     """The plugin's `robotNamespace` with a leading slash, else `/name`. An empty one means the root, `/`.
 
+    A `name` that is no graph name becomes one, part by part (see names.legal_robot).
+
     Raises:
-        BadName: a `name` that cannot be a namespace.
+        BadName: a `robotNamespace` that cannot be a namespace.
     """
     written = robot.plugin.robot_namespace if robot.plugin is not None else None
-    return names.check("/" + (name if written is None else written).strip("/"))
+    return names.legal_namespace(name) if written is None else names.check("/" + written.strip("/"))

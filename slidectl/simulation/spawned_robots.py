@@ -249,7 +249,7 @@ class Robots:
         `hulls` holds the collision hulls of its meshes; without it their files are read now.
 
         Raises:
-            BadFile: the URDF is broken (file, line). Refused: the name or the namespace is in use. BadName.
+            BadFile: the URDF is broken (file, line). Refused: the name or the namespace is in use. BadName: no name.
             SlidectlError: the world or the hardware refuses it. After an error nothing is left behind.
         """
         return self.spawn_read(self.read(xml, name, namespace), pose, hulls)
@@ -257,9 +257,13 @@ class Robots:
     def read(self, xml: str, name: str, namespace: str | None = None, *, is_model: bool = False) -> ParsedRobot:
         """Parse a robot, and check all that can be checked without its meshes. Raises as `spawn`.
 
-        With `is_model` it gets no controller manager, unless it has transmissions or the control plugin.
+        With `is_model` it gets no controller manager, unless it has transmissions or the control plugin. A name that
+        is no graph name becomes one, as Gazebo takes any; the log says so.
         """
-        self._check_name(name)
+        chosen = names.legal_robot(name)
+        self._check_name(chosen)
+        if remark := names.remark_on_robot(name):
+            self._loop.graph.log("warn", names.OWN_NODE, remark)
         may_use_files = Effect.FILES in self._loop.graph.services.permitted
         urdf, note = source_note.split(xml)
         # A note says where meshes are: a client that may name no files gives none, and gets none.
@@ -277,7 +281,7 @@ class Robots:
         except UnknownName as error:
             raise BadFile(error.message, plugin.file or DESCRIPTION, plugin.line, error.hint) from None
         is_controlled = not is_model or paper.plugin is not None or bool(paper.transmissions)
-        parsed = ParsedRobot(name, place, paper, urdf, note, self._loop.graph.caller, is_controlled, may_use_files)
+        parsed = ParsedRobot(chosen, place, paper, urdf, note, self._loop.graph.caller, is_controlled, may_use_files)
         self._check_namespace(parsed)
         return parsed
 

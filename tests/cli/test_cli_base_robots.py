@@ -161,13 +161,62 @@ def test_a_taken_name_or_namespace_is_refused_and_changes_nothing(world: Command
     assert json.loads(world.ok("controller", "list", "--json"))["type"] == "effort_controllers/JointPositionController"
 
 
-@pytest.mark.parametrize("name", ["1x", "a/b", "_a"])
-def test_a_bad_name_is_wrong_usage_and_sets_no_parameter(world: CommandLine, name: str) -> None:
-    done = world("spawn", "slider", "-n", name, "--controllers", "config/slider_control.yaml")
+@pytest.mark.parametrize(
+    ("name", "robot"),
+    [
+        ("scout/", "scout"), ("/", "robot"), ("2dof_robot", "robot_2dof_robot"), ("schieber_ü", "schieber_u"),
+        ("a b", "a_b"), ("_a", "a"), ("a/b", "a_b"),
+    ],
+)  # fmt: skip
+def test_any_name_is_taken_and_made_a_graph_name_with_a_remark(world: CommandLine, name: str, robot: str) -> None:
+    words = ("-n", name, "--controllers", "config/slider_control.yaml", "--start", "joint_state_controller")
+    done = world("spawn", "slider", *words)
+    assert done.returncode == 0, done.stderr
+    assert f"warning: {name!r} cannot be a part of a topic's name: the robot is {robot} here\n" in done.stderr
+    assert f"{robot}: spawned in /{robot} at" in done.stdout
+    assert json.loads(world.ok("robots", robot, "--json"))["controllers"] == ["joint_state_controller"]
+
+
+def test_a_model_may_have_a_name_that_is_no_graph_name(world: CommandLine, tmp_path: Path) -> None:
+    file = tmp_path / "odd.urdf"
+    file.write_text('<robot name="2dof robot"><link name="world"/></robot>')
+    done = world("spawn", str(file))
+    assert done.returncode == 0, done.stderr
+    assert "'2dof robot' cannot be a part of a topic's name: the robot is robot_2dof_robot here" in done.stderr
+    assert "robot_2dof_robot here" in world.ok("check", str(file))
+    answer = world(
+        "service", "call", "/gazebo/spawn_urdf_model", f"{{model_name: 'ü/', model_xml: '{file.read_text()}'}}"
+    )
+    assert "success: True" in answer.stdout, answer.stdout
+    assert "'ü/' cannot be a part of a topic's name: the robot is u here" in answer.stderr
+    assert json.loads(world.ok("robots", "u", "--json"))["namespace"] == "/u"
+
+
+def test_no_name_at_all_is_wrong_usage_and_sets_no_parameter(world: CommandLine) -> None:
+    before = world.ok("param", "list")
+    done = world("spawn", "slider", "-n", "", "--controllers", "config/slider_control.yaml")
     assert done.returncode == 2
     assert "name of a robot" in done.stderr
     assert "-n NAME" in done.stderr
-    assert name not in world.ok("param", "list")
+    assert world.ok("param", "list") == before
+
+
+def test_the_name_of_a_controller_may_hold_a_slash(world: CommandLine, tmp_path: Path) -> None:
+    file = tmp_path / "grouped.yaml"
+    file.write_text(
+        "grouped:\n  in/state: {type: joint_state_controller/JointStateController, publish_rate: 50}\n"
+        "  arm:\n    position: {type: effort_controllers/JointPositionController, joint: joint1, pid: {p: 1.0}}\n"
+    )
+    world.ok("spawn", "slider", "-n", "grouped", "--controllers", str(file), "--start", "in/state")
+    listed = world.ok("controller", "list", "--all", "--cm", "/grouped", "-o", "csv").splitlines()
+    assert [line.split(",")[1:3] for line in listed[1:]] == [["in/state", "running"], ["arm/position", "unloaded"]]
+    hint = "arm/position is not loaded; load and start it: slidectl controller spawn arm/position"
+    assert hint in world("pub", "/grouped/arm/position/command", "1.0").stderr
+    world.ok("controller", "spawn", "arm/position")
+    world.ok("pub", "arm/position/command", "0.5")
+    world.ok("controller", "stop", "/grouped/arm/position")
+    world.ok("controller", "switch", "--start", "arm/position", "--stop", "in/state")
+    world.ok("controller", "unspawn", "arm/position/")
 
 
 def test_an_unknown_controller_is_found_before_the_robot_is_spawned(world: CommandLine) -> None:
@@ -194,8 +243,7 @@ def test_a_start_that_is_refused_leaves_the_robot_there(world: CommandLine, tmp_
         (["./nowhere.xacro"], "nowhere.xacro: no such file"),
         (["slider", "width"], "'width' is not KEY:=VALUE"),
         (["slider", "--controllers", "nowhere.yaml"], "nowhere.yaml: no such file"),
-        (["slider", "-n", "a b"], "not a legal name"),
-        (["slider", "-n", "\udcff"], "not a legal name of a robot"),
+        (["slider", "-n", "a" * 1001], "1000 is the most"),
         (["slider", "--package", "here"], "is not KEY=VALUE"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",

@@ -163,7 +163,7 @@ def test_xacro_in_another_command_leaves_out_what_the_launch_leaves_out(ends: Co
 def test_any_name_of_a_model_is_taken(ends: CommandLine, tmp_path: Path, name: str, robot: str, namespace: str) -> None:
     done = ends("launch", written(tmp_path, WORLD, MODEL, SPAWN.format(f"-model '{name}'")), "--detach")
     assert done.returncode == 0, done.stderr
-    assert f"{name!r} cannot be a part of a topic's name: the model is {robot} here" in done.stderr
+    assert f"{name!r} cannot be a part of a topic's name: the robot is {robot} here" in done.stderr
     assert json.loads(ends.ok("robots", robot, "--json"))["namespace"] == namespace
 
 

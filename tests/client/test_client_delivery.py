@@ -9,7 +9,7 @@ from daemon_fixture import Runtime
 
 from slidectl.client import Client
 from slidectl.client.client import MessagesDropped
-from slidectl.errors import MessageRefused, UsageError
+from slidectl.errors import MessageRefused, Refused, UsageError
 
 
 def test_a_message_is_delivered_or_refused_in_one_go(daemon: Runtime, client: Client) -> None:
@@ -107,5 +107,23 @@ def test_the_manager_of_the_only_robot_has_the_verbs(runtime: Runtime) -> None:
         manager.stop("joint_state_controller")
         assert manager.states() == {"joint_state_controller": "stopped"}
         manager.start(["joint_state_controller"])
-        manager.unspawn("joint_state_controller")
+        manager.load("joint1_position_controller")
+        manager.switch(["joint1_position_controller"], ["joint_state_controller"])
+        assert [(one["name"], one["state"]) for one in manager.controllers()] == [
+            ("joint_state_controller", "stopped"), ("joint1_position_controller", "running")
+        ]  # fmt: skip
+        assert "effort_controllers/JointPositionController" in manager.types()["types"]
+        manager.unload("joint_state_controller")
+        with pytest.raises(Refused, match="joint_state_controller"):
+            manager.unload("joint_state_controller")
+        manager.unspawn("joint1_position_controller")
+        assert (manager.states(), manager.known()) == ({}, manager.configured())
+
+
+def test_a_name_that_is_no_graph_name_is_taken_with_a_warning(runtime: Runtime) -> None:
+    runtime.start(paused=True)
+    with runtime.client() as client:
+        with pytest.warns(UserWarning, match="'2dof' cannot be a part of a topic's name: the robot is robot_2dof here"):
+            robot = client.spawn("slider", name="2dof", controllers="config/slider_control.yaml")
+        assert (robot["name"], robot["namespace"]) == ("robot_2dof", "/robot_2dof")
         assert manager.states() == {}

@@ -9,7 +9,7 @@ from description_urdf_text import cart
 
 from slidectl.description import namespace_of, parse, with_transmissions
 from slidectl.description.robot import ControlPlugin, Surface
-from slidectl.errors import BadFile, BadName
+from slidectl.errors import BadFile
 
 Notices = Callable[[str], list[str]]
 Refuse = Callable[[str], BadFile]
@@ -67,9 +67,8 @@ def test_without_a_plugin_the_namespace_is_the_name() -> None:
     assert namespace_of(parse(cart()), "left") == "/left"
 
 
-def test_a_name_that_is_no_namespace_is_refused() -> None:
-    with pytest.raises(BadName, match="my robot"):
-        namespace_of(parse(cart()), "my robot")
+def test_a_name_that_is_no_namespace_becomes_one() -> None:
+    assert namespace_of(parse(cart()), "my robot/2") == "/my_robot/robot_2"
 
 
 @pytest.mark.parametrize(

@@ -76,9 +76,17 @@ def test_a_name_or_namespace_that_is_taken_is_refused(simulation: Simulation) ->
     assert traces(simulation) == before
 
 
-@pytest.mark.parametrize("name", ["", "a/b", "a b", "9lives", "~x"])
+@pytest.mark.parametrize("name", ["", "a" * 1001])
 def test_a_name_that_cannot_be_one_is_refused(simulation: Simulation, name: str) -> None:
     with pytest.raises(BadName):
+        simulation.spawn(cart(), name)
+
+
+@pytest.mark.parametrize(("name", "legal"), [("a/b", "a_b"), ("a b", "a_b"), ("9lives", "robot_9lives"), ("~x", "x")])
+def test_another_name_is_made_legal(simulation: Simulation, name: str, legal: str) -> None:
+    simulation.spawn(cart(), name)
+    assert simulation.robots.names() == [legal]
+    with pytest.raises(Refused, match=f"a robot '{legal}' already"):
         simulation.spawn(cart(), name)
 
 

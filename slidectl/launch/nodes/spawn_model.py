@@ -164,8 +164,8 @@ class SpawnModel(Task):
             self.settled(run, f"{self._source} is a ground plane, which is the world's own")
             return None
         self.parts = [request["model_name"] for request in requests]
-        if self.asked_name != self.model:
-            self.warn(run, f"{self.asked_name!r} cannot be a part of a topic's name: the model is {self.model} here")
+        if remark := names.remark_on_robot(self.asked_name):
+            self.warn(run, remark)
         there = run.call("/slidectl/status")["robots"]
         added = [name for name in self.parts if name not in there]
         run.spawned += added  # before the call: an interrupted call may have spawned them
