@@ -126,4 +126,3 @@ def test_a_name_that_is_no_graph_name_is_taken_with_a_warning(runtime: Runtime) 
         with pytest.warns(UserWarning, match="'2dof' cannot be a part of a topic's name: the robot is robot_2dof here"):
             robot = client.spawn("slider", name="2dof", controllers="config/slider_control.yaml")
         assert (robot["name"], robot["namespace"]) == ("robot_2dof", "/robot_2dof")
-        assert manager.states() == {}
