@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -234,6 +235,23 @@ def test_a_start_that_is_refused_leaves_the_robot_there(world: CommandLine, tmp_
     assert "nope" in done.stderr
     assert json.loads(done.stdout)["name"] == "slider"
     assert robot(world, "slider")["controllers"] == []
+
+
+def test_a_start_that_is_refused_says_how_to_go_on_and_that_works(world: CommandLine, tmp_path: Path) -> None:
+    file = tmp_path / "c.yaml"
+    written = "slider:\n  c: {type: effort_controllers/JointPositionController, joint: nope, pid: {p: 1.0}}\n"
+    file.write_text(written)
+    told = world("spawn", "slider", "--controllers", str(file), "--start", "c").stderr
+    config, again = "controller config (\\S+) --cm /slider", "controller spawn c --cm /slider"
+    assert re.search(
+        f"the robot stays in the world: correct {file}, then slidectl .*{config}; slidectl .*{again}", told
+    )
+    assert re.search("or take it out again: slidectl .*delete slider", told)
+    file.write_text(written.replace("nope", "joint1"))
+    world.ok("controller", "config", str(file), "--cm", "/slider")
+    world.ok(*again.split())
+    assert robot(world, "slider")["controllers"] == ["c"]
+    world.ok("delete", "slider")
 
 
 @pytest.mark.parametrize(
