@@ -85,7 +85,7 @@ def _is_near(one: str, other: str) -> bool:
     """True unless the names have words that are not alike: `my_camera` and `his_camera` are not one name mistyped."""
     from difflib import SequenceMatcher
 
-    words, others = (re.split(r"[_/]+", name.lower().strip("/_")) for name in (one, other))
+    words, others = (re.split(r"[_/ ]+", name.lower().strip("/_")) for name in (one, other))
     if len(words) != len(others):
         if set(words) <= set(others) or set(others) <= set(words):  # a word was left out, or is too much
             return True
@@ -226,6 +226,8 @@ class BadName(UsageError):
 
     def __init__(self, name: str, rule: str = "", hint: str | None = None) -> None:
         rule = rule or "name: letters, digits, '_' and '/', and the first is a letter, '/' or '~'"
+        if hint is None and " " in name:  # as a printed page has it, or a reader who copies from one
+            hint = f"names have no blanks: did you mean {quoted('_'.join(name.split()))}?"
         super().__init__(f"{quoted(name)} is not a legal {rule}", hint)
 
 

@@ -11,9 +11,10 @@ import io
 import os
 import stat
 import sys
+from itertools import islice
 from typing import TYPE_CHECKING, BinaryIO, TextIO, cast
 
-from slidectl.errors import BadFile, NotThere
+from slidectl.errors import BadFile, NotThere, closest
 from slidectl.operating_system import OPEN_FILES
 
 if TYPE_CHECKING:
@@ -24,6 +25,8 @@ MOST_TEXT = 16 * 2**20
 LARGEST = 256 * 2**20
 """The most bytes of any other file that is read whole."""
 _PIECE = 2**20
+_MOST_COMPARED = 1000
+"""The most files of a folder that are looked at for a similar name."""
 _KINDS = {
     stat.S_IFDIR: "a folder", stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket",
     stat.S_IFLNK: "a link", stat.S_IFCHR: "a device", stat.S_IFBLK: "a device",
@@ -168,8 +171,27 @@ def _check(there: os.stat_result, shown: str, most_bytes: int | None, pipes: boo
 def _unreadable(error: OSError, shown: str) -> BadFile:
     """The error for a file that the system does not open or read."""
     reason = error.strerror or str(error)
-    kind = NotThere if isinstance(error, FileNotFoundError) else BadFile
-    return kind(reason[:1].lower() + reason[1:], shown)
+    if not isinstance(error, FileNotFoundError):
+        return BadFile(reason[:1].lower() + reason[1:], shown)
+    return NotThere(reason[:1].lower() + reason[1:], shown, hint=near(shown))
+
+
+def near(path: str) -> str | None:
+    """A hint for a file that is not there: one beside it with a similar name, or the folder that is not there."""
+    folder, name = os.path.split(path)
+    try:
+        with os.scandir(folder or ".") as there:
+            known = [entry.name for entry in islice(there, _MOST_COMPARED)]
+        stem, suffix = os.path.splitext(name)
+        # Endings make all names alike, and an ending may be what is wrong.
+        stems = {os.path.splitext(other)[0]: other for other in known if os.path.splitext(other)[1] == suffix}
+        stems |= {other: other for other in known if os.path.splitext(other)[0] == stem}
+    except FileNotFoundError:
+        return f"there is no folder {folder}"
+    except (OSError, ValueError):
+        return None
+    found = closest(stem, stems) or closest(name, stems)
+    return None if found is None else f"did you mean {os.path.join(folder, stems[found])}?"
 
 
 def _too_large(shown: str, most_bytes: int) -> BadFile:

@@ -51,6 +51,11 @@ class InstancePaths:
         return self.folder / f"{self.prefix}lock"
 
     @property
+    def page(self) -> Path:
+        """The file that a running `slidectl view` locks; it holds its process id and the address of the page."""
+        return self.folder / f"{self.prefix}page.lock"
+
+    @property
     def log(self) -> Path:
         """The daemon's log; rotated copies are `log.1` and so on."""
         return self.folder / f"{self.prefix}log"

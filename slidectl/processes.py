@@ -13,7 +13,7 @@ import os
 import stat
 import sys
 from contextlib import suppress
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
 from slidectl.errors import Refused
 from slidectl.operating_system import lock_holder
@@ -45,6 +45,25 @@ def holder(path: Path) -> int | None:
     except OSError as error:
         raise _lock_failed("ask", path, error) from None
     return None if pid is None else max(0, pid)
+
+
+class Listening(NamedTuple):
+    """A process that holds a lock, and the address that it has written behind its process id; empty at its start."""
+
+    pid: int
+    address: str
+
+
+def listening(path: Path) -> Listening | None:
+    """The process that holds the lock, with the address where it listens, or None. Raises Refused as `holder`."""
+    pid = holder(path)
+    if pid is None:
+        return None
+    try:
+        _, _, address = path.read_text(encoding="utf-8").partition("\n")
+    except OSError:  # the process ends right now
+        address = ""
+    return Listening(pid, address)
 
 
 def lock(path: Path) -> int | None:

@@ -605,20 +605,35 @@ def manager_of_some(context: Context, wanted: str | None, controllers: Sequence[
 
 def next_step(context: Context, topic: str) -> str | None:
     """A hint with the command that must run before a controller takes messages on `topic`; None when none must."""
-    above = parent(join("/", topic)) + "/"
+    steps = _steps(context, parent(join("/", topic)))
+    return steps[0] if steps and topic.rpartition("/")[2] == "command" else None
+
+
+def step_to_joint_states(context: Context) -> str:
+    """A hint with the command that must run before there are joint states."""
+    steps = _steps(context, "/joint_state_controller")
+    return steps[0] if steps else "a running joint_state_controller publishes them: slidectl controller list"
+
+
+def _steps(context: Context, node: str) -> list[str]:
+    """What must be done before the controller whose names begin with `node` runs: a step for each robot.
+
+    One step alone when the controller is only not loaded.
+    """
+    above = node + "/"
     found = context.managers()
     steps = [] if found else ["no robot with controllers is in the world; spawn one: slidectl spawn slider"]
     for manager in found:
         space, states, configured = manager.namespace, manager.states(), manager.configured()
         waiting = [name for name in configured if name not in states]
         if controller := next((name for name in waiting if above.endswith(f"/{name}/")), None):
-            return f"{controller} is not loaded; load and start it: slidectl controller spawn {controller}"
+            return [f"{controller} is not loaded; load and start it: slidectl controller spawn {controller}"]
         if waiting:
             steps.append(f"not loaded in {space}: {listing(waiting)}; load and start: slidectl controller spawn NAME")
         elif not states:
             load_them = "load their configuration: slidectl controller config FILE.yaml"
             steps.append(f"{space} has no controllers yet; {load_them}")
-    return steps[0] if steps and topic.rpartition("/")[2] == "command" else None
+    return steps
 
 
 def _known(managers: Sequence[Manager]) -> tuple[dict[str, dict[str, str]], dict[str, set[str]]]:

@@ -12,7 +12,8 @@ from slidectl import names
 from slidectl.cli import completion, output
 from slidectl.cli.commands import command, simulated_seconds
 from slidectl.cli.context import Context
-from slidectl.cli.topic_streams import PUBLISHERS, Event, Stream, Target, look_up, look_up_when_there
+from slidectl.cli.published_topics import look_up_published
+from slidectl.cli.topic_streams import Event, Stream, Target, look_up_when_there
 from slidectl.errors import TimedOut, UnknownName, Unused, UsageError
 from slidectl.msgs.field_path import Selection, select
 from slidectl.msgs.forms import CsvForm, YamlForm
@@ -90,7 +91,7 @@ def echo(
     look = MessageFormat("csv" if plot else ctx.format, not noarr, not nostr, width, clear, offset)
     begun: list[Subscription] = []
     try:
-        topic = look_up(ctx, target, PUBLISHERS)
+        topic = look_up_published(ctx, target)
     except (UnknownName, Unused):
         if not wait:
             raise

@@ -53,6 +53,7 @@ def _launch_files(context: click.Context, param: click.Parameter, incomplete: st
         "slidectl launch my_slider slider.launch",
         "slidectl launch rrbot_gazebo rrbot_world.launch paused:=true",
         "slidectl launch slider --detach",
+        "slidectl launch slider gui:=true",
         "slidectl launch robot.launch --package my_robot=~/src/my_robot --dry-run",
     ]
 )
@@ -65,6 +66,7 @@ def _launch_files(context: click.Context, param: click.Parameter, incomplete: st
 @click.option("--args", "args_of", metavar="NODE", help="Print the command line of a node.")
 @click.option("--find-node", metavar="NODE", help="Print the file that defines a node.")
 @click.option("--detach", is_flag=True, help="Return when everything runs, and leave it running.")
+@click.option("--view", is_flag=True, help="Open the page in a browser, until the launch ends; as gui:=true does.")
 @click.option("--wait", is_flag=True, help="Wait for a daemon instead of starting one (60 s, or --timeout).")
 @click.option("--package", "packages", multiple=True, metavar="NAME=PATH", help="Where a package is; may repeat.")
 @click.option("--keep-going", is_flag=True, help="Leave out files that are not there and nodes that fail, too.")
@@ -92,12 +94,14 @@ def launch(ctx: Context, /, words: tuple[str, ...], packages: tuple[str, ...], *
     broken file is 2. Packages, programs and controllers that are not there are left out, as roslaunch does with
     nodes: one list at the start, and again when everything else runs. It exits with 1 when no robot or none of its
     controllers came up. A required node, and a file that is read, must be there. --strict refuses all that is not
-    there before anything starts. Robots that a launch that fails has spawned, itself or by its programs, go again. NAME
-    is a launch file that is shipped; - is standard input. JSON keys: event, text, and those of the event.
+    there before anything starts. gui:=true opens the page of 'slidectl view' where the file asks for a window of
+    Gazebo, RViz or rqt then; --view does with any file. Robots that a launch that fails has spawned, itself or by its
+    programs, go again. NAME is a launch file that is shipped; - is standard input. JSON keys: event, text, and those
+    of the event.
     """
     from slidectl.cli import launch_text
     from slidectl.daemon import lifecycle
-    from slidectl.launch import execution, node_kinds
+    from slidectl.launch import execution, node_kinds, open_page
 
     asked = ["--" + name.replace("_of", "").replace("_", "-") for name in _LISTINGS if given[name]]
     if len(asked) > 1:
@@ -108,13 +112,31 @@ def launch(ctx: Context, /, words: tuple[str, ...], packages: tuple[str, ...], *
     master = ros_master(ctx)
     plan.missing.world_decides = ctx.up is not None or given["wait"] or lifecycle.running(ctx.paths) is not None
     tasks = node_kinds.tasks(plan, lookup, gather=True, has_master=bool(master))
+    opens_page = given["view"] or wants_window(words, tasks)
+    if opens_page:
+        from slidectl.launch.nodes.page_process import OpenPage
+
+        tasks.append(OpenPage(plan, "--view" if given["view"] else "gui:=true"))
     if given["dry_run"] or plan.missing:  # find everything that is missing before a daemon is started
         execution.look_ahead(plan, tasks, lookup, run_commands=False)
     tell_own_packages(ctx, lookup)
     if given["dry_run"] or given["args_of"]:
         launch_text.tell_tasks(ctx, plan, tasks, given["args_of"])
         return
-    _run(ctx, plan, tasks, lookup, title, given, master)
+    if opens_page and not open_page.has_page():
+        raise Refused("the page needs the library viser", "install it: pip install 'slidectl[view]'")
+    _run(ctx, plan, tasks, lookup, title, {**given, "view": opens_page}, master)
+
+
+def wants_window(words: Sequence[str], tasks: Sequence[Task]) -> bool:
+    """True when the command line says gui:=true of a launch with a window of Gazebo, RViz or rqt in it.
+
+    A window that a launch file asks for by itself is none: most do, and then nobody may sit before a screen.
+    """
+    from slidectl.launch.nodes.left_out import Viewer, Window
+
+    said = [word.partition(":=")[2].strip().lower() for word in words if word.startswith("gui:=")]
+    return said[-1:] in (["true"], ["1"]) and any(isinstance(task, Viewer | Window) for task in tasks)
 
 
 def ros_master(ctx: Context) -> str:
@@ -259,6 +281,7 @@ def _run(
     )
     with Interrupts() as interrupts, pid_file(given["pid_file"]):
         run = Run(plan, packages, Terminal(ctx), options, interrupts, str(paths.folder / "launch"), environment)
+        run.has_page = given["view"]
         daemon: DaemonAccess = LaunchDaemon(ctx, child=not given["detach"], wait=given["wait"])
         if ctx.up is not None:
             daemon, run.watch = RunningDaemon(ctx), WorldWatch(ctx.client)

@@ -30,6 +30,7 @@ from slidectl.errors import (
     NoDescriptors,
     Refused,
     SlidectlError,
+    UsageError,
     cut,
 )
 
@@ -102,6 +103,9 @@ _CALLED_ELSEWHERE = {
     "rosbag": ("record", "play", "bag"),
     "run": ("launch FILE", "ros rosrun PACKAGE NODE"),
     "start": ("launch FILE",),
+    "gazebo": ("daemon start", "launch FILE"),
+    "list": ("controller list", "topic list", "robots"),
+    "ros2": ("topic", "service", "param", "action", "controller", "launch", "ros"),
     "switch_controller": ("controller switch",),
     **{tool: (f"ros {tool}",) for tool in ("roslaunch", "rostopic", "rosservice", "rosparam", "rosrun", "rosnode")},
 }
@@ -143,11 +147,26 @@ class Root(Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         if args[0] != "help":
+            self._answer_window(ctx, args)
             return super().resolve_command(ctx, args)
         if not args[1:]:
             output.write(ctx.get_help())
             ctx.exit()
         return super().resolve_command(ctx, [*args[1:], "--help"])
+
+    def _answer_window(self, ctx: click.Context, args: list[str]) -> None:
+        """Raise UsageError for the name of a window of ROS or Gazebo, with the commands that show the same."""
+        if args[0] in COMMANDS or args[0].startswith("-"):
+            return
+        from slidectl.client import windows
+
+        if args[0] in windows.ALONE:
+            context = ctx.find_object(Context)
+            from slidectl.launch.open_page import instead_of_window
+
+            package = windows.ALONE[args[0]][0]
+            hint = instead_of_window(package, args[1:], context.paths if context is not None else None)
+            raise UsageError(f"no command {args[0]!r}", "\n".join(hint))
 
     def elsewhere(self, ctx: click.Context, name: str) -> list[str]:
         """The full commands that a name may mean: commands of that name in groups, and those of _CALLED_ELSEWHERE."""

@@ -48,7 +48,7 @@ def status_text(answer: dict[str, Any]) -> str:
         "lock-step": answer["lockstep"] and f"with {' '.join(answer['lockstep'])}",
         "speed": f"{speed_text(answer['speed'])} asked, {answer['speed_reached'] or 0:.3g} reached",
         "engine": answer["engine"],
-        "cameras": answer["pictures"] and f"drawn by {answer['pictures']}",
+        "cameras": answer["pictures"] and "; ".join([f"drawn by {answer['pictures']}", *camera_rates(answer)]),
         "cycle time": ", ".join(cycles),
         "lateness": f"{late}, {answer['overruns']} overruns",
         "robots": " ".join(answer["robots"]) or "none",
@@ -62,6 +62,12 @@ def status_text(answer: dict[str, Any]) -> str:
         "daemon": f"{answer['version']}, {answer['instance']}, process {answer['pid']}, up {answer['uptime']:.0f} s",
     }
     return "\n".join(f"{key + ':':<12} {text}" for key, text in lines.items() if text)
+
+
+def camera_rates(answer: dict[str, Any]) -> list[str]:
+    """For each camera that draws pictures, its topic and rate, from the answer of /slidectl/status."""
+    rates = zip(answer["cameras"], answer["cameras_asked"], answer["cameras_reached"], strict=True)
+    return [f"{topic}: {asked:.3g} Hz asked, {reached:.3g} reached" for topic, asked, reached in rates]
 
 
 def speed_text(speed: float) -> str:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Sequence, Sized
+from collections.abc import Callable, Collection, Sequence, Sized
 from time import monotonic, monotonic_ns
 from typing import Any
 
@@ -29,6 +29,7 @@ Render = Callable[[Sequence[Record]], str]
 
 NOTHING_NEW = "no new messages"
 _REPORT_PERIOD_S = 1.0
+_PICTURES = "sensor_msgs/Image"
 _LARGEST_WINDOW = 10_000_000
 
 
@@ -39,6 +40,8 @@ class Meter:
     """Figures of the last `window` messages of a topic. `take` gets a message with its simulated arrival time."""
 
     _window: Sized
+    is_camera = False
+    """True for pictures, whose rate may be lower than that asked for."""
 
     def __init__(self, topic: str) -> None:
         self.topic = topic
@@ -223,6 +226,7 @@ def measure(
         heard = stream.monotonic()
         period = _REPORT_PERIOD_S if stream.sim_seconds is None or reports is not None else math.inf
         due = heard + period
+        cameras = [meter.topic for meter in meters if meter.is_camera]
         try:
             while left > 0 and not stream.ended:
                 event = stream.next(min(due, heard + patience))
@@ -235,12 +239,26 @@ def measure(
                     due += period
                     left -= 1
                     _report(ctx, meters, text)
+                    if cameras and _tell_slow_cameras(ctx, cameras):
+                        cameras = []  # once
         except (KeyboardInterrupt, NoDaemon):
             if any(meter.new for meter in meters):  # the pending report, which rostopic prints on Ctrl-C, too
                 _report(ctx, meters, text)
             raise
     if not any(meter.total for meter in meters):
         raise Refused(f"no messages on {', '.join(by_topic)}", "is the simulation paused? see: slidectl sim status")
+
+
+def _tell_slow_cameras(ctx: Context, topics: Collection[str]) -> bool:
+    """Warn of cameras that drawing does not keep up with. True when there was one."""
+    status = ctx.call("/slidectl/status")
+    found = False
+    keys = ("cameras", "cameras_asked", "cameras_reached", "cameras_advice")
+    for topic, asked, reached, advice in zip(*(status[key] for key in keys), strict=True):
+        if topic in topics and advice:
+            found = True
+            ctx.warn(f"{topic}: {asked:.3g} Hz asked, {reached:.3g} reached; {advice}")
+    return found
 
 
 def _report(ctx: Context, meters: Sequence[Meter], text: Render) -> None:
@@ -278,6 +296,8 @@ def rates(
     meters = [
         IntervalMeter(topic, window, time_of(schema), predicate(condition, schema)) for topic, schema in schemas.items()
     ]
+    for meter in meters:
+        meter.is_camera = any(target.topic == meter.topic and target.type == _PICTURES for target in targets)
     clock = not wall_time and not all(schema.has_header for schema in schemas.values())
     return Stream(ctx, list(schemas), with_clock=clock, sim_seconds=sim_seconds), meters
 

@@ -47,6 +47,7 @@ def view(
     JSON keys: url, port, instance, read_only.
     """
     from slidectl.client import Client
+    from slidectl.launch.open_page import announced
     from slidectl.launch.supervision import Interrupted, Interrupts
 
     try:
@@ -66,7 +67,7 @@ def view(
     permitted = check_effects(read_only, allow)
     if token is None:
         check_users_can_be_told(any_user)
-    instance = ctx.client.paths.name  # raises NoDaemon when none runs
+    paths = ctx.client.paths  # raises NoDaemon when none runs
     guard = AccessGuard(host, token or "", any_user)
     server = GuardedServer(host, free, guard)
     taken = server.get_port()  # viser takes the next port when another process has taken this one
@@ -84,13 +85,13 @@ def view(
     lay_out(page)
     address = f"http://{shown_host(host)}:{taken}/"
     url = address + (f"?token={token}" if token else "")
-    ctx.done({"url": url, "port": taken, "instance": instance, "read_only": read_only}, url)
-    if is_opened and any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")):
-        import webbrowser
-
-        webbrowser.open(address + (f"?token={guard.word()}" if token else ""))
+    ctx.done({"url": url, "port": taken, "instance": paths.name, "read_only": read_only}, url)
     try:
-        with suppress(Interrupted), Interrupts() as interrupts, interrupts.raised():
+        if is_opened and any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")):
+            import webbrowser
+
+            webbrowser.open(address + (f"?token={guard.word()}" if token else ""))
+        with suppress(Interrupted), announced(paths, address), Interrupts() as interrupts, interrupts.raised():
             page.run(lambda: bool(interrupts.received))
     finally:
         page.close()

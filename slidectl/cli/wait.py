@@ -12,7 +12,8 @@ import click
 from slidectl.cli import completion, output, robots
 from slidectl.cli.commands import command, finite, simulated_seconds, wait_for_world_s
 from slidectl.cli.context import Context
-from slidectl.cli.topic_streams import PUBLISHERS, look_up, paused, resume_hint
+from slidectl.cli.published_topics import look_up_published
+from slidectl.cli.topic_streams import paused, resume_hint
 from slidectl.errors import Refused, SlidectlError, TimedOut, UsageError
 from slidectl.msgs.schema import Schema, nanoseconds
 
@@ -86,7 +87,7 @@ def wait(
     reached, value, closest, time.
     """
     condition, value = _condition(near, above, below, equals, tol)
-    found = look_up(ctx, target, PUBLISHERS)
+    found = look_up_published(ctx, target)
     request = {
         "topic": found.topic,
         "field": found.field,

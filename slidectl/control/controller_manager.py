@@ -6,7 +6,7 @@ It does not know the names of the services that call it, nor the clients that wa
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
@@ -19,6 +19,7 @@ from slidectl.control.controller_interface import ControllerBase, State
 from slidectl.control.duration import NANOSECONDS, to_seconds
 from slidectl.control.hardware_interface import (
     CommandAttribute,
+    Conflict,
     ControllerInfo,
     JointHandle,
     JointStateInterface,
@@ -45,6 +46,7 @@ from slidectl.errors import BadName, Refused, SlidectlError, UnknownName, quoted
 
 T = TypeVar("T")
 
+_TO_START = "start it: slidectl controller start"
 _LONGEST_BUDGET_S = 1e9
 
 
@@ -291,6 +293,16 @@ class Plan:
     start: list[ControllerInfo] = field(default_factory=list)
     stop: list[ControllerInfo] = field(default_factory=list)
     running: list[ControllerInfo] = field(default_factory=list)
+
+
+def _way_out(conflicts: Sequence[Conflict], starting: Collection[str]) -> str:
+    """The switch that frees the resources of those that start; empty when they only conflict with one another."""
+    claims = list(dict.fromkeys(name for conflict in conflicts for name in conflict.controllers))
+    in_the_way = [name for name in claims if name not in starting]
+    if not in_the_way:
+        return ""
+    to_start = " ".join(name for name in claims if name in starting)
+    return f"; slidectl controller switch --start {to_start} --stop {' '.join(in_the_way)}"
 
 
 def plan_switch(
@@ -596,6 +608,9 @@ class ControllerManager:
 
     def load_again(self, name: str) -> None:
         """As `load`, but raises the error."""
+        if name in self._loaded:
+            is_running = self._loaded[name].state is State.RUNNING
+            raise Refused(f"it is loaded already{', and running' if is_running else f'; {_TO_START} {name}'}")
         self.check_new(name)
         self._loaded[name] = self._load(name)
 
@@ -794,7 +809,8 @@ class ControllerManager:
         if conflicts:
             for conflict in conflicts:
                 self._node.log("warn", f"resource conflict: {conflict}")
-            raise Refused(f"resource conflict: {'; '.join(map(str, conflicts))}")
+            text = f"resource conflict: {'; '.join(map(str, conflicts))}"
+            raise Refused(text + _way_out(conflicts, {info.name for info in plan.start}))
         with watched_hardware(self._hw):
             is_possible = self._hw.prepare_switch(plan.start, plan.stop)
         if not is_possible:

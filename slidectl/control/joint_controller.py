@@ -35,8 +35,10 @@ class CommandController(Controller[JointCommandInterface]):
         self._told_ns = 0
         node.subscribe("command", type_name, receive)
 
-    def _check(self, commands: Sequence[tuple[JointHandle, float, tuple[float, float]]]) -> None:
+    def _check(self, commands: Sequence[tuple[JointHandle, float, tuple[float, float]]], remark: str = "") -> None:
         """Check a command: each joint, its value, and the lowest and the highest value that is not clipped.
+
+        `remark` is a warning about a value that is not clipped, and is added to the one about a clipped one.
 
         ros_control accepts nan and infinity, and runs with them.
 
@@ -49,7 +51,8 @@ class CommandController(Controller[JointCommandInterface]):
             self._node.log("error", text)
             raise MessageRefused(text)
         if self.state is not State.RUNNING:  # `starting` will overwrite the command
-            self._tell(f"{name} is not running: the command has no effect", "idle")
+            start = f"start it: slidectl controller start {name.rpartition('/')[2]}"
+            self._tell(f"{name} is not running: the command has no effect; {start}", "idle")
             return
         beyond = [
             (joint.name, value, "lower" if value < lowest else "upper", lowest if value < lowest else highest)
@@ -58,11 +61,14 @@ class CommandController(Controller[JointCommandInterface]):
         ]
         if not beyond:
             self._told = ""
+            if remark:
+                self._tell(f"{name}: {remark}", remark)
             return
         parts = [
             f"{value:g} is beyond the {side} limit of joint {joint!r}; it gets {limit:g}"
             for joint, value, side, limit in beyond
         ]
+        parts += [remark] if remark else []
         self._tell(f"{name}: {', '.join(parts)}", " ".join(f"{side} {joint}" for joint, _, side, _ in beyond))
 
     def _tell(self, text: str, what: str) -> None:
@@ -85,13 +91,17 @@ class ScalarController(CommandController):
         """The lowest and the highest command. Others are clipped to these."""
         return self._joint.lowest, self._joint.highest
 
+    def remark(self, value: float) -> str:  # noqa: ARG002
+        """A warning about a value that is not likely to be meant; empty for none."""
+        return ""
+
     def set_command(self, value: float) -> None:
         """Follow this value from the next update on, in units of the command."""
         raise NotImplementedError
 
     def _receive(self, message: Message) -> None:
         value: float = message["data"]
-        self._check([(self._joint, value, self.bounds())])
+        self._check([(self._joint, value, self.bounds())], self.remark(value))
         self.set_command(value)
 
 

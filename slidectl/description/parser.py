@@ -8,7 +8,6 @@ transmissions.py, `<gazebo>` in gazebo_tags.py, masses and inertias are in rigid
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -56,7 +55,6 @@ _GEOMETRIES = {"box": ("size",), "cylinder": ("radius", "length"), "sphere": ("r
 _MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 _TYPES: tuple[str, ...] = get_args(JointType)
 _WITH_AXIS = ("revolute", "continuous", "prismatic", "planar")
-_ATTRIBUTE = re.compile(r"""\w+\s*=\s*["']""")
 _WITH_RANGE = ("revolute", "prismatic")
 _OF_JOINT = {"parent", "child", "origin", "axis", "limit", "dynamics", "safety_controller", "mimic", "calibration"}
 
@@ -83,16 +81,10 @@ def parse(
     return parse_tree(xml_tree.read(xml, file), meshes, Report(), strict)
 
 
-def _stray_text(element: Element) -> str:
-    """A text directly in the element that looks like attributes, as of a tag without its `<`; empty for none."""
-    text = " ".join(element.text.split())
-    return text if _ATTRIBUTE.search(text) else ""
-
-
 def _tell_stray_text(root: Element, report: Report) -> None:
     """Report texts where only tags can be. What is inside of `<gazebo>` is read by others."""
     for element in (root, *(inside for part in root.children if part.tag != "gazebo" for inside in part.walk())):
-        if stray := _stray_text(element):
+        if stray := element.stray_text:
             report.wrong(element, f"the text {stray!r} has no effect: is it a tag without its '<'?")
 
 
@@ -384,7 +376,7 @@ class _JointReader:
         kind = cast(JointType, written)
         limit = self._part(element, "limit", self._limit, kind, owner)
         if limit is None and kind in _WITH_RANGE and element.find("limit") is None:
-            stray = _stray_text(element)
+            stray = element.stray_text
             lost = f"there is a text {stray!r}: is it a tag without its '<'?" if stray else None
             hint = lost or "add <limit lower upper effort velocity/>"
             raise element.error(f"{owner} is {kind} and lacks <limit>", hint)

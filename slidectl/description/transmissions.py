@@ -105,6 +105,10 @@ class TransmissionReader:
             raise _DroppedError(text)
         if not kind.first_text:
             raise _DroppedError(f"<type> is empty{' (a comment before its text hides it)' if kind.content else ''}")
+        if " " in kind.first_text:
+            meant = "_".join(kind.first_text.split())
+            text = f"{kind.first_text!r} has a blank: did you mean {meant!r}?"
+            self.report.wrong(kind, text, f"{element.title}/<type>")
         joints = tuple(self._children(element, "joint", "a", self._joint))
         actuators = tuple(self._children(element, "actuator", "an", self._actuator))
         return TransmissionInfo(name, kind.first_text, joints, actuators, element.line, element.file, self.is_real)

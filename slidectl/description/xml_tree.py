@@ -8,6 +8,7 @@ so that a line names one element. This module does not know what tags mean.
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from xml.parsers import expat
@@ -21,6 +22,7 @@ DEEPEST = 200
 
 _MISMATCH = expat.errors.codes[expat.errors.XML_ERROR_TAG_MISMATCH]
 _INVALID = expat.errors.codes[expat.errors.XML_ERROR_INVALID_TOKEN]
+_ATTRIBUTE = re.compile(r"""\w+\s*=\s*["']""")
 
 TITLES = ("reference", "name", "filename")
 """The attributes that identify elements with the same tag, in messages."""
@@ -84,6 +86,12 @@ class Element:
             if node.strip():
                 return " ".join(node.split())
         return ""
+
+    @property
+    def stray_text(self) -> str:
+        """A text directly in it that looks like attributes, as of a tag without its `<`; empty for none."""
+        text = " ".join(self.text.split())
+        return text if _ATTRIBUTE.search(text) else ""
 
     @property
     def title(self) -> str:
@@ -222,10 +230,35 @@ def _add_mistake(source: bytes, place: int) -> str | None:
     before, here = text[:place], text[place : place + 1]
     if before.rfind(b"<!--") > before.rfind(b"-->"):
         return "a comment may not hold two hyphens in a row: --"
+    tag = before[before.rfind(b"<") :] if before.rfind(b"<") > before.rfind(b">") else b""
+    if tag and (slip := _slip_in_tag(tag.decode(errors="replace"), text[place : place + 80].decode(errors="replace"))):
+        return slip
     if here == b"<":
         return "a < within a value is written &lt;"
     if here == b"&" or before.endswith(b"&"):
         return "an & is written &amp;, and && in an expression: and"
+    return None
+
+
+def _slip_in_tag(tag: str, rest: str) -> str | None:
+    """A hint about a slip inside a tag, which is well-formed up to there; `rest` is what follows."""
+    if rest[:1] in "\u201c\u201d\u201e\u2018\u2019":
+        return f'values stand in plain quotation marks, not in {rest[:1]}: name="value"'
+    if (name := re.search(r"([\w:.-]+)\s*=\s*\Z", tag)) is not None:
+        value = re.match(r"[^\s\"'/<>]*", rest)
+        shown = value[0] if value is not None and value[0] else "..."
+        return f'the value of {name[1]} is not in quotation marks: {name[1]}="{shown}"'
+    if (tag.count('"') + tag.count("'")) % 2:
+        return None  # inside of a value
+    if tag.endswith(('"', "'")) and rest[:1].strip() not in ("", "/", "<", ">"):
+        last = re.search(r"([\w:.-]+)\s*=\s*[\"'][^\"']*[\"']\Z", tag)
+        inside = f" in the value of {last[1]} or before it" if last is not None else ""
+        return f"a quotation mark is missing{inside}, or a blank between two attributes"
+    if (lone := re.fullmatch(r"<\s*(/?[\w:.-]*)(\s.*)?\s([\w:.-]+)\s*", tag, re.DOTALL)) is not None and not lone[2]:
+        first, second = lone[1], lone[3]
+        return f"{second!r} has no value; if it belongs to the tag's name, that has no blank: <{first}{second}>"
+    if rest.startswith("<"):
+        return f"a > is missing before it: the tag {tag.split()[0]} does not end"
     return None
 
 

@@ -50,15 +50,8 @@ class RunningGateway(NamedTuple):
 
 def find(paths: InstancePaths, kind: str) -> RunningGateway | None:
     """The running gateway of that kind for the daemon of `paths`, or None. While it starts, its address is empty."""
-    lock = _lock_file(paths, kind)
-    pid = processes.holder(lock)
-    if pid is None:
-        return None
-    try:
-        _, _, address = lock.read_text(encoding="utf-8").partition("\n")
-    except OSError:  # the process ends right now
-        address = ""
-    return RunningGateway(kind, pid, address)
+    found = processes.listening(_lock_file(paths, kind))
+    return None if found is None else RunningGateway(kind, *found)
 
 
 def find_all(paths: InstancePaths) -> list[RunningGateway]:

@@ -248,7 +248,8 @@ class Execution:
     def lacks(self) -> list[str]:
         """What the launch names and does not run, each on one line: what is not there, and windows of ROS."""
         windows = [task for task in self.begun if isinstance(task, LeftOut) and task.is_missed]
-        lines = (f"{task.node.place}: node {task.node.full_name} ({task.node.kind}): {task.why}" for task in windows)
+        nodes = ((task.node, task.text_for(self.run)) for task in windows)
+        lines = (f"{node.place}: node {node.full_name} ({node.kind}): {text}" for node, text in nodes)
         return [*self.run.plan.missing.lines(), *lines]
 
     # --- running --------------------------------------------------------------------------------------------------
@@ -400,7 +401,9 @@ class Execution:
 
 def _spawns(node: Node) -> bool:
     """True when a node spawns a robot."""
-    return node.package == "gazebo_ros" and node.type.removesuffix(".py") == "spawn_model"
+    # A blank is a slip: the node is left out, and what waits for its robot waits in vain.
+    package, kind = (name.replace(" ", "_") for name in (node.package, node.type))
+    return package == "gazebo_ros" and kind.removesuffix(".py") == "spawn_model"
 
 
 def _starts_controllers(node: Node) -> bool:

@@ -6,6 +6,7 @@ Nothing is parsed here.
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,12 +40,24 @@ def find(words: Sequence[str], packages: Packages) -> list[LaunchFile]:
     if list(words).count("-") > 1:
         raise UsageError("standard input ('-') can be read only once")
     first, *more = words
+    _check_joined(words, packages)
     path = _in_package(first, more[0], packages) if more and "-" not in (first, more[0]) else None
     if path is not None:
         return [_source(path), *(_given(word, packages) for word in more[1:])]
     if len(words) == 2 and not is_file(Path(first)) and first != "-":
         return [_source(find_in_package(first, more[0], packages, "launch file"))]
     return [_given(word, packages) for word in words]
+
+
+def _check_joined(words: Sequence[str], packages: Packages) -> None:
+    """Raise UsageError when the first words are the name of a package whose underscores became blanks."""
+    if len(words) < 3 or packages.candidates(words[0]) or is_file(Path(words[0])) or words[0] in shipped():
+        return
+    for count in range(len(words) - 1, 1, -1):
+        name = "_".join(words[:count])
+        if packages.candidates(name):
+            rest = " ".join(words[count:])
+            raise UsageError(f"no package {words[0]!r}", f"did you mean the package {name}? type: {name} {rest}")
 
 
 def find_in_package(package: str, file: str, packages: Packages, kind: str = "file") -> Path:
@@ -101,6 +114,11 @@ def _single(word: str, packages: Packages) -> Path:
     if os.path.isdir(path):
         inside = sorted(file.name for file in path.glob(f"*{SUFFIX}"))
         raise BadFile("a folder, not a launch file", word, hint=f"launch files in it: {listing(inside) or 'none'}")
+    package, _, file = word.partition("/")
+    if file and (found := _in_package(package, file.rpartition("/")[2], packages)) is not None:
+        raise BadFile("no such launch file", word, hint=f"a file of a package is written: {package} {found.name}")
+    if (given := re.fullmatch(r"([A-Za-z]\w*)=(.*)", word)) is not None:
+        raise UsageError(f"no launch file {word!r}", f"an argument is written {given[1]}:={given[2]}")
     if "/" in word or word.endswith((SUFFIX, ".xml")):
         raise BadFile("no such launch file", word, hint=f"shipped ones: {', '.join(sorted(known))}")
     raise UnknownName("shipped launch file", word, sorted(known), "(and no file of that name here)")

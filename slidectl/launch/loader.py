@@ -24,7 +24,7 @@ from slidectl.launch.files import LaunchFile
 from slidectl.launch.parameter_tags import param, rosparam
 from slidectl.launch.plan import Argument, LaunchPlan, Node, Remap
 from slidectl.launch.substitution import absent_packages, plain
-from slidectl.launch.tag import Launch, Parse, Scope, Tag
+from slidectl.launch.tag import Launch, Parse, Scope, Tag, legal_names
 
 NODE_ATTRIBUTES = (
     "pkg", "type", "name", "args", "ns", "output", "respawn", "respawn_delay", "required", "cwd", "launch-prefix",
@@ -272,7 +272,7 @@ def _remap(tag: Tag) -> None:
 def _remapped(tag: Tag, attribute: str) -> str:
     name = tag.required(attribute)
     if not names.is_legal(re.sub("//+", "/", name).rstrip("/") or "/"):
-        raise tag.error(f"{attribute}: {name!r} is not a legal name", "names are letters, digits, '_' and '/'")
+        raise tag.error(f"{attribute}: {name!r} is not a legal name", legal_names(name))
     return name
 
 

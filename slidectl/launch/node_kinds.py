@@ -153,6 +153,8 @@ def find(node: Node, packages: Packages) -> Path:
         near = closest(node.kind, ["/".join(known) for known in COUNTERPARTS])
         here = f"did you mean {near!r}, which has a counterpart here?" if near else "it has no counterpart here either"
         message = f"node {node.full_name} ({node.kind}): {error.message}"
+        if near and "Did you mean" not in message:
+            message = f"{message} Did you mean {near!r}?"
         raise node.place.absence(message, f"{here}\n{error.hint}", f"package {node.package}") from None
     found = [path for folder in folders for path in _named(node, folder)]
     for path in found:
@@ -177,7 +179,7 @@ def _why_not(node: Node, folders: list[Path], found: list[Path]) -> tuple[str, s
     if found:
         return f"{what}: {found[0]} is not executable", f"chmod +x '{found[0]}'"
     known = sorted({path.name for folder in folders for path in below(folder) if _is_program(path)})
-    near = closest(node.type, known)
+    near = closest(node.type, [*known, *(kind for package, kind in COUNTERPARTS if package == node.package)])
     suggestion = f" Did you mean {near!r}?" if near else ""
     message = f"{what}: no program {node.type!r} in the package, and no counterpart here.{suggestion}"
     return message, f"programs in {folders[0]}: {listing(known)}{_compiled(node, folders)}"

@@ -24,6 +24,7 @@ from slidectl.description.packages import is_file, shown
 from slidectl.description.robot import Notice
 from slidectl.description.xml_tree import MOST_BYTES
 from slidectl.errors import BadFile, NotThere, SlidectlError
+from slidectl.input_files import near
 from slidectl.launch.plan import RosparamCommand, Setting
 from slidectl.launch.substitution import automatic, plain
 from slidectl.launch.supervision import run
@@ -117,7 +118,7 @@ def _bytes(tag: Tag, path: str) -> bytes:
     try:
         content = read_file(Path(path))
     except NotThere as error:
-        raise tag.no_file(f"{path}: {error.reason}", None, Path(path)) from None
+        raise tag.no_file(f"{path}: {error.reason}", error.hint, Path(path)) from None
     except BadFile as error:
         raise tag.error(f"{path}: {error.reason}") from None
     if len(content) > MOST_BYTES:
@@ -228,7 +229,7 @@ def _xacro_arguments(tag: Tag, command: list[str]) -> tuple[Path, dict[str, str]
         raise tag.error(f"xacro takes one file, not {len(files)}: {' '.join(command)}")
     path = Path(files[0])
     if not is_file(path):
-        raise tag.no_file(f"xacro: no such file: {path}", None, path)
+        raise tag.no_file(f"xacro: no such file: {path}", near(str(path)), path)
     return path, arguments
 
 

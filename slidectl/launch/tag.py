@@ -253,7 +253,7 @@ class Tag:
         """The absolute name of `name` in `namespace`; repeated slashes are removed. Raises BadFile: not legal."""
         full = re.sub("//+", "/", names.join(namespace, name)).rstrip("/") or "/"
         if name.startswith("~") or not names.is_legal(full):
-            raise self.error(f"{name!r} is not a legal name here", "names are letters, digits, '_' and '/'")
+            raise self.error(f"{name!r} is not a legal name here", legal_names(name))
         return full
 
     @cached_property
@@ -279,7 +279,9 @@ class Tag:
                 self.notice("wrong", f"attribute {name!r} is unknown and has no effect{did_you_mean(name, known)}")
 
     def children(self, known: Collection[str]) -> Iterator[Tag]:
-        """The known tags inside, in order; unknown ones are reported."""
+        """The known tags inside, in order; unknown ones, and texts that look like tags, are reported."""
+        if stray := self.element.stray_text:
+            self.notice("wrong", f"the text {stray!r} in it has no effect: is it a tag without its '<'?")
         for element in self.element.children:
             self.scope.launch.count(self)
             tag = Tag(element, self.scope)
@@ -292,6 +294,12 @@ class Tag:
     def notice(self, verdict: str, text: str) -> None:
         """Add a notice about the tag."""
         self.plan.notice(verdict, self.place, self.element.title, text)
+
+
+def legal_names(name: str) -> str:
+    """A hint for a name that is not legal."""
+    meant = f": did you mean {'_'.join(name.split())!r}?" if " " in name.strip() else ""
+    return f"names are letters, digits, '_' and '/'{meant}"
 
 
 def boolean(text: str) -> bool | None:

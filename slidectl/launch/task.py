@@ -75,6 +75,8 @@ class Run:
     """Environment variables for the programs of nodes, beside our own: how to reach the daemon."""
     watch: Watch = field(default_factory=Watch)
     owns_daemon: bool = False
+    has_page: bool = False
+    """True when the launch opens the page: it takes the place of windows."""
     is_held: bool = False
     """True while the world stands still until the robots' controllers run: no arm falls meanwhile."""
     resumes: bool = True

@@ -44,7 +44,7 @@ from slidectl.control.user_classes import is_of_a_user
 from slidectl.description import interfaces
 from slidectl.description.robot import ForceTorque, Imu, Joint, Robot, Sensor, TransmissionInfo, TransmissionJoint
 from slidectl.description.transmissions import driving
-from slidectl.errors import Refused, SlidectlError, listing, quoted
+from slidectl.errors import Refused, SlidectlError, closest, listing, quoted
 from slidectl.physics import sensing
 from slidectl.physics.body import Body, JointPlace
 from slidectl.physics.builder import BadTransmission
@@ -65,7 +65,9 @@ class UnsupportedInterface(BadTransmission):
     def __init__(self, robot: str, transmission: TransmissionInfo, joint: TransmissionJoint) -> None:
         asked = joint.hardware_interfaces[0]
         trouble = f"joint {joint.name!r} asks for {asked!r}, which simulated hardware has not"
-        super().__init__(robot, transmission, trouble, f"it has: {interfaces.KNOWN}")
+        near = closest(asked, [interface.written for interface in interfaces.ALL])
+        meant = f"did you mean {near!r}? " if near else ""
+        super().__init__(robot, transmission, trouble, f"{meant}it has: {interfaces.KNOWN}")
 
 
 class MissingJoint(BadTransmission):

@@ -22,7 +22,7 @@ from slidectl.description.robot import MOVING, Joint
 from slidectl.effects import Effect
 from slidectl.errors import Refused, UnknownName, Unused, UsageError, closest, listing
 from slidectl.physics import sensing
-from slidectl.simulation import snapshot_files
+from slidectl.simulation import sensor_topics, snapshot_files
 from slidectl.simulation.clock import SECOND
 from slidectl.simulation.gazebo_frames import pose_message, vector_message
 from slidectl.simulation.loop import whole_cycles
@@ -88,6 +88,12 @@ class OwnServices:
     def _status(self, _: Message) -> Message:
         simulation = self._simulation
         managers = [robot.parts.manager for robot in self._robots if robot.is_controlled]
+        cameras = [
+            (camera.topic, *rates)
+            for robot in self._robots
+            for camera in sensor_topics.cameras(robot)
+            if (rates := camera.rates()) is not None
+        ]
         return {
             "version": slidectl.__version__,
             "time": self._graph.clock.seconds,
@@ -101,6 +107,10 @@ class OwnServices:
             "chosen": sorted(simulation.chosen),
             "engine": str(simulation.engine),
             "pictures": simulation.drawn_by(),
+            "cameras": [topic for topic, *_ in cameras],
+            "cameras_asked": [asked for _, asked, _, _ in cameras],
+            "cameras_reached": [reached for _, _, reached, _ in cameras],
+            "cameras_advice": [advice for *_, advice in cameras],
             "robots": self._robots.names(),
             "estop": [robot.name for robot in self._robots if robot.emergency_stop],
             "frozen": simulation.world.frozen,

@@ -174,6 +174,15 @@ class SensorTopic:
         }
 
 
+_KEEPS_UP = 0.9
+"""The part of the rate that is asked from which on a camera keeps up."""
+_TO_KEEP_UP = (
+    "drawing does not keep up: smaller pictures (<width>, <height>), a lower <update_rate> "
+    "or a slower world (slidectl sim speed) help"
+)
+_LEAST_COUNTED = 10
+
+
 class CameraTopics:
     """The picture and the geometry of one camera, on their topics until the robot is deleted.
 
@@ -187,11 +196,17 @@ class CameraTopics:
         self._camera = camera
         self._has_failed = self._is_broken = False
         self._drawn_by = ""
+        self._due = self._skipped = 0
+        """Pictures that were due, and those of them that were skipped, since the rate was counted last."""
+        self._reached_hz: float | None = None
+        self._is_told = False
         self._rendering: Pending | None = None
         """The picture that is being rendered."""
         node = names.join(robot.namespace, "gazebo")
         period_ns = period_ns_of(camera.rate_hz)
+        self._asked_hz = 1e9 / (period_ns or simulation.timestep_ns)
         topic, info = (_inside(robot.namespace, topic) for topic in (camera.topic, camera.info_topic))
+        self.topic = topic
         self._pictures = PeriodicTopic(simulation.graph, topic, "sensor_msgs/Image", node, period_ns, self._take)
         robot.taken.callback(self._pictures.close)
         self._info = PeriodicTopic(simulation.graph, info, "sensor_msgs/CameraInfo", node, period_ns, self._geometry)
@@ -203,6 +218,7 @@ class CameraTopics:
 
     def _take(self) -> None:
         """Start to render the present state; the picture is published when it is done."""
+        self._count()
         if self._rendering is not None or self._is_broken:
             return
         simulation, camera, robot = self._simulation, self._camera, self._robot.name
@@ -210,6 +226,34 @@ class CameraTopics:
         header, seed = self._header(), zlib.crc32(f"{robot}/{camera.name}/{simulation.time_ns}".encode())
         self._rendering = simulation.render(camera, pose, seed)
         self._rendering.then(lambda done: self._publish(header, done))
+
+    def _count(self) -> None:
+        """Count a picture that is due, and once in a simulated second the rate; say it when it is too low.
+
+        The first picture does not count: what draws is started for it.
+        """
+        if not self._drawn_by:
+            return
+        self._due += 1
+        self._skipped += self._rendering is not None
+        if self._due < max(_LEAST_COUNTED, self._asked_hz):
+            return
+        self._reached_hz = self._asked_hz * (self._due - self._skipped) / self._due
+        self._due = self._skipped = 0
+        if self._reached_hz < _KEEPS_UP * self._asked_hz and not self._is_told:
+            self._is_told = True
+            rates = f"{self._asked_hz:.3g} Hz asked, {self._reached_hz:.3g} reached"
+            self._robot.node.log("warn", f"{self.topic}: {rates}; {_TO_KEEP_UP}")
+
+    def rates(self) -> tuple[float, float, str] | None:
+        """The rate that is asked and the one of the last second with subscribers, Hz, and what helps if it is too low.
+
+        None while there are no subscribers, and in their first second.
+        """
+        if self._reached_hz is None or not self._pictures.wanted:
+            return None
+        is_slow = self._reached_hz < _KEEPS_UP * self._asked_hz
+        return self._asked_hz, self._reached_hz, _TO_KEEP_UP if is_slow else ""
 
     def _cancel(self) -> None:
         if self._rendering is not None:
@@ -273,3 +317,9 @@ def bring_up(simulation: Simulation, robot: SpawnedRobot) -> None:
         for sensor in robot.paper.sensors
         if sensor.topic
     ]
+
+
+def cameras(robot: SpawnedRobot) -> list[CameraTopics]:
+    """The cameras of a robot."""
+    sensors = robot.kept.get("sensors", [])
+    return [sensor for sensor in sensors if isinstance(sensor, CameraTopics)] if isinstance(sensors, list) else []

@@ -418,7 +418,7 @@ class Robots:
         if name in self._robots:
             raise Refused(
                 f"there is a robot {name!r} already, in {self._robots[name].namespace}",
-                "choose another name (-n), or delete that one first",
+                f"choose another name (-n), or take that one out: slidectl delete {name}",
             )
 
     def _check_namespace(self, parsed: ParsedRobot) -> None:

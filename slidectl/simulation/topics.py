@@ -151,6 +151,11 @@ class PeriodicTopic:
         self._demand(False)
         self._publisher.close()
 
+    @property
+    def wanted(self) -> bool:
+        """True while somebody subscribes."""
+        return self._publisher.wanted
+
     def _demand(self, wanted: bool) -> None:
         if self._timer is not None:
             self._timer.cancel()

@@ -79,7 +79,8 @@ class Condition:
         comparable = type_name not in ("string", "bool") and "/" not in type_name and not type_name.endswith("]")
         if self.kind != "equals" and not comparable:
             reason = f"{path} is {type_name}, and {self.kind} needs a number"
-            raise BadMessage(reason, "field", "choose a field or an element")
+            element = f": {path}[0] is the first" if type_name.endswith("]") else ""
+            raise BadMessage(reason, "field", f"choose a field or an element{element}")
 
     def distance(self, value: Any) -> float:
         """The distance of the value from the condition, in its unit: at most 0 when met, inf when not comparable."""

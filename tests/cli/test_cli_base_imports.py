@@ -55,7 +55,8 @@ SLIDER = {
 STATUS = {
     "version": "0", "pid": 1, "instance": "default", "time": 1.0, "cycles": 1000, "paused": False, "speed": 1.0,
     "speed_reached": 1.0, "timestep": 0.001, "cycle_mean": 1e-6, "cycle_p99": 1e-6, "cycle_worst": 1e-6,
-    "engine": "plain", "pictures": "", "frozen": [],
+    "engine": "plain", "pictures": "", "cameras": [], "cameras_asked": [], "cameras_reached": [],
+    "cameras_advice": [], "frozen": [],
     "lateness_p50": 1e-6, "lateness_p99": 1e-6, "overruns": 0, "robots": ["slider"], "estop": [], "controllers": 1,
     "controllers_running": 1, "connections": 1, "memory": 1, "uptime": 1.0, "log": "", "lockstep": [],
     "trouble": "", "holders": [], "faults": [], "journal": "", "journal_trouble": "",

@@ -50,7 +50,8 @@ def status(slidectl: CommandLine) -> dict[str, object]:
 def test_status_has_all_its_keys(slidectl: CommandLine) -> None:
     assert set(status(slidectl)) == {
         "version", "pid", "instance", "time", "cycles", "paused", "trouble", "speed", "speed_reached", "timestep",
-        "chosen", "engine", "pictures", "cycle_mean", "cycle_p99", "cycle_worst", "lateness_p50", "lateness_p99",
+        "chosen", "engine", "pictures", "cameras", "cameras_asked", "cameras_reached", "cameras_advice", "cycle_mean",
+        "cycle_p99", "cycle_worst", "lateness_p50", "lateness_p99",
         "overruns", "robots", "estop", "frozen", "faults", "holders", "lockstep", "journal", "journal_trouble",
         "controllers", "controllers_running", "connections", "memory", "uptime", "log",
     }  # fmt: skip

@@ -339,7 +339,8 @@ def test_a_command_to_a_controller_that_is_not_running_is_a_warning(world: World
     finally:
         world.slidectl("controller", "start", "joint1_position_controller")
     assert (done.returncode, done.stdout) == (0, "")
-    idle = "warning: /slider/joint1_position_controller is not running: the command has no effect\n"
+    start = "start it: slidectl controller start joint1_position_controller"
+    idle = f"warning: /slider/joint1_position_controller is not running: the command has no effect; {start}\n"
     assert done.stderr == idle
     assert world.slidectl("pub", COMMAND, "0.5").stderr == ""
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
+import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
@@ -469,3 +471,47 @@ def test_a_launch_prints_nothing_of_what_another_client_is_refused(slider: Comma
     output = launched.communicate()[0]
     assert RUNS in output
     assert "broken" not in output
+
+
+# --- the page in place of windows ------------------------------------------------------------------------------------
+
+
+def address_of(text: str) -> str:
+    found = re.search(r"the page is open: (http://\S+:\d+/)", text)
+    assert found is not None, text
+    return found[1]
+
+
+def is_served(address: str) -> bool:
+    try:
+        with urllib.request.urlopen(address, timeout=20.0) as answer:
+            return bool(answer.status == 200)
+    except OSError:
+        return False
+
+
+@pytest.mark.parametrize("words", [("gui:=true",), ("--view",)], ids=" ".join)
+def test_a_launch_opens_the_page_and_ends_it(slidectl: CommandLine, words: tuple[str, ...]) -> None:
+    pytest.importorskip("viser")
+    launched = Launched(slidectl, "my_slider", "slider.launch", *words)
+    address = address_of(launched.until("everything runs"))
+    assert is_served(address)
+    done = slidectl("ros", "rosrun", "rviz", "rviz")
+    assert f"is open: {address}" in done.stderr
+    assert launched.interrupt() == 130
+    assert not is_served(address)
+    assert "is open" not in slidectl("ros", "rosrun", "rviz", "rviz").stderr
+
+
+def test_a_launch_without_gui_opens_no_page(slidectl: CommandLine) -> None:
+    for words in ((), ("gui:=false",)):
+        done = slidectl("launch", "my_slider", "slider.launch", *words, "--dry-run")
+        assert done.returncode == 0
+        assert "open the page" not in done.stdout
+    listed = slidectl.ok("launch", "my_slider", "slider.launch", "gui:=true", "--dry-run")
+    assert "open the page: slidectl view" in listed
+
+
+def test_a_file_that_asks_for_a_window_by_itself_opens_none(slidectl: CommandLine, write: Write) -> None:
+    source = write('<include file="$(find gazebo_ros)/launch/empty_world.launch"/>')
+    assert "open the page" not in slidectl.ok("launch", source, "--dry-run")

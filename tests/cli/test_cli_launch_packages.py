@@ -59,7 +59,7 @@ def test_a_robot_on_wheels_with_a_world_of_its_own(ros: CommandLine) -> None:
     text = launched.up()
     assert "wheels.world:6: model 'turtlebot' is not there" in text
     assert "/gazebo: the world: step 0.002 s, as fast as possible" in text
-    assert "/gazebo_gui: there is no window here" in text
+    assert "/gazebo_gui: there are no windows here" in text
     assert "/wheels/controller_spawner: joint_state_controller, leftWheel_effort_controller running in /wheels" in text
     assert ros.ok("param", "get", "/gazebo/enable_ros_network").strip() == "true"
     assert launched.interrupt() == 130

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -90,6 +91,7 @@ def test_such_nodes_are_left_out(slidectl: CommandLine, launch: Path) -> None:
         ("rqt_gui", "rqt_gui", "slidectl echo -p"),
         ("rqt_plot", "rqt_plot", "slidectl plot"),
         ("gazebo_ros", "gzclient", "slidectl view"),
+        ("rqt_reconfigure", "rqt_reconfigure", "slidectl param set"),
         ("joint_state_publisher", "joint_state_publisher", "slidectl spawn MODEL"),
         ("joint_state_publisher_gui", "joint_state_publisher_gui", "slidectl spawn MODEL"),
     ],
@@ -102,6 +104,43 @@ def test_rosrun_of_what_cannot_be_shown_fails_and_says_what_to_use(
     assert done.stdout == ""
     assert f"{package}/{program} cannot be run here" in done.stderr
     assert instead in done.stderr
+
+
+FIELD = "/rrbot/joint_states/position[0]"
+
+
+@pytest.mark.parametrize(
+    ("words", "code"),
+    [
+        (("rqt_plot", FIELD), 2),
+        (("ros", "rqt_plot", FIELD), 1),
+        (("ros", "rosrun", "rqt_plot", "rqt_plot", FIELD), 1),
+    ],
+    ids=str,
+)
+def test_a_plot_of_rqt_is_answered_with_the_line(slidectl: CommandLine, words: Sequence[str], code: int) -> None:
+    done = slidectl(*words)
+    assert done.returncode == code
+    assert f"type: slidectl plot '{FIELD}'\n" in done.stderr
+    first = next(line for line in done.stderr.splitlines() if "no windows" in line)
+    assert first.index("slidectl view") < first.index("slidectl plot") < first.index("slidectl top")
+
+
+def test_more_fields_behind_a_topic_of_rqt_plot_are_fields_of_that_topic(slidectl: CommandLine) -> None:
+    done = slidectl("ros", "rqt_plot", "/turtle1/pose/x:y", "/b/data")
+    assert "type: slidectl plot /turtle1/pose/x /turtle1/pose/y /b/data\n" in done.stderr
+
+
+@pytest.mark.parametrize("name", ["rqt", "rviz", "gzclient", "rqt_graph", "rqt_console", "rqt_reconfigure"])
+def test_windows_are_answered_by_their_own_words_too(slidectl: CommandLine, name: str) -> None:
+    for words, code in (((name,), 2), (("ros", name), 1)):
+        done = slidectl(*words)
+        assert done.returncode == code
+        assert "there are no windows here; slidectl view" in done.stderr
+
+
+def test_a_window_that_rosrun_gets_without_its_program_is_answered(slidectl: CommandLine) -> None:
+    assert "slidectl plot TOPIC/FIELD draws the numbers" in slidectl("ros", "rosrun", "rqt_plot").stderr
 
 
 def test_rosrun_of_a_script_with_rospy_says_why_not(slidectl: CommandLine, launch: Path) -> None:

@@ -161,8 +161,12 @@ MISFITS = [
     ),
     ("-1 /f std_msgs/Nope 1.0", f"invalid message type: std_msgs/Nope.\n{ROSMAKE} 'rosmake std_msgs'"),
     ("-1 /f nopkg/Float64 1.0", f"invalid message type: nopkg/Float64.\n{ROSMAKE} 'rosmake nopkg'"),
-    ("-1 /f Float64 1.0", "invalid topic type: Float64"),
-    ("-1 /f std_msgs/String hello", "topic types do not match: [std_msgs/Float64] vs. [std_msgs/String]"),
+    ("-1 /f Float64 1.0", "invalid topic type: Float64\ntype: rostopic pub /f std_msgs/Float64 VALUE"),
+    (
+        "-1 /f std_msgs/String hello",
+        "topic types do not match: [std_msgs/Float64] vs. [std_msgs/String]\n"
+        "type: rostopic pub /f std_msgs/Float64 VALUE",
+    ),
     (
         "-1 /p geometry_msgs/PoseStamped '{header: {stamp: {secs: -1}}}'",
         "geometry_msgs/PoseStamped: header.stamp must be a time of 0 to 4294967295 seconds, not the number -1",
@@ -210,9 +214,10 @@ def test_the_definition_stands_behind_a_wrong_type(sink: Sink) -> None:
     assert done.stderr.endswith("  field data must be float type\n\nmsg file:\nfloat64 data\n")
 
 
+AS_IN = "as in: rostopic pub /TOPIC std_msgs/Float64 'data: 1.0'"
 USAGES = [
-    ("", "/topic must be specified"),
-    ("/f", "topic type must be specified"),
+    ("", f"/topic must be specified, {AS_IN}"),
+    ("/f", f"topic type must be specified, {AS_IN}"),
     ("-1 -r 5 /f std_msgs/Float64 1.0", "You cannot select both -r and -1 (--once)"),
     ("-r x /f std_msgs/Float64 1.0", "rate must be a number"),
     ("-r 0 /f std_msgs/Float64 1.0", "rate must be greater than zero"),

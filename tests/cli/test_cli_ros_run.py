@@ -101,7 +101,8 @@ def test_usages_and_their_codes(shell: Shell) -> None:
 def test_what_is_not_here_says_what_is(shell: Shell) -> None:
     done = shell.run("rosrun map_server map_server")
     assert (done.stdout, done.returncode) == ("", 2)
-    assert done.stderr.startswith("[rospack] Error: package 'map_server' not found\nthere are: controller_manager ")
+    assert done.stderr.startswith("[rospack] Error: package 'map_server' not found\nROS_PACKAGE_PATH names ")
+    assert "\nthere are: controller_manager " in done.stderr
     assert "slidectl has of tf: static_transform_publisher, tf_echo" in shell.run("rosrun tf nofile").stderr
 
 

@@ -190,7 +190,7 @@ def test_rrbot(terminals: Iterator[Terminal], slidectl: CommandLine) -> None:
             await_field(client, f"/rrbot/joint{joint}_position_controller/state", "set_point", wanted, 0.0)
             await_field(client, f"/rrbot/joint{joint}_position_controller/state", "error", 0.0, 0.25)
 
-        for line in ("rosrun rqt_gui rqt_gui", "rosrun rviz rviz"):
+        for line in ("rosrun rqt_gui rqt_gui", "rosrun rviz rviz", "rqt", "rosrun rqt_plot", "gzclient"):
             printed, code = terminal.type(line)
             assert ("no windows here" in printed, code) == (True, 1)
         printed, code = terminal.type("roslaunch rrbot_control rrbot_rqt.launch")
@@ -202,10 +202,14 @@ def test_rrbot(terminals: Iterator[Terminal], slidectl: CommandLine) -> None:
 
 def test_rrbot_with_its_controllers_loaded_by_hand(terminals: Iterator[Terminal], slidectl: CommandLine) -> None:
     """As the tutorial shows it without the launch file of the controllers: load, start, move, stop."""
-    world, terminal = next(terminals), next(terminals)
+    core, world, terminal = next(terminals), next(terminals), next(terminals)
+    core.start("roscore", "started core service")
+    assert terminal.type("rosnode list") == ("/gazebo\n/rosapi\n/slidectl\n", 0)
     world.start("roslaunch rrbot_gazebo rrbot_world.launch", "everything runs")
     with slidectl.client() as client:
         client.call("/slidectl/set_speed", {"speed": 0.0})
+        printed, code = terminal.type("rostopic pub -1 /rrbot/joint2_position_controller/command std_msgs/Float64 1.0")
+        assert ("no topic '/rrbot/joint2_position_controller/command'" in printed, code) == (True, 1)
         file = ROOT / "launch" / "rrbot_control" / "config" / "rrbot_control.yaml"
         assert terminal.type(f"rosparam load '{file}'") == ("", 0)
         for name in CONTROLLERS:
@@ -215,6 +219,10 @@ def test_rrbot_with_its_controllers_loaded_by_hand(terminals: Iterator[Terminal]
         assert terminal.type(switch(every, "[]")) == ("ok: True\n", 0)
         assert terminal.type(command(2, -0.9)) == (ONCE, 0)
         await_field(client, "/rrbot/joint2_position_controller/state", "error", 0.0, 0.25)
+        printed, code = terminal.type("rqt_plot '/rrbot/joint_states/position[1]'")
+        assert ("type: slidectl plot '/rrbot/joint_states/position[1]'\n" in printed, code) == (True, 1)
+        assert terminal.type("rosparam set /rrbot/joint2_position_controller/pid/p 300") == ("", 0)
+        await_field(client, "/rrbot/joint2_position_controller/state", "error", 0.0, 0.1)
         assert terminal.type("rostopic echo -n 1 /rrbot/joint_states/name") == ("\n- joint1\n- joint2\n---\n", 0)
         printed, _ = terminal.type(f"{MANAGER}/list_controllers")
         assert printed.count('state: "running"') == 3

@@ -35,6 +35,8 @@ def slider() -> Iterator[CommandLine]:
         ("wait", "joint_states/position[0]", "--near", "1.0", "--tol", "0.005", "--within", "1"),
         ("assert", "joint_states/position[0]", "--near", "1.0", "--tol", "0.005"),
         ("assert", "joint1", "--near", "1.0", "--tol", "0.005"),
+        ("wait", "joint1_position_controller/state/error", "--near", "0", "--tol", "0.005", "--within", "1"),
+        ("assert", "joint1_position_controller/state/process_value", "--near", "1", "--tol", "0.005"),
     ],
     ids=" ".join,
 )
@@ -48,6 +50,15 @@ def test_a_step_response_that_ends_short_says_why(slider: CommandLine) -> None:
     done = slider("controller", "plot", "joint1_position_controller", "--step", "1.0", "--for", "2", "--json")
     assert WHY in done.stderr
     assert json.loads(done.stdout)["error"] == pytest.approx(0.0098, abs=1e-4)
+
+
+def test_of_a_joint_that_still_moves_it_is_not_said(slider: CommandLine) -> None:
+    slider.ok("sim", "speed", "1")
+    slider.ok("pub", "joint1_position_controller/command", "-1.0")
+    done = slider("assert", "joint1", "--near", "-1.0", "--tol", "0.005")
+    slider.ok("sim", "speed", "20")
+    assert done.returncode == 1
+    assert "stands still" not in done.stderr
 
 
 def test_a_failure_for_another_reason_does_not_speak_of_it(slider: CommandLine) -> None:

@@ -150,7 +150,9 @@ class TestSetPoint:
         bench.load("arm")
         for _ in range(5):
             send(bench, 0.5)
-        assert bench.graph.lines("warn") == "/bot/arm is not running: the command has no effect"
+        assert bench.graph.lines("warn") == (
+            "/bot/arm is not running: the command has no effect; start it: slidectl controller start arm"
+        )
         bench.run(1100)
         send(bench, 0.5)
         assert bench.graph.lines("warn").count("is not running") == 2  # whoever tries again later is told again

@@ -27,7 +27,7 @@ def task(workspace: Workspace, kind: str, args: str = "", attributes: str = "") 
     [
         ("gazebo_ros/gazebo", "-u", "world", "the world, paused"),
         ("gazebo_ros/gzserver", "", "world", "the world"),
-        ("gazebo_ros/gzclient", "", "notice", "there is no window here"),
+        ("gazebo_ros/gzclient", "", "notice", "there are no windows here"),
         ("gazebo_ros/spawn_model", "-urdf -model m -param robot_description", "robot",
          "spawn m from parameter /robot_description"),
         ("controller_manager/spawner", "a b", "controllers", "load and start a, b in /"),

@@ -12,6 +12,7 @@ import pytest
 from slidectl import Simulation, description
 from slidectl.errors import BadFile
 from slidectl.physics import rendering
+from slidectl.simulation.pending import Pending
 
 LINK = """<link name="base"><inertial><mass value="2"/>
   <inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>
@@ -134,3 +135,39 @@ def test_a_camera_that_cannot_be_is_refused_and_another_format_is_said() -> None
             description.parse(robot("1 1 1 1", CAMERA.format("R8G8B8", "", "").replace(right, bad)))
     report = description.parse(robot("1 1 1 1", CAMERA.format("BAYER_RGGB8", "", ""))).report
     assert "<format> BAYER_RGGB8 is unknown here" in str(report[0])
+
+
+def test_a_camera_that_drawing_does_not_keep_up_with_says_its_rate(monkeypatch: pytest.MonkeyPatch) -> None:
+    simulation = Simulation(gravity=(0.0, 0.0, 0.0))
+    simulation.spawn(robot("1 1 1 1", CAMERA.format("R8G8B8", "", "")), "thing")
+
+    def slowly(*_: Any) -> Pending:
+        """A picture that takes 0.35 s of simulated time, in which three others are due."""
+        drawn = Pending()
+        simulation.graph.timers.after(350_000_000, lambda: drawn.resolve(""))
+        return drawn
+
+    monkeypatch.setattr(simulation, "render", slowly)
+    monkeypatch.setattr(simulation, "drawn_by", lambda: rendering.BY_OPENGL)
+    log: list[dict[str, Any]] = []
+    simulation.subscribe("/rosout", log.append)
+    assert simulation.call("/slidectl/status")["cameras"] == []
+    simulation.subscribe("/thing/eye/image_raw", lambda _: None)
+    simulation.step(3000)
+    status = simulation.call("/slidectl/status")
+    assert (status["cameras"], status["cameras_asked"]) == (["/thing/eye/image_raw"], [10.0])
+    assert status["cameras_reached"] == [pytest.approx(2.5, abs=0.6)]
+    assert "smaller pictures (<width>, <height>)" in status["cameras_advice"][0]
+    (said,) = (line["msg"] for line in log if "does not keep up" in line["msg"])
+    assert said.startswith("/thing/eye/image_raw: 10 Hz asked, ")
+
+
+def test_a_camera_that_keeps_up_has_nothing_to_say(monkeypatch: pytest.MonkeyPatch) -> None:
+    simulation = Simulation(gravity=(0.0, 0.0, 0.0))
+    simulation.spawn(robot("1 1 1 1", CAMERA.format("R8G8B8", "", "")), "thing")
+    monkeypatch.setattr(simulation, "render", lambda *_: Pending.of(""))
+    monkeypatch.setattr(simulation, "drawn_by", lambda: rendering.BY_OPENGL)
+    simulation.subscribe("/thing/eye/image_raw", lambda _: None)
+    simulation.step(3000)
+    status = simulation.call("/slidectl/status")
+    assert (status["cameras_reached"], status["cameras_advice"]) == ([10.0], [""])

@@ -18,6 +18,7 @@ import click
 from slidectl.cli import output
 from slidectl.cli.commands import command
 from slidectl.cli.context import Context
+from slidectl.client import windows
 from slidectl.errors import NoDaemon, SlidectlError, UsageError, closest
 from slidectl.operating_system import program_name
 
@@ -34,10 +35,13 @@ TOOLS = {
     "roscore": "roslaunch",
     "rosbag": "rosbag",
 }
+# Windows that tutorials open by a word of their own; each is answered, or run, as by rosrun.
+PROGRAMS = {**windows.ALONE, "gazebo": ("gazebo_ros", "gazebo")}
+NAMES = (*TOOLS, *PROGRAMS)
 
 
 def _complete(click_context: click.Context, _param: click.Parameter, incomplete: str) -> list[str]:
-    return [] if click_context.params.get("words") else [name for name in TOOLS if name.startswith(incomplete)]
+    return [] if click_context.params.get("words") else [name for name in NAMES if name.startswith(incomplete)]
 
 
 @command(
@@ -54,15 +58,18 @@ def _complete(click_context: click.Context, _param: click.Parameter, incomplete:
 def ros(ctx: Context, words: tuple[str, ...]) -> None:
     """Run a ROS command word for word.
 
-    NAME is one of roslaunch, rostopic, rosservice, rosparam, rosrun, rosnode, rosmsg, rossrv, roscore and rosbag;
+    NAME is one of roslaunch, rostopic, rosservice, rosparam, rosrun, rosnode, rosmsg, rossrv, roscore and rosbag, or a
+    window (rviz, rqt, rqt_plot, gazebo and so on), which is answered with the commands that show the same;
     ARGUMENTs are theirs, and so are output and exit codes, save that 0 means done: 3 is no daemon, 130 Ctrl-C.
     Options of slidectl stand before NAME. 'slidectl ros-commands' makes shell functions of these names.
     """
     name, *argv = words
-    if name not in TOOLS:
-        near = closest(name, TOOLS)
+    if name not in NAMES:
+        near = closest(name, NAMES)
         suggestion = f" Did you mean {near!r}?" if near else ""
-        raise UsageError(f"no ROS command {name!r}.{suggestion}", f"there are: {', '.join(TOOLS)}")
+        raise UsageError(f"no ROS command {name!r}.{suggestion}", f"there are: {', '.join(NAMES)}")
+    if name in PROGRAMS:
+        name, argv = "rosrun", [*PROGRAMS[name], *argv]
     run(ctx, name, argv)
 
 
@@ -110,10 +117,10 @@ def ros_commands(ctx: Context, shell: str | None) -> None:
     """
     prefix = " ".join(map(quote, program(ctx)))
     if (shell or _users_shell()) == "fish":
-        output.write("\n".join(f"function {name}; {prefix} ros {name} $argv; end" for name in TOOLS))
+        output.write("\n".join(f"function {name}; {prefix} ros {name} $argv; end" for name in NAMES))
     else:
-        functions = "\n".join(f'{name}() {{ _slidectl_ros {name} "$@"; }}' for name in TOOLS)
-        output.write(_POSIX.format(prefix=prefix, functions=functions, names=" ".join(TOOLS)))
+        functions = "\n".join(f'{name}() {{ _slidectl_ros {name} "$@"; }}' for name in NAMES)
+        output.write(_POSIX.format(prefix=prefix, functions=functions, names=" ".join(NAMES)))
 
 
 def _users_shell() -> str:

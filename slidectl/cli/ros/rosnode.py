@@ -18,7 +18,7 @@ from slidectl.cli import output
 from slidectl.cli.context import Context
 from slidectl.cli.ros.arguments import HOST, Failure, Parser, Tool, below, option, resolve
 from slidectl.cli.topic_streams import PUBLISHERS, SUBSCRIBERS, block, users_of
-from slidectl.errors import NoDaemon, TimedOut
+from slidectl.errors import NoDaemon, TimedOut, listing
 
 _RULE = "-" * 80
 _CLIENT = re.compile(r"/slidectl_(?P<pid>\d+)_\d+\Z")
@@ -167,7 +167,8 @@ def kill(ctx: Context, argv: Sequence[str]) -> None:
         chosen = [_asked(known)]
     unknown = [node for node in chosen if node not in known]
     if unknown:
-        raise Failure("\n".join(["ERROR: Unknown node(s):", *(f" * {node}" for node in unknown)]))
+        there = f"nodes: {listing(known)}"
+        raise Failure("\n".join(["ERROR: Unknown node(s):", *(f" * {node}" for node in unknown), there]))
     _check_reach(ctx, chosen)
     # Clients first; the nodes that end the daemon last, since no call is answered after that.
     for node in sorted(chosen, key=lambda node: 0 if _CLIENT.match(node) else 1 if _is_state_publisher(node) else 2):

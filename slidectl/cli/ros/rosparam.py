@@ -13,8 +13,8 @@ from slidectl import names
 from slidectl.cli import output, param
 from slidectl.cli.context import Context
 from slidectl.cli.ros.arguments import Failure, Parser, Tool, option, refusals, resolve
-from slidectl.errors import BadFile, UsageError
-from slidectl.input_files import MOST_TEXT, read_bytes
+from slidectl.errors import BadFile, UsageError, closest
+from slidectl.input_files import MOST_TEXT, near, read_bytes
 
 _VERBOSE = option("-v", "say what is done", dest="verbose")
 _INT32 = range(-(2**31), 2**31)
@@ -49,7 +49,10 @@ def set_parameter(ctx: Context, argv: Sequence[str]) -> None:
         parser.error(_TOO_MANY)
     content = _typed(given.words[1]) if file is None else _content(parser, file, binary=given.textfile is None)
     full = names.check_parameter(_full(ctx, given.words[0]))
+    meant = _near(ctx, full) if not ctx.call("/rosapi/has_param", {"name": full})["exists"] else ""
     chosen = _store(ctx, content, full)
+    if meant:
+        ctx.warn(f"{full} is new;{meant.replace(chr(10), ' ')}")
     if given.verbose:
         if not isinstance(content, dict):
             chosen = {_shown(ctx, given.words[0]): content}
@@ -117,7 +120,7 @@ def get(ctx: Context, argv: Sequence[str]) -> None:
 def _value(ctx: Context, full: str) -> Any:
     """The value of a parameter. Raises Failure when it is not set. The root always exists."""
     if full != "/" and not ctx.call("/rosapi/has_param", {"name": full})["exists"]:
-        raise Failure(f"ERROR: Parameter [{full}] is not set")
+        raise Failure(f"ERROR: Parameter [{full}] is not set{_near(ctx, full)}")
     return param.get_value(ctx, full)
 
 
@@ -145,13 +148,19 @@ def _named(key: str, value: Any, indent: str) -> str:
     return f"{indent}{key}: {pretty(value)}"
 
 
+def _near(ctx: Context, full: str) -> str:
+    """A line with the parameter that is nearest in spelling; empty when there is none."""
+    near = closest(full, ctx.names("parameter"))
+    return f"\ndid you mean {near}?" if near else ""
+
+
 def delete(ctx: Context, argv: Sequence[str]) -> None:
     """Delete a parameter or a namespace."""
     parser = Parser("rosparam", "rosparam delete [options] parameter", _VERBOSE)
     given = parser.parse(argv, 1, 1, _NO_NAME, _TOO_MANY)
     full = _full(ctx, given.words[0])
     if full != "/" and not ctx.call("/rosapi/has_param", {"name": full})["exists"]:
-        raise Failure(f"ERROR: parameter [{full}] is not set")
+        raise Failure(f"ERROR: parameter [{full}] is not set{_near(ctx, full)}")
     ctx.call("/rosapi/delete_param", {"name": full})
     if given.verbose:
         everything = f"parameter [{_shown(ctx, given.words[0])}]" if full != "/" else "ENTIRE parameter server"
@@ -174,7 +183,7 @@ def load(ctx: Context, argv: Sequence[str]) -> None:
     given = parser.parse(argv, 1, 2, "invalid arguments. Please specify a file name or - for stdin", _TOO_MANY)
     file, namespace = (*given.words, None)[:2]
     if file != "-" and not os.path.isfile(file):
-        raise Failure(f"ERROR: file [{file}] does not exist")
+        raise Failure("\n".join(filter(None, [f"ERROR: file [{file}] does not exist", near(file)])))
     with refusals():
         text = text_of(file)
     if given.verbose:

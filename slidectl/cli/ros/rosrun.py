@@ -25,9 +25,11 @@ from slidectl.cli.launch_text import Terminal
 from slidectl.cli.ros.arguments import Failure, Parser, option, without_remappings
 from slidectl.cli.ros.command import program, run
 from slidectl.cli.spawn import package_lookup, tell_own_packages
-from slidectl.errors import BadFile, Refused, SlidectlError, UsageError
+from slidectl.client import windows
+from slidectl.errors import BadFile, Refused, SlidectlError, UsageError, closest
 from slidectl.launch.node_kinds import COUNTERPARTS, has_counterpart, tasks
 from slidectl.launch.nodes.controller_nodes import ManagerScript, is_command
+from slidectl.launch.nodes.left_out import LeftOut
 from slidectl.launch.plan import LaunchPlan, Location, Node, Remap, Setting
 from slidectl.values import read
 from slidectl.writing import reason, write_whole
@@ -47,7 +49,6 @@ _HELP = frozenset(("-h", "--help"))
 _PLACE = Location("rosrun", None)
 _ASSIGNMENT = re.compile(r"(?P<name>[A-Za-z0-9_~/]+):=(?P<value>.*)\Z", re.DOTALL)
 _TOOLS = ("rostopic", "rosservice", "rosparam", "rosnode", "rosmsg", "rossrv", "roslaunch")
-_WINDOWS = (("rviz", "rviz"), ("rqt_gui", "rqt_gui"), ("rqt_plot", "rqt_plot"))
 _STATIC_USAGE = """Puts child_frame_id into frame_id, for as long as it runs. Metres, radians:
 Usage: static_transform_publisher x y z yaw pitch roll frame_id child_frame_id{period}
 or with a quaternion:
@@ -95,6 +96,8 @@ def rosrun(ctx: Context, argv: Sequence[str]) -> None:
     )
     parser.disable_interspersed_args()  # the words behind PACKAGE belong to the program
     given = parser.parse(argv)
+    if given.words and given.words[0] in windows.ALONE and len(given.words) == 1:
+        given.words = list(windows.ALONE[given.words[0]])  # a window, whose program is left out
     if len(given.words) < 2:
         return parser.print_help()
     package, executable, *words = given.words
@@ -202,7 +205,8 @@ def _run_node(ctx: Context, package: str, kind: str, words: Sequence[str]) -> No
         raise _plain(error) from None
     for task in made:
         if task.family == "notice":  # a launch goes on without such a node; here it is the only one
-            raise Refused(f"{package}/{kind} cannot be run here", task.text.removeprefix("left out: "))
+            assert isinstance(task, LeftOut)
+            raise Refused(f"{package}/{kind} cannot be run here", task.why(ctx.paths))
         if isinstance(task, ManagerScript):
             task.goes_on = True  # the script goes on after a failure where a launch ends
     # A Gazebo node starts a daemon; every other node needs one that runs.
@@ -221,7 +225,12 @@ def _run_node(ctx: Context, package: str, kind: str, words: Sequence[str]) -> No
             if interrupted.number == signal.SIGINT:
                 raise KeyboardInterrupt from None
         except SlidectlError as error:
-            raise _plain(error) from None
+            plain = _plain(error)
+            others = [robot["namespace"] for robot in run.controlled_robots()] if run.is_connected else []
+            if made[0].manager_namespace is not None and "there was no" in plain.message and others:
+                line = " ".join(["rosrun", package, kind, *words, f"__ns:={others[0]}"])
+                plain.hint = f"type: {line}"
+            raise plain from None
         finally:
             session.shut_down()
 
@@ -275,11 +284,14 @@ def _find(ctx: Context, package: str, executable: str, debug: bool) -> Path:
 
     lookup = package_lookup(())
     folders = lookup.candidates(package)
-    ours = [*_PROGRAMS, *_USAGES, *COUNTERPARTS, *((tool, tool) for tool in _TOOLS), *_WINDOWS]
+    ours = [*_PROGRAMS, *_USAGES, *COUNTERPARTS, *((tool, tool) for tool in _TOOLS), *windows.ALONE.values()]
     here = sorted({name for known, name in ours if known == package})
     if not folders and not here:
         known = sorted({name for name, _ in ours} | set(lookup.names()))
-        raise Failure(f"[rospack] Error: package '{package}' not found\nthere are: {' '.join(known)}", _NO_PACKAGE)
+        meant = closest(package, known)
+        ways = f"did you mean {meant}?" if meant else "ROS_PACKAGE_PATH names the folders of your own packages"
+        text = f"[rospack] Error: package '{package}' not found\n{ways}\nthere are: {' '.join(known)}"
+        raise Failure(text, _NO_PACKAGE)
     if debug:
         output.write("\n".join(["[rosrun] Looking in:", *map(str, folders)]))
     try:
@@ -289,7 +301,13 @@ def _find(ctx: Context, package: str, executable: str, debug: bool) -> Path:
         raise Failure(f"[rosrun] {reason}\n{(error.hint or '').partition(chr(10))[0]}") from None
     except BadFile as error:
         output.write(f"[rosrun] Couldn't find executable named {executable} below {folders[0] if folders else package}")
-        programs = f"slidectl has of {package}: {', '.join(here)}" if here else (error.hint or "").partition("\n")[0]
+        meant = closest(executable, here)
+        suggestion = f"did you mean {meant}? " if meant else ""
+        programs = (
+            f"{suggestion}slidectl has of {package}: {', '.join(here)}"
+            if here
+            else (error.hint or "").partition("\n")[0]
+        )
         raise Failure(programs or error.message, _NO_EXECUTABLE) from None
     tell_own_packages(ctx, lookup)
     return path

@@ -11,7 +11,7 @@ from slidectl.cli.context import Context
 from slidectl.cli.ros import genpy
 from slidectl.cli.ros.arguments import Failure, Parser, Tool, below, option, resolve, without_remappings
 from slidectl.cli.service import argument_names, as_yaml, ask_each, call_service, warn_of_call
-from slidectl.errors import EXIT_REFUSED, Refused, TimedOut, UnknownName
+from slidectl.errors import EXIT_REFUSED, Refused, TimedOut, UnknownName, closest
 from slidectl.msgs.schema import Typedefs
 from slidectl.values import check_quotes
 
@@ -56,8 +56,16 @@ def _asked(
     full = resolve(ctx, parser.parse(without_remappings(argv), 1, 1, missing, extra).words[0], "rosservice")
     found = _known(ctx, full)
     if found is None:
-        raise Failure(unknown.format(full), code)
+        raise Failure(unknown.format(full) + _near(ctx, full), code)
     return found
+
+
+def _near(ctx: Context, full: str) -> str:
+    """A line with the service that is nearest in spelling; empty when there is none."""
+    known = ctx.names("service")
+    end = "/".join(full.split("/")[-2:])
+    near = closest(full, known) or next((name for name in known if name.endswith(f"/{end}")), None)
+    return f"\ndid you mean {near}?" if near else ""
 
 
 def info(ctx: Context, argv: Sequence[str]) -> None:
@@ -113,7 +121,7 @@ def call(ctx: Context, argv: Sequence[str]) -> None:
     full = resolve(ctx, name, "rosservice")
     found = _awaited(ctx, full) if given.wait else _known(ctx, full)
     if found is None:
-        raise Failure(_NOT_AVAILABLE.format(full), _FAILED)
+        raise Failure(_NOT_AVAILABLE.format(full) + _near(ctx, full), _FAILED)
     request, response = found["typedefs"], found["response_typedefs"]
     check_quotes(words, request[0]["fieldnames"])
     from_stdin = not values and bool(request[0]["fieldnames"])

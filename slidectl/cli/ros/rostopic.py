@@ -25,7 +25,7 @@ from slidectl.cli.topic_streams import (
     usage_of_topics,
     users_of,
 )
-from slidectl.errors import UnknownName
+from slidectl.errors import UnknownName, closest
 
 if TYPE_CHECKING:
     from slidectl.cli.topic_measure import Record
@@ -121,7 +121,13 @@ def _followed(ctx: Context, name: str) -> tuple[Target, list[Subscription]]:
     """As `awaited`, with the subscription of a topic that came later."""
 
     def tell(full: str) -> None:
-        print(f"WARNING: topic [{full}] does not appear to be published yet", file=sys.stderr, flush=True)
+        near = closest(full, ctx.call("/rosapi/topics")["topics"])
+        suggestion = f"; did you mean {near}?" if near else ""
+        if not near and full.endswith("/joint_states"):
+            from slidectl.cli.controller import step_to_joint_states
+
+            suggestion = f"; {step_to_joint_states(ctx)}"
+        print(f"WARNING: topic [{full}] does not appear to be published yet{suggestion}", file=sys.stderr, flush=True)
 
     return look_up_when_there(ctx, resolve(ctx, name, "rostopic"), tell)
 

@@ -5,6 +5,7 @@ A single message, with -1 or without, is done when the subscribers have it, so s
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Iterator, Sequence
 from itertools import chain
@@ -18,7 +19,7 @@ from slidectl.cli.ros import genpy
 from slidectl.cli.ros.arguments import Failure, Parser, option, refusals, resolve_remapped, without_remappings
 from slidectl.cli.service import argument_names
 from slidectl.cli.topic_streams import SUBSCRIBERS, Target, details, look_up, users_of
-from slidectl.errors import BadFile, NotThere, Refused, SlidectlError, UnknownName, Unused
+from slidectl.errors import BadFile, NotThere, Refused, SlidectlError, UnknownName, Unused, closest
 from slidectl.input_files import read_text
 from slidectl.values import check_quotes
 
@@ -56,7 +57,8 @@ def pub(ctx: Context, argv: Sequence[str]) -> None:
     given = _PARSER.parse(without_remappings(argv, _PAYLOAD))
     rate = _rate(given)
     if len(given.words) < _PAYLOAD:
-        _PARSER.error("topic type must be specified" if given.words else "/topic must be specified")
+        missing = "topic type" if given.words else "/topic"
+        _PARSER.error(f"{missing} must be specified, as in: rostopic pub /TOPIC std_msgs/Float64 'data: 1.0'")
     topic, type_name, *words = given.words
     if given.file is not None and words:
         _PARSER.error("args conflict with -f setting")
@@ -100,15 +102,24 @@ def _value(word: str) -> Any:
 def _target(ctx: Context, topic: str, type_name: str) -> tuple[Target, SlidectlError | None]:
     """The topic, and an error when no node subscribes to it. Raises Failure for a wrong type."""
     if "/" not in type_name:
-        raise Failure(f"ERROR: invalid topic type: {type_name}")
+        raise Failure(f"ERROR: invalid topic type: {type_name}\n{_with_type(ctx, topic)}")
     try:
         target = look_up(ctx, topic, SUBSCRIBERS, with_field=False)
     except (UnknownName, Unused) as nobody:
         return Target(topic, type_name, "", _typedefs(ctx, type_name), []), nobody
     if target.type != type_name:
         _typedefs(ctx, type_name)
-        raise Failure(f"ERROR: topic types do not match: [{target.type}] vs. [{type_name}]")
+        raise Failure(f"ERROR: topic types do not match: [{target.type}] vs. [{type_name}]\n{_with_type(ctx, topic)}")
     return target, None
+
+
+def _with_type(ctx: Context, topic: str) -> str:
+    """A hint: the command line with the type that the topic has."""
+    try:
+        known = look_up(ctx, topic, SUBSCRIBERS, with_field=False).type
+    except (UnknownName, Unused):
+        return "the type stands behind the topic: rostopic pub TOPIC std_msgs/Float64 'data: 1.0'"
+    return f"type: rostopic pub {topic} {known} VALUE"
 
 
 def _typedefs(ctx: Context, type_name: str) -> list[dict[str, Any]]:
@@ -118,8 +129,16 @@ def _typedefs(ctx: Context, type_name: str) -> list[dict[str, Any]]:
         package = type_name.partition("/")[0]
         raise Failure(
             f"ERROR: invalid message type: {type_name}.\n"
-            f"If this is a valid message type, perhaps you need to type 'rosmake {package}'"
+            f"If this is a valid message type, perhaps you need to type 'rosmake {package}'{_near(type_name)}"
         ) from None
+
+
+def _near(type_name: str) -> str:
+    """A line with the known type that is nearest in spelling; empty when there is none."""
+    from slidectl import msgs
+
+    near = closest(type_name, msgs.type_names())
+    return f"\ndid you mean {near}? slidectl msg list has all" if near else ""
 
 
 class _Run:
@@ -153,6 +172,7 @@ class _Run:
         source = self._documents()
         first = next(source, None)
         if first is None:
+            self._ctx.warn("no message was given, and nothing was published")
             return None
         stays = self._latch and rate is None
         is_single = given.once or stays
@@ -226,5 +246,16 @@ class _Run:
 
             raise Failure(
                 "ERROR: Unable to publish message. One of the fields has an incorrect type:\n"
-                f"  {error}\n\nmsg file:\n{msgs.definition(self._target.type).strip()}"
+                f"  {error}\n\nmsg file:\n{msgs.definition(self._target.type).strip()}{_slip(values)}"
             ) from None
+
+
+def _slip(values: Sequence[Any]) -> str:
+    """A line for `data:1.0`, in which YAML sees no field, and for `1,5`; else empty."""
+    for value in values:
+        text = next(iter(value.values()), None) if isinstance(value, dict) and len(value) == 1 else value
+        if isinstance(text, str) and re.fullmatch(r"[-+]?\d+,\d+", text):
+            return f"\nnumbers have a point, not a comma: {text.replace(',', '.')}"
+        if isinstance(value, str) and (match := re.fullmatch(r"([A-Za-z]\w*):(\S.*)", value)):
+            return f"\na blank follows the colon: '{match[1]}: {match[2]}'"
+    return ""

@@ -6,7 +6,7 @@ from `robot_description`. The hardware bounds the command, not this law.
 
 from __future__ import annotations
 
-from math import inf
+from math import inf, radians, tau
 from typing import Any, ClassVar
 
 from slidectl.control import params
@@ -115,6 +115,12 @@ class JointPositionController(PidController):
     def bounds(self) -> tuple[float, float]:
         """The position limits of the joint. The hardware limits the effort or velocity separately."""
         return self.lower, self.upper
+
+    def remark(self, value: float) -> str:
+        """A warning about an angle that looks like degrees: a multiple of 5, from 15 to 720."""
+        if self.turns == SLIDES or value % 5 or not 15 <= abs(value) <= 720:
+            return ""
+        return f"{value:g} rad are {value / tau:.3g} turns: if {value:g} degrees are meant, send {radians(value):.4g}"
 
     def set_command(self, value: float) -> None:
         """Go to this position (m or rad), clipped to the limits."""

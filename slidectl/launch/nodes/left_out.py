@@ -6,28 +6,12 @@ joint_state_publisher would contradict the simulated joints.
 
 from __future__ import annotations
 
+from slidectl.launch import open_page
 from slidectl.launch.plan import LaunchPlan, Node
 from slidectl.launch.task import Run, Task
+from slidectl.paths import InstancePaths
 
-_SHOWS = {
-    "rqt_plot": "slidectl plot TOPIC/FIELD draws the numbers",
-    "rqt_publisher": "slidectl pub TOPIC -r 100 'sin(t)' publishes expressions",
-    "rqt_reconfigure": "slidectl param set CONTROLLER/pid/p VALUE turns a running controller's gains",
-    "rqt_controller_manager": "slidectl top shows the controllers, starts and stops them",
-    "rqt_graph": "slidectl graph shows who publishes and who subscribes",
-    "rqt_console": "slidectl echo /rosout shows the log",
-    "rqt_tf_tree": "slidectl tf tree shows the frames",
-}
-_RQT = "also: slidectl pub -r (expressions), slidectl echo -p (numbers) and slidectl param set (live gains)"
-_FIRST = (
-    "slidectl view shows robots, plots and gains in a browser (http://127.0.0.1:8080), slidectl plot draws curves, "
-    "slidectl top shows joints and controllers"
-)
-"""What takes the place of any window."""
-_ROBOT = (
-    "slidectl robots NAME, slidectl echo joint_states and slidectl tf tree show the robot;"
-    " RViz is started where it is installed and the ROS 1 gateway runs: slidectl gateway ros1 start"
-)
+_SERVED = "the page takes its place"
 
 
 class LeftOut(Task):
@@ -40,26 +24,33 @@ class LeftOut(Task):
 
     @property
     def text(self) -> str:
-        return f"left out: {self.why}"
+        return "left out: " + self.why().replace("\n", "; ")
 
-    @property
-    def why(self) -> str:
-        """Why there is no such node, and what serves in its place."""
+    def why(self, paths: InstancePaths | None = None) -> str:
+        """Why there is no such node, and what serves in its place with the daemon of `paths`; of one or more lines."""
         raise NotImplementedError
 
+    def text_for(self, run: Run) -> str:
+        """`why` on one line, with the daemon of the run."""
+        return self.why(run.client.paths).replace("\n", "; ")
+
     def start(self, run: Run) -> str | None:
-        self.warn(run, self.text)
+        self.warn(run, f"left out: {self.text_for(run)}")
         return None
 
 
 class Viewer(LeftOut):
-    """A window of rviz or rqt; leaving it out is a warning."""
+    """A window of rviz or rqt; leaving it out is a warning, unless the page is open in its place."""
 
-    @property
-    def why(self) -> str:
-        package = self.node.package
-        instead = _SHOWS.get(package, _RQT) if package.startswith("rqt") else _ROBOT
-        return f"there are no windows here; {_FIRST}; {instead}"
+    def why(self, paths: InstancePaths | None = None) -> str:
+        return "\n".join(open_page.instead_of_window(self.node.package, self.node.words, paths))
+
+    def start(self, run: Run) -> str | None:
+        if run.has_page:
+            self.is_missed = False
+            self.settled(run, _SERVED)
+            return None
+        return super().start(run)
 
 
 class Window(LeftOut):
@@ -69,14 +60,16 @@ class Window(LeftOut):
 
     @property
     def text(self) -> str:
-        return self.why
+        return self.why().replace("\n", "; ")
 
-    @property
-    def why(self) -> str:
-        return f"there is no window here; {_FIRST}"
+    def why(self, paths: InstancePaths | None = None) -> str:
+        return "\n".join(open_page.instead_of_window(self.node.package, (), paths))
 
     def start(self, run: Run) -> str | None:
-        self.settled(run, self.text)
+        if run.has_page:
+            self.settled(run, _SERVED)
+            return None
+        self.settled(run, self.text_for(run))
         return None
 
 
@@ -89,8 +82,7 @@ class JointStatePublisher(LeftOut):
         self._has_robot = any(other.type in ("spawn_model", "spawn_model.py") for other in plan.nodes)
         self.is_missed = not self._has_robot
 
-    @property
-    def why(self) -> str:
+    def why(self, paths: InstancePaths | None = None) -> str:  # noqa: ARG002
         if self._has_robot:
             return (
                 "the joints of a simulated robot are where the world has them, and its joint_state_controller says so"

@@ -68,6 +68,10 @@ class Process(Task):
         remaps = [f"{remap.source}:={remap.target}" for remap in self.node.remaps]
         return [*self.executable, *self.node.words, *remaps, f"__name:={self.node.name}"]
 
+    def _to_run(self, log: Path) -> list[str]:
+        """The command line, with the log that programs of ROS write."""
+        return [*self.command, f"__log:={log}"]
+
     @property
     def text(self) -> str:
         return f"run {shlex.join(self.command)}"
@@ -88,7 +92,7 @@ class Process(Task):
         try:
             with run.interrupts.held():
                 self.child = Child(
-                    [*self.command, f"__log:={path}.log"],
+                    self._to_run(Path(f"{path}.log")),
                     run.watch,
                     lambda stream, line: run.console.output(self._label, stream, line),
                     lambda code: self._ended(run, code),

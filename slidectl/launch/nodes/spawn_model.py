@@ -27,6 +27,14 @@ _REFUSED = {
 }
 
 
+def _joined(words: Sequence[str], surplus: Sequence[str]) -> str | None:
+    """A hint for a name whose underscores became blanks; None when the surplus words follow no value."""
+    at = words.index(surplus[0]) if surplus[0] in words else 0
+    if at < 2 or not words[at - 2].startswith("-"):
+        return None
+    return f"names have no blanks: did you mean {words[at - 2]} {'_'.join([words[at - 1], *surplus])}?"
+
+
 class SpawnModel(Task):
     """The spawn script. With `-b` it stays as a node, and the robot is deleted at its end.
 
@@ -47,7 +55,7 @@ class SpawnModel(Task):
         if sum(words.has(option) for option in ("-file", "-param", "-database")) != 1:
             raise self.error("takes one of -param NAME and -file FILE, or with -sdf -database NAME")
         if words.rest:
-            raise self.error(f"does not understand {' '.join(words.rest)!r}")
+            raise self.error(f"does not understand {' '.join(words.rest)!r}", _joined(node.words, words.rest))
         if not words.one("-model"):
             raise self.error("needs a name for the robot: -model NAME")
         if words.one("-gazebo_namespace", "/gazebo").strip("/") != "gazebo":
