@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import platform
+import sys
 
 import click
 
@@ -20,7 +20,7 @@ def version(ctx: Context) -> None:
 
     With -v the versions of the libraries too. JSON keys: slidectl, python, and with -v the libraries' names.
     """
-    record = {"slidectl": __version__, "python": platform.python_version()}
+    record = {"slidectl": __version__, "python": sys.version.split()[0]}
     if ctx.verbose:
         record |= {name: _library(name) for name in _LIBRARIES}
     ctx.emit(record, None if ctx.verbose else f"slidectl {__version__}")
