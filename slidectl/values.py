@@ -168,6 +168,10 @@ def read_documents(text: str, what: str, file: str | None = None, *, angles: boo
             left = itertools.count(_MOST_NODES, -1)
             yield _checked(value, what, left)
     except yaml.YAMLError as error:
+        from slidectl.description.yaml_tree import is_too_deep
+
+        if is_too_deep(error):
+            raise _too_deep(what, file) from None
         mark = getattr(error, "problem_mark", None)
         problem = str(getattr(error, "problem", None) or str(error).splitlines()[0])
         if file is not None:
@@ -175,11 +179,13 @@ def read_documents(text: str, what: str, file: str | None = None, *, angles: boo
         place = f" (line {mark.line + 1}, column {mark.column + 1})" if mark else ""
         raise UsageError(f"the {what} is not valid YAML: {problem}{place}") from None
     except RecursionError:
-        if file is not None:
-            raise BadFile("is nested too deeply", file) from None
-        raise UsageError(f"the {what} is nested too deeply") from None
+        raise _too_deep(what, file) from None
     except (ValueError, ArithmeticError) as error:
         raise UsageError(f"the {what} cannot be read: {error}") from None
+
+
+def _too_deep(what: str, file: str | None) -> BadFile | UsageError:
+    return UsageError(f"the {what} is nested too deeply") if file is None else BadFile("is nested too deeply", file)
 
 
 def _loader(length: int, angles: bool) -> Any:

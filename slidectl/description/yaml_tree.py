@@ -94,6 +94,8 @@ def documents(text: str | bytes, file: str, loader: type[yaml.SafeLoader] = _Loa
     try:
         return [node for node in yaml.compose_all(text, loader) if node is not None]
     except yaml.MarkedYAMLError as error:
+        if is_too_deep(error):
+            raise BadFile("is nested too deeply", file) from None
         mark = error.problem_mark or error.context_mark
         problem = " ".join(part for part in (error.context, error.problem) if part)
         raise BadFile(f"not YAML: {problem}", file, mark.line + 1 if mark else None, _advice(error, text)) from None
@@ -101,6 +103,11 @@ def documents(text: str | bytes, file: str, loader: type[yaml.SafeLoader] = _Loa
         raise BadFile(f"not YAML: {_problem(error)}", file) from None
     except RecursionError:
         raise BadFile("is nested too deeply", file) from None
+
+
+def is_too_deep(error: yaml.YAMLError) -> bool:
+    """True when the reader refuses the depth of a text. Some releases of it do, in others Python's stack ends first."""
+    return "maximum nesting depth" in str(error)
 
 
 def _namespace(document: yaml.Node) -> str:
