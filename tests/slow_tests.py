@@ -10,9 +10,11 @@ SLOW = (
     "gateways/websocket/test_websocket_page.py", "test_deployment.py", "test_examples.py", "test_pytest_plugin.py",
     "test_shown_sessions.py", "test_test_runs.py", "test_portable_ways.py",
     # commands that start much: launches, shells with the ROS commands, recordings, scenarios, and many daemons
-    "cli/test_cli_base_clean.py", "cli/test_cli_base_daemon*", "cli/test_cli_base_robots.py",
+    "cli/test_cli_base_clean.py", "cli/test_cli_base_controllers.py", "cli/test_cli_base_daemon*",
+    "cli/test_cli_base_robots.py",
     "cli/test_cli_base_sim.py", "cli/test_cli_base_stopping.py", "cli/test_cli_baselines.py",
     "cli/test_cli_doctor.py", "cli/test_cli_faults.py", "cli/test_cli_full_disk.py", "cli/test_cli_graph_param.py",
+    "cli/test_cli_graph_pub.py",
     "cli/test_cli_hostile_files.py", "cli/test_cli_keep_going.py", "cli/test_cli_launch_*",
     "cli/test_cli_own_controllers.py", "cli/test_cli_plot.py", "cli/test_cli_recordings.py", "cli/test_cli_render.py",
     "cli/test_cli_ros_*", "cli/test_cli_scenario*", "cli/test_cli_shell.py", "cli/test_cli_snapshots.py",
