@@ -616,9 +616,9 @@ def step_to_joint_states(context: Context) -> str:
 
 
 def _steps(context: Context, node: str) -> list[str]:
-    """What must be done before the controller whose names begin with `node` runs: a step for each robot.
+    """What must be done before a controller runs: a step for each robot, or one when it only has to be loaded.
 
-    One step alone when the controller is only not loaded.
+    `node` is the name of the controller's node, or its end.
     """
     above = node + "/"
     found = context.managers()

@@ -128,6 +128,8 @@ RRBOT = [
          "is not a legal name", "did you mean 'joint1_position_controller'?"),
     # Parameters.
     slip("slidectl ros rosparam set /rrbot/joint1_position_controller/pid/p abc", 1, "must be a number"),
+    slip("slidectl ros rosparam set /rrbot/joint1_position_controler/pid/p 200", 0,
+         "is new; did you mean /rrbot/joint1_position_controller/pid/p?"),
     slip("slidectl ros rosparam get /rrbot/joint1_position_controller/pid/pp", 1,
          "is not set", "did you mean /rrbot/joint1_position_controller/pid/p?"),
     # Programs, and things that are there twice.

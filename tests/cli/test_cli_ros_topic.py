@@ -349,7 +349,10 @@ def test_an_offset_in_yaml_has_seconds_rounded_down(slide: SlideWorld) -> None:
 
 WAITING = [
     ("/slide/command", ""),  # somebody subscribes, nobody publishes
-    ("//slide//position", "WARNING: topic [//slide//position] does not appear to be published yet\n"),
+    (
+        "//slide//position",
+        "WARNING: topic [//slide//position] does not appear to be published yet; did you mean /slide/position?\n",
+    ),
     ("pos pos:=/slide/position", "WARNING: topic [/pos] does not appear to be published yet\n"),
 ]
 

@@ -18,6 +18,8 @@ from slidectl.input_files import MOST_TEXT, near, read_bytes
 
 _VERBOSE = option("-v", "say what is done", dest="verbose")
 _INT32 = range(-(2**31), 2**31)
+_DEEP = 2
+"""The slashes of a name that is not below a controller or the like."""
 _NO_NAME = "invalid arguments. Please specify a parameter name"
 _TOO_MANY = "too many arguments"
 
@@ -49,10 +51,10 @@ def set_parameter(ctx: Context, argv: Sequence[str]) -> None:
         parser.error(_TOO_MANY)
     content = _typed(given.words[1]) if file is None else _content(parser, file, binary=given.textfile is None)
     full = names.check_parameter(_full(ctx, given.words[0]))
-    meant = _near(ctx, full) if not ctx.call("/rosapi/has_param", {"name": full})["exists"] else ""
+    meant = _mistyped(ctx, full)
     chosen = _store(ctx, content, full)
     if meant:
-        ctx.warn(f"{full} is new;{meant.replace(chr(10), ' ')}")
+        ctx.warn(f"{full} is new; did you mean {meant}?")
     if given.verbose:
         if not isinstance(content, dict):
             chosen = {_shown(ctx, given.words[0]): content}
@@ -146,6 +148,16 @@ def _named(key: str, value: Any, indent: str) -> str:
         lines = "\n".join(f"{indent}  {line}" for line in value.split("\n"))
         return f"{indent}{key}: |\n{lines}"
     return f"{indent}{key}: {pretty(value)}"
+
+
+def _mistyped(ctx: Context, full: str) -> str | None:
+    """The parameter that a new name may mean: one deep in a namespace, whose name differs in one part."""
+    if full.count("/") <= _DEEP or ctx.call("/rosapi/has_param", {"name": full})["exists"]:
+        return None
+    near = closest(full, ctx.names("parameter"))
+    parts = (full.split("/"), near.split("/")) if near else ([], [])
+    is_one = len(parts[0]) == len(parts[1]) and sum(map(str.__ne__, *parts)) == 1
+    return near if is_one else None
 
 
 def _near(ctx: Context, full: str) -> str:
