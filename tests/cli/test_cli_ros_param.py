@@ -138,7 +138,12 @@ SESSIONS = [
     Session("rosparam set /grüße 'grün'; rosparam get /grüße; rosparam delete /grüße", '"gr\\xFCn"\n\n'),
     Session("rosparam set /joint-1.2 1; rosparam set //joint-1.2//x/ 2; rosparam get /joint-1.2", "x: 2\n\n"),
     Session("rosparam delete -v /joint-1.2/", "deleted parameter [/joint-1.2/]\n"),
-    Session("rosparam set '/bad name' 1", "", ILLEGAL.format("/bad name"), 2),
+    Session(
+        "rosparam set '/bad name' 1",
+        "",
+        ILLEGAL.format("/bad name") + "names have no blanks: did you mean '/bad_name'?\n",
+        2,
+    ),
     Session("rosparam set /text 'grün ☃'; rosparam get -p /text; rosparam get /text", GREEN),
     Session("rosparam get /neg", "-0.5\n"),
     Session("rosparam get /s", "hello\n"),

@@ -161,8 +161,8 @@ def _mistyped(ctx: Context, full: str) -> str | None:
 
 
 def _near(ctx: Context, full: str) -> str:
-    """A line with the parameter that is nearest in spelling; empty when there is none."""
-    near = closest(full, ctx.names("parameter"))
+    """A line with the nearest parameter to a name deep in a namespace; empty when there is none."""
+    near = closest(full, ctx.names("parameter")) if full.count("/") > _DEEP else None
     return f"\ndid you mean {near}?" if near else ""
 
 

@@ -172,7 +172,6 @@ class _Run:
         source = self._documents()
         first = next(source, None)
         if first is None:
-            self._ctx.warn("no message was given, and nothing was published")
             return None
         stays = self._latch and rate is None
         is_single = given.once or stays
