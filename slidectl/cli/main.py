@@ -158,13 +158,13 @@ class Root(Group):
         """Raise UsageError for the name of a window of ROS or Gazebo, with the commands that show the same."""
         if args[0] in COMMANDS or args[0].startswith("-"):
             return
-        from slidectl.client import windows
+        from slidectl.cli.window_programs import ALONE
 
-        if args[0] in windows.ALONE:
+        if args[0] in ALONE:
             context = ctx.find_object(Context)
             from slidectl.launch.open_page import instead_of_window
 
-            package = windows.ALONE[args[0]][0]
+            package = ALONE[args[0]][0]
             hint = instead_of_window(package, args[1:], context.paths if context is not None else None)
             raise UsageError(f"no command {args[0]!r}", "\n".join(hint))
 

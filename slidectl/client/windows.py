@@ -12,17 +12,6 @@ from shlex import quote
 from slidectl.client.link import command
 from slidectl.paths import InstancePaths
 
-ALONE = {
-    "rviz": ("rviz", "rviz"),
-    "rqt": ("rqt_gui", "rqt_gui"),
-    "rqt_gui": ("rqt_gui", "rqt_gui"),
-    **{
-        name: (name, name)
-        for name in ("rqt_plot", "rqt_graph", "rqt_console", "rqt_bag", "rqt_reconfigure", "rqt_controller_manager")
-    },
-    "gzclient": ("gazebo_ros", "gzclient"),
-}
-"""Windows that a shell has as commands of their own -> package and program."""
 _PAGE = "http://localhost:8080/"
 """Where the page opens unless that port is taken."""
 

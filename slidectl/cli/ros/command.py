@@ -18,7 +18,7 @@ import click
 from slidectl.cli import output
 from slidectl.cli.commands import command
 from slidectl.cli.context import Context
-from slidectl.client import windows
+from slidectl.cli.window_programs import ALONE
 from slidectl.errors import NoDaemon, SlidectlError, UsageError, closest
 from slidectl.operating_system import program_name
 
@@ -36,7 +36,7 @@ TOOLS = {
     "rosbag": "rosbag",
 }
 # Windows that tutorials open by a word of their own; each is answered, or run, as by rosrun.
-PROGRAMS = {**windows.ALONE, "gazebo": ("gazebo_ros", "gazebo")}
+PROGRAMS = {**ALONE, "gazebo": ("gazebo_ros", "gazebo")}
 NAMES = (*TOOLS, *PROGRAMS)
 
 

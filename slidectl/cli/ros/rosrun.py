@@ -25,7 +25,7 @@ from slidectl.cli.launch_text import Terminal
 from slidectl.cli.ros.arguments import Failure, Parser, option, without_remappings
 from slidectl.cli.ros.command import program, run
 from slidectl.cli.spawn import package_lookup, tell_own_packages
-from slidectl.client import windows
+from slidectl.cli.window_programs import ALONE
 from slidectl.errors import BadFile, Refused, SlidectlError, UsageError, closest
 from slidectl.launch.node_kinds import COUNTERPARTS, has_counterpart, tasks
 from slidectl.launch.nodes.controller_nodes import ManagerScript, is_command
@@ -96,8 +96,8 @@ def rosrun(ctx: Context, argv: Sequence[str]) -> None:
     )
     parser.disable_interspersed_args()  # the words behind PACKAGE belong to the program
     given = parser.parse(argv)
-    if given.words and given.words[0] in windows.ALONE and len(given.words) == 1:
-        given.words = list(windows.ALONE[given.words[0]])  # a window, whose program is left out
+    if given.words and given.words[0] in ALONE and len(given.words) == 1:
+        given.words = list(ALONE[given.words[0]])  # a window, whose program is left out
     if len(given.words) < 2:
         return parser.print_help()
     package, executable, *words = given.words
@@ -284,7 +284,7 @@ def _find(ctx: Context, package: str, executable: str, debug: bool) -> Path:
 
     lookup = package_lookup(())
     folders = lookup.candidates(package)
-    ours = [*_PROGRAMS, *_USAGES, *COUNTERPARTS, *((tool, tool) for tool in _TOOLS), *windows.ALONE.values()]
+    ours = [*_PROGRAMS, *_USAGES, *COUNTERPARTS, *((tool, tool) for tool in _TOOLS), *ALONE.values()]
     here = sorted({name for known, name in ours if known == package})
     if not folders and not here:
         known = sorted({name for name, _ in ours} | set(lookup.names()))
