@@ -200,7 +200,7 @@ def test_no_block_of_a_page_stands_there_unrun() -> None:
         others[page.name] = len(kinds) - kinds.count("console") - kinds.count("python") - saved
     assert {name: count for name, count in others.items() if count and name != "commands.md"} == {
         "architecture.md": 1,  # a picture
-        "ci.md": 4,  # test_deployment.py
+        "ci.md": 5,  # test_deployment.py, test_pythons.py
         "pytest.md": 1,  # what pytest prints
         "ros1.md": 2,  # gateways/ros1/test_ros1_tools.py, test_ros1_rosmaster.py
         "seeing.md": 1,  # gateways/ros1/test_rviz.py
