@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 from command_line import ROOT, CommandLine
 from daemon_fixture import Runtime
+from inherited_signals import inherited
 from small_disk import PAGE, SmallDisk, small_disk
 
 from slidectl.recording.recording_files import opened
@@ -287,7 +288,8 @@ def test_a_signal_in_the_middle_leaves_nothing(world: World, number: int) -> Non
     keep = "sum(math.sin(k) for k in m.position * 3000) < 1e9"
     for _ in range(5):
         world.disk.clear()
-        running = world.start("bag", "filter", "@/sound.bag", "%/f.bag", f"topic == '{STATES}' and {keep}")
+        with inherited(number, signal.SIG_DFL):
+            running = world.start("bag", "filter", "@/sound.bag", "%/f.bag", f"topic == '{STATES}' and {keep}")
         try:
             while running.poll() is None and not world.disk.files():
                 pass

@@ -6,11 +6,12 @@ import os
 import signal
 import subprocess
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 from command_line import CommandLine
+from inherited_signals import inherited
 from launch_runs import RUNS, Launched, kill_all, nothing_is_left, processes, write_everything
 from waiting import eventually
 
@@ -53,16 +54,6 @@ def interrupting(slidectl: CommandLine, tmp_path: Path) -> str:
     (tmp_path / "hook").mkdir()
     (tmp_path / "hook" / "sitecustomize.py").write_text(INTERRUPTING)
     return f"{tmp_path / 'hook'}:{slidectl.environment['PYTHONPATH']}"
-
-
-@contextmanager
-def inherited(number: signal.Signals, handler: signal.Handlers) -> Iterator[None]:
-    """What programs that are started meanwhile do at this signal, whatever the tests' own shell has set."""
-    previous = signal.signal(number, handler)
-    try:
-        yield
-    finally:
-        signal.signal(number, previous)
 
 
 @pytest.mark.parametrize("moment", MOMENTS)
