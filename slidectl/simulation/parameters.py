@@ -263,8 +263,14 @@ class Parameters:
 
     def _forget_derived(self, changed: list[Path]) -> None:
         """Take what is set or deleted now, and all below it or above it, for what clients have set."""
-        if self._derived:
-            self._derived = {one for one in self._derived if not any(_related(one, path) for path in changed)}
+        # One look for each path and each part of it: a line may set a hundred thousand.
+        firsts = {one[:1] for one in self._derived}
+        near = [path for path in changed if path[:1] in firsts or not path]
+        whole = set(near)
+        above = {path[:depth] for path in near for depth in range(len(path))}
+        self._derived -= {
+            one for one in self._derived if one in above or any(one[:depth] in whole for depth in range(len(one) + 1))
+        }
 
     def _find(self, path: Path) -> Any:
         node: Any = self._root

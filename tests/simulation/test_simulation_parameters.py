@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from typing import Any
 
 import pytest
@@ -212,3 +213,29 @@ def test_a_namespace_that_is_deleted_or_replaced_takes_what_was_derived_along(ch
         parameters.delete("/a")
     parameters.set("/a", {"i": 0.0})
     assert parameters.given("/") == {"a": {"i": 0.0}}
+
+
+def calls_to_set(values: dict[str, Any], derived: int) -> int:
+    """How many functions run while the values are set, beside so many derived parameters in the same namespace."""
+    parameters = Parameters()
+    for number in range(derived):
+        parameters.set(f"/r/gains/{number}", 0.0, derived=True)
+    count = 0
+
+    def counted(_frame: object, event: str, _argument: object) -> None:
+        nonlocal count
+        count += event == "call"
+
+    before = sys.getprofile()
+    sys.setprofile(counted)
+    try:
+        parameters.set_all(values)
+    finally:
+        sys.setprofile(before)
+    assert len(parameters.derived()) == derived
+    return count
+
+
+def test_the_work_of_many_values_does_not_grow_with_what_is_derived_beside_them() -> None:
+    values = {f"/r/other/{number}": 1 for number in range(2000)}
+    assert calls_to_set(values, 200) < 2 * calls_to_set(values, 1)
