@@ -18,7 +18,7 @@ import numpy as np
 from slidectl import traces
 from slidectl.cli import completion
 from slidectl.cli.bag import open_recording
-from slidectl.cli.commands import command, finite, simulated_seconds, wait_for_world_s
+from slidectl.cli.commands import command, conditions, finite, number, simulated_seconds, wait_for_world_s
 from slidectl.cli.context import Context
 from slidectl.cli.topic_streams import paused, resume_hint
 from slidectl.errors import Refused, UsageError
@@ -142,18 +142,7 @@ def _conditions(
     ],
 )
 @click.argument("target", shell_complete=completion.topics_and_fields)
-@click.option(
-    "--near",
-    type=float,
-    callback=finite,
-    metavar="X",
-    help="Within --tol of X, in the unit of the value: m or rad, say.",
-)
-@click.option("--above", type=float, callback=finite, metavar="X", help="Greater than X, in the unit of the value.")
-@click.option("--below", type=float, callback=finite, metavar="X", help="Less than X, in the unit of the value.")
-@click.option("--equals", type=float, callback=finite, metavar="X", help="Exactly X, in the unit of the value.")
-@click.option("--tol", type=click.FloatRange(min=0), callback=finite, metavar="T",
-              help="How far --near may be off, in the unit of the value (0.01).")  # fmt: skip
+@conditions(number("--equals", "Exactly X, in the unit of the value."))
 @_measure_options
 @click.option("--set-point", callback=_set_point, metavar="X|FIELD",
               help="What the value is to be: a number in its unit, or a field of the same topic.")  # fmt: skip
@@ -161,23 +150,9 @@ def _conditions(
               help="Simulated time of the step, s; else when the motion began.")  # fmt: skip
 @click.option("--band", type=click.FloatRange(0, 100, min_open=True), default=2.0, callback=finite, metavar="PERCENT",
               help="Half the width of the band of --settling, % of the step (2).")  # fmt: skip
-@click.option(
-    "--effort-limit", type=float, callback=finite, metavar="X", help="Of --saturation, N or N m; else the joint's."
-)
-@click.option(
-    "--lower",
-    type=float,
-    callback=finite,
-    metavar="X",
-    help="Bound of --limit-hits, in the unit of the value; else the joint's.",
-)
-@click.option(
-    "--upper",
-    type=float,
-    callback=finite,
-    metavar="X",
-    help="Bound of --limit-hits, in the unit of the value; else the joint's.",
-)
+@number("--effort-limit", "Of --saturation, N or N m; else the joint's.")
+@number("--lower", "Bound of --limit-hits, in the unit of the value; else the joint's.")
+@number("--upper", "Bound of --limit-hits, in the unit of the value; else the joint's.")
 @click.option("--last", type=float, callback=simulated_seconds, metavar="S", help="Of the last S simulated seconds.")
 @click.option("--for", "duration", type=float, callback=simulated_seconds, metavar="S",
               help="Of the next S simulated seconds.")  # fmt: skip

@@ -47,6 +47,30 @@ def simulated_seconds(click_context: click.Context, param: click.Parameter, valu
     return positive_seconds(click_context, param, value)
 
 
+def number(name: str, text: str) -> Callable[..., Any]:
+    """An option that takes a finite number, X in its help text."""
+    return click.option(name, type=float, callback=finite, metavar="X", help=text)
+
+
+def conditions(equals: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options of a condition: --near, --above, --below, then `equals`, and --tol."""
+    options = [
+        number("--near", "Within --tol of X, in the unit of the value: m or rad, say."),
+        number("--above", "Greater than X, in the unit of the value."),
+        number("--below", "Less than X, in the unit of the value."),
+        equals,
+        click.option("--tol", type=click.FloatRange(min=0), callback=finite, metavar="T",
+                     help="How far --near may be off, in the unit of the value (0.01)."),
+    ]  # fmt: skip
+
+    def add(function: Callable[..., Any]) -> Callable[..., Any]:
+        for option in reversed(options):
+            function = option(function)
+        return function
+
+    return add
+
+
 def pixel_size(smallest: int, largest: int) -> Callback:
     """The callback of an option with a width and a height in pixels, such as 800x600. Its value is two numbers."""
 

@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from slidectl.cli import completion, output, robots
-from slidectl.cli.commands import command, finite, simulated_seconds, wait_for_world_s
+from slidectl.cli.commands import command, conditions, finite, simulated_seconds, wait_for_world_s
 from slidectl.cli.context import Context
 from slidectl.cli.published_topics import look_up_published
 from slidectl.cli.topic_streams import paused, resume_hint
@@ -45,22 +45,8 @@ def _condition(
     ],
 )
 @click.argument("target", metavar="TOPIC/FIELD[I]", shell_complete=completion.topics_and_fields)
-@click.option(
-    "--near",
-    type=float,
-    callback=finite,
-    metavar="X",
-    help="Within --tol of X, in the unit of the value: m or rad, say.",
-)
-@click.option("--above", type=float, callback=finite, metavar="X", help="Greater than X, in the unit of the value.")
-@click.option("--below", type=float, callback=finite, metavar="X", help="Less than X, in the unit of the value.")
-@click.option("--equals", metavar="X", help="Exactly X: a number in the unit of the value, true, false or text.")
-@click.option(
-    "--tol",
-    type=click.FloatRange(min=0),
-    callback=finite,
-    metavar="T",
-    help="How far --near may be off, in the unit of the value (0.01).",
+@conditions(
+    click.option("--equals", metavar="X", help="Exactly X: a number in the unit of the value, true, false or text.")
 )
 @click.option(
     "--for", "hold", type=click.FloatRange(min=0), default=0.0, callback=finite, metavar="S",
