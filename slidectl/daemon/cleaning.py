@@ -37,8 +37,8 @@ def of_instance(chosen: paths.InstancePaths) -> list[Leftover]:
     if not chosen.prefix:
         return _instance(chosen.folder)
     # Not `prefix*lock`: socket `s` must not take the lock of a socket `s.x` for one of its own.
-    pid = _user_of((chosen.lock, *chosen.folder.glob(f"{chosen.prefix}gateway-*.lock")))
-    kinds = ("lock", "log", "log.*", "gateway-*", "launch-*.log", "recording-*.log", "playing-*.log")
+    pid = _user_of((chosen.lock, chosen.page, *chosen.folder.glob(f"{chosen.prefix}gateway-*.lock")))
+    kinds = ("lock", "page.lock", "log", "log.*", "gateway-*", "launch-*.log", "recording-*.log", "playing-*.log")
     files = [*(file for kind in kinds for file in chosen.folder.glob(chosen.prefix + kind)), chosen.socket]
     what = f"socket {chosen.socket.name}"
     ours = [path for path in files if paths.is_ours(path, stat.S_IFREG, stat.S_IFSOCK)]

@@ -128,5 +128,6 @@ def test_the_files_beside_a_named_socket_go_too(home: tuple[CommandLine, Path, R
     line.ok("--socket", str(own / "s"), "daemon", "stop")
     assert (own / "s.log").exists()
     (own / "s.gateway-ros1.log").write_text("what a gateway said")
+    (own / "s.page.lock").write_text("1\nhttp://localhost:8080/")  # of a page that was killed
     line.ok("--socket", str(own / "s"), "daemon", "clean")
     assert [path.name for path in own.iterdir()] == ["notes"]
