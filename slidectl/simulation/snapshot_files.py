@@ -137,6 +137,7 @@ def _unpack_all(packed: _Packed) -> Snapshot:
         SpawnedAs(**{**one, "hulls": dict(_hull(*hull) for hull in one["hulls"])}) for one in values.pop("robots")
     ]
     values["is_from_file"] = True
+    values.setdefault("derived", [])  # a file that does not tell them has all parameters as set by clients
     faults = [FaultRequest(*one) for one in values.pop("faults")]
     entries = [SavedObject(*entry) for entry in values.pop("entries")]
     return Snapshot(robots=robots, faults=faults, entries=entries, **values)
