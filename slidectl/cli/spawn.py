@@ -107,8 +107,6 @@ def spawn(
     none; --at is where the file's origin is. JSON keys: name, namespace, kind, fixed, pose, links, joints, controllers,
     report.
     """
-    if name is not None and (remark := names.remark_on_robot(name)):
-        ctx.warn(remark)
     from slidectl.description import slips
     from slidectl.description.missing import Missing
 
@@ -125,7 +123,7 @@ def spawn(
     xml = spawning.with_transmissions(document, transmissions, _rooted(document.xml, document.file, fixed))
     pose = spawning.pose(at, "--at")
     wanted, namespace, model_on_paper = spawning.identity(xml, document, name, strict, positions)
-    if name is None and (remark := names.remark_on_robot(model_on_paper.name)):
+    if remark := names.remark_on_robot(model_on_paper.name if name is None else name):
         ctx.warn(remark)
     asked = ctx.client.call_async("/rosapi/get_param_names")  # answered in the time of the next call
     present = robots.all_robots(ctx)
@@ -335,6 +333,8 @@ def _spawn_scene(
     """Spawn all models of a file, or none."""
     from slidectl import description
 
+    if name is not None and (remark := names.remark_on_robot(name)):
+        ctx.warn(remark)
     requests = []
     for model in scene.named(name):
         xml = _rooted(model.xml, model.file, fixed)

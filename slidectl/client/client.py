@@ -807,7 +807,7 @@ class Client:
 
     @property
     def daemon_pid(self) -> int:
-        """The daemon's process id, as the kernel gives it."""
+        """The daemon's process id: from the kernel, or from the daemon where the kernel does not tell it."""
         pid = self._link.daemon_pid
         return int(self.call("/slidectl/status")["pid"]) if pid is None else pid
 

@@ -19,7 +19,7 @@ from slidectl.input_files import MOST_TEXT, near, read_bytes
 _VERBOSE = option("-v", "say what is done", dest="verbose")
 _INT32 = range(-(2**31), 2**31)
 _DEEP = 2
-"""The slashes of a name that is not below a controller or the like."""
+"""Names with no more slashes than this get no hint: they are often new, and not mistyped."""
 _NO_NAME = "invalid arguments. Please specify a parameter name"
 _TOO_MANY = "too many arguments"
 
