@@ -9,11 +9,11 @@ from pathlib import Path
 from benchmarks.cycles import build, cpu_s
 from benchmarks.harness import SLIDER_CONTROLLERS, Row
 from slidectl import description
-from slidectl.daemon import journal
 from slidectl.daemon.in_process import InProcessWorld
-from slidectl.daemon.journal import Journal
-from slidectl.daemon.journal_replay import Replay
 from slidectl.daemon.options import DaemonOptions
+from slidectl.extensions.journal import journal
+from slidectl.extensions.journal.journal import Journal
+from slidectl.extensions.journal.journal_replay import Replay
 from slidectl.simulation import Simulation
 from slidectl.simulation.compiled import object_file
 

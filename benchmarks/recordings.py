@@ -18,8 +18,8 @@ from rosbags.typesys import Stores, get_typestore
 
 from benchmarks.cycles import STATES, hinge
 from benchmarks.harness import RRBOT_CONTROLLERS, SLIDECTL, Daemon, Row, daemon
-from slidectl.recording import codec
-from slidectl.recording.recording_files import create, opened
+from slidectl.extensions.recording import codec
+from slidectl.extensions.recording.recording_files import create, opened
 
 MESSAGES = 20_000
 SECONDS = 5.0

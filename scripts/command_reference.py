@@ -12,9 +12,10 @@ from pathlib import Path
 
 import click
 
+from slidectl.cli.command_table import COMMANDS
 from slidectl.cli.commands import common_options as options_of_all
 from slidectl.cli.context import Context
-from slidectl.cli.main import COMMANDS, root
+from slidectl.cli.main import root
 
 ROOT = Path(__file__).parent.parent
 PAGE = ROOT / "docs" / "commands.md"

@@ -25,7 +25,7 @@ from slidectl.msgs.schema import Schema, from_typedefs, nanoseconds
 
 if TYPE_CHECKING:
     from slidectl.client import Client
-    from slidectl.recording.recording_files import Recording
+    from slidectl.extensions.recording.recording_files import Recording
 
 _TURNING = {"position": "rad", "velocity": "rad/s", "effort": "N·m"}
 JOINT_UNITS = {

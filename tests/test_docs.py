@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from slidectl import errors, msgs
-from slidectl.cli.main import COMMANDS
+from slidectl.cli.command_table import COMMANDS
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]

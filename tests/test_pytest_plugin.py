@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from waiting import eventually
 
-from slidectl.recording.recording_files import opened
+from slidectl.extensions.recording.recording_files import opened
 
 pytest_plugins = ["pytester"]
 
@@ -39,7 +39,7 @@ def run(pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}:{os.environ['PATH']}")
 
     def run_pytest(*words: str) -> pytest.RunResult:
-        plugins = ("-p", "slidectl.pytest_plugin", "-p", "xdist")
+        plugins = ("-p", "slidectl.extensions.scenarios.pytest_plugin", "-p", "xdist")
         return pytester.runpytest_subprocess(*plugins, "-W", "error", "-rA", *words, timeout=300)
 
     return run_pytest

@@ -8,7 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from slidectl.scenarios.scenario_file import BASELINE_KEYS, SCENARIO_KEYS, STEP_KEYS, WORLD_KEYS
+from slidectl.extensions.scenarios.scenario_file import BASELINE_KEYS, SCENARIO_KEYS, STEP_KEYS, WORLD_KEYS
 
 ROOT = Path(__file__).parent.parent
 PAGE = (ROOT / "docs" / "scenarios.md").read_text(encoding="utf-8")

@@ -28,16 +28,16 @@ from slidectl.description.report import did_you_mean
 from slidectl.description.robot import Notice, Robot, Verdict
 from slidectl.description.xml_tree import Element
 from slidectl.errors import BadFile, NotThere, closest, listing
-from slidectl.launch import loader
-from slidectl.launch.files import LaunchFile, find
-from slidectl.launch.node_kinds import tasks
-from slidectl.launch.nodes.controller_nodes import Spawner
-from slidectl.launch.nodes.frame_nodes import HONOURED, SEARCHED, WITHOUT_EFFECT, RobotStatePublisher
-from slidectl.launch.nodes.gazebo import Gazebo
-from slidectl.launch.nodes.programs import Process, ToolProcess
-from slidectl.launch.nodes.spawn_model import SpawnModel
-from slidectl.launch.plan import LaunchPlan, Location, Node, Remap, Setting, leaves
-from slidectl.launch.task import Task
+from slidectl.extensions.launch import loader
+from slidectl.extensions.launch.files import LaunchFile, find
+from slidectl.extensions.launch.node_kinds import tasks
+from slidectl.extensions.launch.nodes.controller_nodes import Spawner
+from slidectl.extensions.launch.nodes.frame_nodes import HONOURED, SEARCHED, WITHOUT_EFFECT, RobotStatePublisher
+from slidectl.extensions.launch.nodes.gazebo import Gazebo
+from slidectl.extensions.launch.nodes.programs import Process, ToolProcess
+from slidectl.extensions.launch.nodes.spawn_model import SpawnModel
+from slidectl.extensions.launch.plan import LaunchPlan, Location, Node, Remap, Setting, leaves
+from slidectl.extensions.launch.task import Task
 
 _ATTRIBUTE = re.compile(r"attribute '([^']*)'")
 _JOINT_STATES = "joint_state_controller/JointStateController"

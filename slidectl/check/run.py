@@ -83,7 +83,7 @@ def _resolved(words: Sequence[str], text: bytes | None, packages: Packages) -> t
     if len(words) > 1 and source not in models.shipped() and not is_file(Path(source)):
         if kinds.of_name(words[1]) in ("launch", None):
             return "launch", words
-        from slidectl.launch import files
+        from slidectl.extensions.launch import files
 
         words = [shown(files.find_in_package(source, words[1], packages)), *words[2:]]
     return _kind(words[0], text), words
@@ -141,6 +141,6 @@ def _kind(source: str, text: bytes | None) -> kinds.Kind:
         return "model"
     if is_file(path) or path.suffix:
         return kinds.of_name(path.name) or kinds.of_text(models.read_file(path), str(path))
-    from slidectl.launch import files
+    from slidectl.extensions.launch import files
 
     return "launch" if source in files.shipped() else "model"

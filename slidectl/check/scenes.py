@@ -10,7 +10,7 @@ from slidectl.check.findings import Findings
 from slidectl.description import models, sdf
 from slidectl.description.packages import Packages, shown
 from slidectl.errors import BadFile
-from slidectl.launch.nodes import gazebo
+from slidectl.extensions.launch.nodes import gazebo
 
 
 def check(path: Path, packages: Packages, findings: Findings, text: bytes | None = None, strict: bool = False) -> bool:

@@ -17,11 +17,11 @@ import numpy as np
 
 from slidectl import traces
 from slidectl.cli import completion
-from slidectl.cli.bag import open_recording
 from slidectl.cli.commands import command, conditions, finite, number, simulated_seconds, wait_for_world_s
 from slidectl.cli.context import Context
 from slidectl.cli.topic_streams import paused, resume_hint
 from slidectl.errors import Refused, UsageError
+from slidectl.extensions.recording.commands.bag import open_recording
 from slidectl.measures import NoMeasure, measure_text
 from slidectl.traces import MEASURES, JointOrFieldTrace
 

@@ -458,8 +458,8 @@ def plot(ctx: Context, manager: str | None, name: str, step: float, duration: fl
     keys: controller, set_point, unit, start, rise, overshoot, settling, error, effort_peak (null where it is never
     reached or cannot be measured), file.
     """
-    from slidectl.cli import plot as plotting
-    from slidectl.viewing.step_response import step_response
+    from slidectl.extensions.viewing.commands import plot as plotting
+    from slidectl.extensions.viewing.step_response import step_response
 
     plotting.check(ctx, save)
     found, (local,), states = owner(ctx, manager, [name])

@@ -16,12 +16,13 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 import click
 
-from slidectl.cli import completion, gateway_commands, output
+from slidectl.cli import completion, output
 from slidectl.cli.commands import group
 from slidectl.cli.context import Context
-from slidectl.cli.gateway_commands import PORTS
 from slidectl.cli.sim import status_text
 from slidectl.errors import NoDaemon, Refused
+from slidectl.extensions.gateways.commands import gateway_commands
+from slidectl.extensions.gateways.commands.gateway_commands import PORTS
 
 if TYPE_CHECKING:
     from slidectl.daemon.options import DaemonOptions
@@ -390,7 +391,7 @@ def list_daemons(ctx: Context) -> None:
     stopped by an error, or why it does not answer), robots, gateways (objects with kind, pid, address).
     """
     from slidectl.daemon.instances import running_daemons
-    from slidectl.gateways.process import find_all
+    from slidectl.extensions.gateways.process import find_all
     from slidectl.paths import is_named_by_instance
 
     rows = []

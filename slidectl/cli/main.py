@@ -13,12 +13,13 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from importlib import import_module
 from keyword import iskeyword
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from slidectl import __version__
 from slidectl.cli import output
+from slidectl.cli.command_table import COMMANDS, Entry
 from slidectl.cli.commands import Group, environment_namespace
 from slidectl.cli.context import Context, paint
 from slidectl.errors import (
@@ -39,64 +40,6 @@ if TYPE_CHECKING:
 
 COMPLETION_VARIABLE = "_SLIDECTL_COMPLETE"
 
-
-class Entry(NamedTuple):
-    """One line of the command table. The command object has the command's name in its module (`assert_`: a keyword).
-
-    `help` is equal to the first sentence of the command's own help (a test compares them).
-    """
-
-    section: str
-    module: str
-    help: str
-
-
-COMMANDS = {
-    "daemon": Entry("The daemon", "daemon", "Start, stop and watch the daemon that holds the world."),
-    "sim": Entry("The daemon", "sim", "Time of the world: status, pause, step, reset; snapshots."),
-    "replay": Entry("The daemon", "replay", "Run again what a journal has, with the same bits."),
-    "spawn": Entry("Robots", "spawn", "Put a robot into the world."),
-    "delete": Entry("Robots", "robots", "Take robots out of the world."),
-    "robots": Entry("Robots", "robots", "List the robots, or show one with its joints."),
-    "estop": Entry("Robots", "robots", "Stop robots at once, or release them."),
-    "fault": Entry("Robots", "fault", "Faults on purpose, of joints, links, controllers and topics."),
-    "check": Entry("Robots", "check", "Check a model, a launch file or controllers, without a daemon."),
-    "urdf": Entry("Robots", "spawn", "Print the URDF that xacro makes of a model, without a daemon."),
-    "controller": Entry("Robots", "controller", "Load, start, stop and list controllers."),
-    "trajectory": Entry("Robots", "trajectory", "Trajectory controllers: send, plan, hold, cancel, state."),
-    "launch": Entry("Robots", "launch", "Run a launch file as roslaunch does."),
-    "pub": Entry("Topics, services, parameters", "pub", "Publish a message."),
-    "echo": Entry("Topics, services, parameters", "echo", "Print the messages of a topic."),
-    "wait": Entry("Topics, services, parameters", "wait", "Wait until a field of a topic has a value."),
-    "assert": Entry("Topics, services, parameters", "assertion", "Tell whether conditions hold, and measure motions."),
-    "record": Entry("Topics, services, parameters", "record", "Record topics into a file."),
-    "play": Entry("Topics, services, parameters", "play", "Publish the messages of recordings again."),
-    "bag": Entry("Topics, services, parameters", "bag", "Recordings: info, diff, filter, export, reindex."),
-    "plot": Entry("Topics, services, parameters", "plot", "Plot fields over simulated time."),
-    "topic": Entry("Topics, services, parameters", "topic", "List, inspect and measure topics."),
-    "hz": Entry("Topics, services, parameters", "topic_measure", "Measure how often messages come."),
-    "service": Entry("Topics, services, parameters", "service", "List, inspect and call services."),
-    "action": Entry("Topics, services, parameters", "action", "Goals of actions: list, inspect, send, cancel, follow."),
-    "param": Entry("Topics, services, parameters", "param", "Get, set, load and dump parameters."),
-    "tf": Entry("Topics, services, parameters", "tf", "Show the frames and the transforms between them."),
-    "msg": Entry("Topics, services, parameters", "msg", "Show message types."),
-    "srv": Entry("Topics, services, parameters", "msg", "Show service types."),
-    "view": Entry("Seeing", "view", "Show the world in a browser."),
-    "gui": Entry("Seeing", "view", "Show the world in a browser."),
-    "render": Entry("Seeing", "render", "Draw the world into a picture."),
-    "video": Entry("Seeing", "render", "Draw the world into a video."),
-    "top": Entry("Seeing", "top", "Watch controllers, joints, topics and the log."),
-    "teleop": Entry("Seeing", "teleop", "Drive a base, or move a joint, by keys."),
-    "graph": Entry("Seeing", "node_graph", "Show the graph of nodes and topics."),
-    "gateway": Entry("Other protocols", "gateway_commands", "Let ROS 1 nodes, rosbridge clients and Foxglove in."),
-    "ros": Entry("The ROS commands", "ros.command", "Run a ROS command word for word."),
-    "ros-commands": Entry("The ROS commands", "ros.command", "Print shell functions named as the ROS commands."),
-    "test": Entry("slidectl", "test", "Run scenarios: files of steps that a robot must pass."),
-    "shell": Entry("slidectl", "shell", "Run many commands in one process."),
-    "doctor": Entry("slidectl", "doctor", "Look whether slidectl can run here."),
-    "completion": Entry("slidectl", "completion", "Print the completion script of a shell."),
-    "version": Entry("slidectl", "version", "Print the version."),
-}
 
 _CALLED_ELSEWHERE = {
     "kill": ("daemon stop", "delete ROBOT", "ros rosnode kill NODE"),
@@ -162,7 +105,7 @@ class Root(Group):
 
         if args[0] in ALONE:
             context = ctx.find_object(Context)
-            from slidectl.launch.open_page import instead_of_window
+            from slidectl.extensions.launch.open_page import instead_of_window
 
             package = ALONE[args[0]][0]
             hint = instead_of_window(package, args[1:], context.paths if context is not None else None)
@@ -200,7 +143,7 @@ class Root(Group):
 def load(name: str, entry: Entry) -> click.Command:
     """Import the module of a command and return the command."""
     attribute = name.replace("-", "_") + "_" * iskeyword(name)
-    command = getattr(import_module(f"slidectl.cli.{entry.module}"), attribute)
+    command = getattr(import_module(entry.module), attribute)
     assert isinstance(command, click.Command)
     return command
 

@@ -280,7 +280,7 @@ def in_package(
         return model, arguments
     from slidectl.description import models
     from slidectl.description.packages import shown
-    from slidectl.launch import files
+    from slidectl.extensions.launch import files
 
     if model == "-" or models.looks_like_path(model) or model in models.shipped():
         hint = f"slidectl {command} --help shows the order of arguments"

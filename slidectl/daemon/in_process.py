@@ -17,10 +17,10 @@ from slidectl import paths
 from slidectl.client import Client
 from slidectl.client.lines import LineBuffer, decode
 from slidectl.control.node_handle import Message
-from slidectl.daemon.journal import Journal
 from slidectl.daemon.outbox import Channel, Outbox, Publications
 from slidectl.daemon.session import Session
 from slidectl.errors import NoDaemon, Refused, TimedOut
+from slidectl.extensions.journal.journal import Journal
 from slidectl.names import OWN_NODE
 from slidectl.simulation.simulation import Simulation
 

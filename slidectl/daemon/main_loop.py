@@ -16,9 +16,6 @@ from typing import Any
 import slidectl
 from slidectl.control import user_classes
 from slidectl.control.node_handle import Message
-from slidectl.daemon import journal
-from slidectl.daemon.journal import Journal
-from slidectl.daemon.journal_replay import Replay, other_versions
 from slidectl.daemon.mesh_reader import MeshReader
 from slidectl.daemon.options import Start
 from slidectl.daemon.pacing import Pacer
@@ -28,6 +25,9 @@ from slidectl.daemon.server import Server
 from slidectl.daemon.time_limit import TimeLimit
 from slidectl.errors import SlidectlError
 from slidectl.event_loop import READ, EventLoop
+from slidectl.extensions.journal import journal
+from slidectl.extensions.journal.journal import Journal
+from slidectl.extensions.journal.journal_replay import Replay, other_versions
 from slidectl.logfile import LogFile
 from slidectl.names import OWN_NODE
 from slidectl.operating_system import resident_bytes, set_timer_slack

@@ -25,7 +25,7 @@ from slidectl.simulation.graph import Graph
 from slidectl.simulation.loop import RunState
 
 if TYPE_CHECKING:
-    from slidectl.daemon.journal import Journal
+    from slidectl.extensions.journal.journal import Journal
 
 MOST_CONNECTIONS = 512
 _KEPT_DESCRIPTORS = 32

@@ -26,7 +26,7 @@ from slidectl.simulation.services import Service
 from slidectl.simulation.topics import TopicPublisher
 
 if TYPE_CHECKING:
-    from slidectl.daemon.journal import Journal
+    from slidectl.extensions.journal.journal import Journal
 
 LEVELS = {"info": 0, "warning": 1, "error": 2, "none": 3}
 Message = dict[str, Any]

@@ -14,10 +14,10 @@ from daemon_fixture import running_daemon
 from waiting import eventually
 
 from slidectl import traces
+from slidectl.extensions.recording.codec import Codec
+from slidectl.extensions.recording.comparison import compare
+from slidectl.extensions.recording.recording_files import BadRecording, create, opened
 from slidectl.measures import NoMeasure
-from slidectl.recording.codec import Codec
-from slidectl.recording.comparison import compare
-from slidectl.recording.recording_files import BadRecording, create, opened
 
 STATES = "/slider/joint_states"
 COMMAND = "/slider/joint1_position_controller/command"

@@ -12,7 +12,7 @@ from cli_graph_world import COMMAND, JOINT_STATES
 from command_line import CommandLine
 from fake_daemon import FakeDaemon
 
-from slidectl.cli.main import COMMANDS
+from slidectl.cli.command_table import COMMANDS
 
 # Beyond click, json and socket and what these import themselves.
 ALLOWED = {"_struct", "binascii", "difflib", "gc", "heapq", "_heapq", "locale", "_locale", "signal", "struct"}
@@ -188,7 +188,7 @@ def test_an_everyday_ros_command_imports_nothing_heavy(
     moving: CommandLine, tmp_path: Path, words: tuple[str, ...]
 ) -> None:
     loaded = modules(moving, tmp_path, "ros", *words, codes=("0", "1"))
-    assert "slidectl.cli.ros.command" in loaded
+    assert "slidectl.extensions.ros_commands.command" in loaded
     assert foreign(loaded) & HEAVY == set()
     rooms = {name.split(".")[1] for name in loaded if name.startswith("slidectl.")}
     assert not rooms & {"description", "daemon", "launch", "check", "physics", "simulation", "control"}
@@ -202,7 +202,7 @@ def test_a_check_imports_no_physics_and_no_other_reader(slidectl: CommandLine, t
 
 def test_the_help_imports_no_command_and_no_client(slidectl: CommandLine, tmp_path: Path) -> None:
     loaded = modules(slidectl, tmp_path, "--help")
-    assert not {f"slidectl.cli.{entry.module}" for entry in COMMANDS.values()} & loaded
+    assert not {entry.module for entry in COMMANDS.values()} & loaded
     assert "slidectl.client" not in loaded
     assert foreign(loaded) <= ALLOWED | ALLOWED_FOR_HELP
 
@@ -210,5 +210,5 @@ def test_the_help_imports_no_command_and_no_client(slidectl: CommandLine, tmp_pa
 @pytest.mark.usefixtures("slider")
 def test_an_everyday_command_imports_only_its_own_module(slidectl: CommandLine, tmp_path: Path) -> None:
     loaded = modules(slidectl, tmp_path, "sim", "status")
-    others = {f"slidectl.cli.{entry.module}" for entry in COMMANDS.values()} - {"slidectl.cli.completion"}
+    others = {entry.module for entry in COMMANDS.values()} - {"slidectl.cli.completion"}
     assert others & loaded == {"slidectl.cli.sim"}  # which completes the names of snapshots

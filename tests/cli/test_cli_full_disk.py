@@ -19,7 +19,7 @@ from daemon_fixture import Runtime
 from inherited_signals import inherited
 from small_disk import PAGE, SmallDisk, small_disk
 
-from slidectl.recording.recording_files import opened
+from slidectl.extensions.recording.recording_files import opened
 
 STATES = "/slider/joint_states"
 ROOM = 4 << 20

@@ -16,10 +16,10 @@ from launch_runs import Launched, kill_all, nothing_is_left, processes
 from waiting import eventually
 
 from slidectl.description.packages import Packages
-from slidectl.launch import files
-from slidectl.launch.loader import load
-from slidectl.launch.node_kinds import tasks
-from slidectl.launch.nodes import programs
+from slidectl.extensions.launch import files
+from slidectl.extensions.launch.loader import load
+from slidectl.extensions.launch.node_kinds import tasks
+from slidectl.extensions.launch.nodes import programs
 
 
 class Package:

@@ -18,9 +18,9 @@ from terminal import Terminal
 from waiting import eventually
 
 from slidectl import traces
-from slidectl.recording.codec import of
-from slidectl.recording.recording_files import create, opened
-from slidectl.viewing.plots import Curve, Plot, as_file
+from slidectl.extensions.recording.codec import of
+from slidectl.extensions.recording.recording_files import create, opened
+from slidectl.extensions.viewing.plots import Curve, Plot, as_file
 
 STATES = "/slider/joint_states"
 STATE = "/slider/joint1_position_controller/state"

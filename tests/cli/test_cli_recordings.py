@@ -26,8 +26,8 @@ from rosbags.typesys import Stores, get_typestore
 from waiting import eventually
 
 from slidectl import msgs
-from slidectl.recording import codec
-from slidectl.recording.recording_files import BadRecording, create, opened
+from slidectl.extensions.recording import codec
+from slidectl.extensions.recording.recording_files import BadRecording, create, opened
 
 COMMAND = "/slider/joint1_position_controller/command"
 STATES = "/slider/joint_states"
@@ -256,7 +256,8 @@ def test_a_recorder_that_is_killed_leaves_what_came_before(slider: CommandLine, 
 
 
 _NEVER_FLUSHED = """
-from slidectl.cli import entry, record
+from slidectl.cli import entry
+from slidectl.extensions.recording.commands import record
 record._LOOK_EVERY_S = 1000.0
 entry()
 """

@@ -14,8 +14,15 @@ from hypothesis import strategies as st
 
 from slidectl import values
 from slidectl.cli.context import Context
-from slidectl.cli.ros import genpy
-from slidectl.cli.ros.arguments import Failure, Parser, option, resolve, resolve_remapped, without_remappings
+from slidectl.extensions.ros_commands import genpy
+from slidectl.extensions.ros_commands.arguments import (
+    Failure,
+    Parser,
+    option,
+    resolve,
+    resolve_remapped,
+    without_remappings,
+)
 
 PARSER = Parser(
     "tool",

@@ -9,9 +9,9 @@ from collections.abc import Iterator
 import pytest
 from cli_ros_world import SlideWorld, slide_world
 
-from slidectl.cli.ros import rostopic
 from slidectl.cli.topic_measure import IntervalMeter, Record
 from slidectl.cli.topic_streams import Event
+from slidectl.extensions.ros_commands import rostopic
 
 MS = 1_000_000
 SPREAD = r"\tmin: \d\.\d{3}s max: \d\.\d{3}s std dev: \d\.\d{5}s window: \d+\n"

@@ -15,7 +15,7 @@ from cli_ros_world import Shell
 from command_line import CommandLine, Done
 from daemon_fixture import running_daemon
 
-from slidectl.cli.ros.command import TOOLS
+from slidectl.extensions.ros_commands.command import TOOLS
 
 CTRL_C = "\x03"
 PATIENCE_S = 30.0
@@ -234,4 +234,7 @@ def test_a_tool_imports_no_other(nobody: CommandLine, tmp_path: Path) -> None:
     done = subprocess.run(argv, capture_output=True, text=True, env=nobody.environment, cwd=tmp_path, check=True)
     imported = {line.rpartition("|")[2].strip() for line in done.stderr.splitlines()}
     assert "slidectl.cli.msg" in imported  # rosmsg imports it
-    assert not {"slidectl.cli.topic_streams", "slidectl.client", "slidectl.launch", "yaml", "rosbags"} & imported
+    assert (
+        not {"slidectl.cli.topic_streams", "slidectl.client", "slidectl.extensions.launch", "yaml", "rosbags"}
+        & imported
+    )

@@ -15,9 +15,9 @@ from command_line import ROOT, CommandLine
 from lxml import etree
 from waiting import eventually
 
-from slidectl.cli.step_runner import StepRunner
 from slidectl.errors import BadFile
-from slidectl.scenarios import scenario_file
+from slidectl.extensions.scenarios import scenario_file
+from slidectl.extensions.scenarios.commands.step_runner import StepRunner
 
 Write = Callable[[str, str], Path]
 

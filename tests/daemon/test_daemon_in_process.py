@@ -12,7 +12,7 @@ from slidectl import Simulation
 from slidectl.client import Client
 from slidectl.daemon.in_process import InProcessLink, InProcessWorld
 from slidectl.errors import NoDaemon, Refused, TimedOut
-from slidectl.scenarios.background import BackgroundStep, InProcessBackground
+from slidectl.extensions.scenarios.background import BackgroundStep, InProcessBackground
 
 CONTROLLERS = "config/slider_control.yaml"
 

@@ -26,15 +26,16 @@ from hypothesis import strategies as st
 
 from slidectl import Client, description, file_reads
 from slidectl.control import user_classes
-from slidectl.daemon import journal, time_limit
+from slidectl.daemon import time_limit
 from slidectl.daemon.in_process import InProcessWorld
-from slidectl.daemon.journal import Journal
-from slidectl.daemon.journal_replay import Replay, ReplayDiffers
 from slidectl.daemon.options import DaemonOptions
 from slidectl.daemon.time_limit import TimeLimit
 from slidectl.errors import BadFile, SlidectlError
+from slidectl.extensions.journal import journal
+from slidectl.extensions.journal.journal import Journal
+from slidectl.extensions.journal.journal_replay import Replay, ReplayDiffers
+from slidectl.extensions.recording.recording_files import opened
 from slidectl.physics import rendering
-from slidectl.recording.recording_files import opened
 from slidectl.simulation import Simulation
 from slidectl.simulation.compiled import object_file
 

@@ -15,8 +15,8 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
 from websockets.typing import Subprotocol
 
-from slidectl.gateways.foxglove.foxglove_frames import SUBPROTOCOLS, BadFrame, read_binary, read_text
-from slidectl.gateways.foxglove.foxglove_gateway import FoxgloveGateway, FoxgloveOptions
+from slidectl.extensions.gateways.foxglove.foxglove_frames import SUBPROTOCOLS, BadFrame, read_binary, read_text
+from slidectl.extensions.gateways.foxglove.foxglove_gateway import FoxgloveGateway, FoxgloveOptions
 
 FRAMES, READ = 200, 5000
 """Of one case: what is sent to a gateway, and what is only read."""

@@ -18,8 +18,8 @@ from running_gateway import log, running_gateway
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
-from slidectl.gateways.websocket.action_goals import ActionGoals
-from slidectl.gateways.websocket.rosbridge_session import RosbridgeSession
+from slidectl.extensions.gateways.websocket.action_goals import ActionGoals
+from slidectl.extensions.gateways.websocket.rosbridge_session import RosbridgeSession
 
 FRAMES_A_CASE = 100
 """Sent to a gateway."""

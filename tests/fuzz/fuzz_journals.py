@@ -16,12 +16,12 @@ from fuzz_mutations import ODD_VALUES, mutated_bytes
 from fuzz_target import Fault, Target, write
 
 from slidectl import description
-from slidectl.daemon import journal
 from slidectl.daemon.in_process import InProcessWorld
-from slidectl.daemon.journal import Journal
-from slidectl.daemon.journal_replay import Replay
 from slidectl.daemon.options import DaemonOptions
 from slidectl.errors import SlidectlError
+from slidectl.extensions.journal import journal
+from slidectl.extensions.journal.journal import Journal
+from slidectl.extensions.journal.journal_replay import Replay
 from slidectl.simulation import Simulation
 
 _SPRING = """

@@ -23,11 +23,11 @@ from slidectl import description
 from slidectl.cli.trajectory import read_goal
 from slidectl.client.action_client import Action
 from slidectl.errors import SlidectlError
-from slidectl.gateways.foxglove.foxglove_frames import SUBPROTOCOLS
-from slidectl.gateways.foxglove.foxglove_gateway import FoxgloveGateway, FoxgloveOptions
+from slidectl.extensions.gateways.foxglove.foxglove_frames import SUBPROTOCOLS
+from slidectl.extensions.gateways.foxglove.foxglove_gateway import FoxgloveGateway, FoxgloveOptions
+from slidectl.extensions.viewing.drawn_scene import DrawnScene, ViewpointChoice
+from slidectl.extensions.viewing.software_renderer import SoftwareRenderer
 from slidectl.simulation.snapshot_files import MAGIC
-from slidectl.viewing.drawn_scene import DrawnScene, ViewpointChoice
-from slidectl.viewing.software_renderer import SoftwareRenderer
 
 ARM = "arm_controller"
 ROBOT = "fuzzed"

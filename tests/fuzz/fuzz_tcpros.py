@@ -14,8 +14,8 @@ from random_messages import all_types, random_message
 from slidectl import msgs
 from slidectl.client.lines import LONGEST_LINE, encode
 from slidectl.errors import BadMessage, SlidectlError
-from slidectl.gateways.ros1.ros1_types import ros1_type
-from slidectl.gateways.ros1.tcpros import Fields, TcprosConnection, encode_header, frame
+from slidectl.extensions.gateways.ros1.ros1_types import ros1_type
+from slidectl.extensions.gateways.ros1.tcpros import Fields, TcprosConnection, encode_header, frame
 
 STREAMS = 100
 """Of one case."""

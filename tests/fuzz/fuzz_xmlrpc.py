@@ -9,10 +9,10 @@ from typing import Any
 from fuzz_mutations import ODD_VALUES, mutated_bytes, mutated_text
 from fuzz_target import Fault, Target
 
-from slidectl.gateways.ros1 import xmlrpc
-from slidectl.gateways.ros1.api_calls import Api
-from slidectl.gateways.ros1.master import Master
-from slidectl.gateways.ros1.native_graph import NativeGraph
+from slidectl.extensions.gateways.ros1 import xmlrpc
+from slidectl.extensions.gateways.ros1.api_calls import Api
+from slidectl.extensions.gateways.ros1.master import Master
+from slidectl.extensions.gateways.ros1.native_graph import NativeGraph
 
 DOCUMENTS = 100
 """Of one case."""

@@ -39,9 +39,9 @@ from running_gateway import running_gateway
 from tcpros_wire import TcprosWire
 
 from slidectl.client import Client
-from slidectl.gateways import process
-from slidectl.gateways.ros1.ros1_types import ros1_type
-from slidectl.recording import recording_files
+from slidectl.extensions.gateways import process
+from slidectl.extensions.gateways.ros1.ros1_types import ros1_type
+from slidectl.extensions.recording import recording_files
 
 KINDS = ("ros1", "websocket", "foxglove")
 TOPIC = "/slider/joint_states"

@@ -11,7 +11,7 @@ from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
 from slidectl import msgs
-from slidectl.gateways.ros1.ros1_types import ros1_type
+from slidectl.extensions.gateways.ros1.ros1_types import ros1_type
 
 LIMIT_S = 30.0
 Message = dict[str, Any]

@@ -12,7 +12,7 @@ from urllib.parse import urlsplit
 
 from daemon_fixture import Runtime
 
-from slidectl.gateways import process
+from slidectl.extensions.gateways import process
 
 LIMIT_S = 60.0
 _KEY = "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n"

@@ -8,7 +8,7 @@ from typing import Any
 
 from daemon_fixture import Runtime
 
-from slidectl.gateways import process
+from slidectl.extensions.gateways import process
 
 
 @contextmanager

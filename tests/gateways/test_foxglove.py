@@ -25,9 +25,9 @@ from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidSta
 
 from slidectl.client import Client
 from slidectl.errors import Refused
-from slidectl.gateways import process
-from slidectl.gateways.ros1.ros1_types import ros1_type
-from slidectl.recording.codec import Codec
+from slidectl.extensions.gateways import process
+from slidectl.extensions.gateways.ros1.ros1_types import ros1_type
+from slidectl.extensions.recording.codec import Codec
 
 COMMAND = "/slider/joint1_position_controller/command"
 STATES = "/slider/joint_states"

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from slidectl.description.packages import Packages
-from slidectl.launch import files
-from slidectl.launch.loader import load
-from slidectl.launch.plan import LaunchPlan, Node
+from slidectl.extensions.launch import files
+from slidectl.extensions.launch.loader import load
+from slidectl.extensions.launch.plan import LaunchPlan, Node
 
 
 class Workspace:

@@ -13,7 +13,7 @@ from launch_files import Workspace
 from slidectl import description
 from slidectl.description import controllers_file, xacro_adapter
 from slidectl.errors import BadFile
-from slidectl.launch import substitution, tag
+from slidectl.extensions.launch import substitution, tag
 
 XACRO = '<robot name="a" xmlns:xacro="http://www.ros.org/wiki/xacro">{}</robot>'
 

@@ -15,8 +15,8 @@ from slidectl.description import meshes
 from slidectl.description.packages import Packages, UnknownPackage
 from slidectl.description.robot import Mesh
 from slidectl.errors import BadFile, SlidectlError, UnknownName, UsageError
-from slidectl.launch import files
-from slidectl.launch.nodes.spawn_model import SpawnModel
+from slidectl.extensions.launch import files
+from slidectl.extensions.launch.nodes.spawn_model import SpawnModel
 
 AWKWARD = ["with blanks", "größe-Ω", 'it\'s "quoted"', "back\\slash", "$(arg x)", "a,b;c&d", "line\nend"]
 
@@ -163,7 +163,7 @@ def test_shipped_counterparts_are_found_last_and_only_where_they_are_meant(works
 
 
 def test_every_shipped_launch_file_makes_a_plan_without_a_complaint() -> None:
-    from slidectl.launch import loader, node_kinds
+    from slidectl.extensions.launch import loader, node_kinds
 
     for path in set(files.shipped().values()):
         plan = loader.load(files.find([str(path)], Packages()), {}, Packages())

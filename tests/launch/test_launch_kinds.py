@@ -6,9 +6,9 @@ import pytest
 from launch_files import Workspace, notices
 
 from slidectl.errors import BadFile
-from slidectl.launch import node_kinds
-from slidectl.launch.nodes.spawn_model import SpawnModel
-from slidectl.launch.task import Task
+from slidectl.extensions.launch import node_kinds
+from slidectl.extensions.launch.nodes.spawn_model import SpawnModel
+from slidectl.extensions.launch.task import Task
 
 
 def tasks(workspace: Workspace, content: str) -> list[Task]:

@@ -6,7 +6,7 @@ import pytest
 from launch_files import Workspace, notices
 
 from slidectl.errors import BadFile, UsageError
-from slidectl.launch import files, loader
+from slidectl.extensions.launch import files, loader
 
 
 def test_a_default_can_be_overridden_and_a_value_cannot(workspace: Workspace) -> None:

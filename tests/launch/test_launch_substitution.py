@@ -10,7 +10,7 @@ from launch_files import Workspace, notices
 
 from slidectl.errors import BadFile
 from slidectl.expressions import ExpressionError
-from slidectl.launch.substitution import evaluate
+from slidectl.extensions.launch.substitution import evaluate
 
 
 @pytest.mark.parametrize(

@@ -11,9 +11,9 @@ import pytest
 import yaml
 from launch_files import Workspace, notices
 
-from slidectl.cli import launch_text
 from slidectl.errors import BadFile, SlidectlError
-from slidectl.launch import files, loader, node_kinds
+from slidectl.extensions.launch import files, loader, node_kinds
+from slidectl.extensions.launch.commands import launch_text
 
 ALL = """<launch>
   <arg name="who" default="left" doc="which slide"/>

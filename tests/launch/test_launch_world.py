@@ -9,7 +9,7 @@ import pytest
 from launch_files import Workspace, notices
 
 from slidectl.errors import BadFile
-from slidectl.launch.nodes.gazebo import Gazebo, WorldFile, WorldSettings, read_world
+from slidectl.extensions.launch.nodes.gazebo import Gazebo, WorldFile, WorldSettings, read_world
 
 
 def world(workspace: Workspace, content: str) -> WorldFile:
@@ -150,7 +150,7 @@ def test_options_without_effect_are_pointed_out_and_unknown_ones_refused(workspa
 
 
 def test_the_counterpart_of_empty_world_passes_its_arguments_on(workspace: Workspace) -> None:
-    from slidectl.launch import node_kinds
+    from slidectl.extensions.launch import node_kinds
 
     path = workspace.write("w.world", '<sdf version="1.6"><world name="w"><gravity>0 0 -2</gravity></world></sdf>')
     include = f"""<include file="$(find gazebo_ros)/launch/empty_world.launch">

@@ -12,13 +12,13 @@ import pytest
 
 from slidectl import description
 from slidectl.errors import AmbiguousName, UnknownName
+from slidectl.extensions.viewing.drawing import WorldView
+from slidectl.extensions.viewing.drawn_scene import ViewpointChoice
+from slidectl.extensions.viewing.gl_renderer import GlRenderer
+from slidectl.extensions.viewing.picture_files import Pixels
+from slidectl.extensions.viewing.software_renderer import SoftwareRenderer
 from slidectl.physics import rendering
 from slidectl.simulation import Simulation
-from slidectl.viewing.drawing import WorldView
-from slidectl.viewing.drawn_scene import ViewpointChoice
-from slidectl.viewing.gl_renderer import GlRenderer
-from slidectl.viewing.picture_files import Pixels
-from slidectl.viewing.software_renderer import SoftwareRenderer
 
 ROOT = Path(__file__).parent.parent.parent
 SIZE = (320, 240)

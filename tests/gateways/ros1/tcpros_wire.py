@@ -9,7 +9,7 @@ from xmlrpc.client import ServerProxy
 
 from ros1_tools import Ros
 
-from slidectl.gateways.ros1.tcpros import Fields, decode_header, encode_header
+from slidectl.extensions.gateways.ros1.tcpros import Fields, decode_header, encode_header
 
 LIMIT_S = 60.0
 

@@ -18,7 +18,7 @@ from tcpros_wire import TcprosWire, subscribers_address
 from waiting import eventually
 
 from slidectl.client import Client
-from slidectl.gateways.ros1.tcpros import encode_header
+from slidectl.extensions.gateways.ros1.tcpros import encode_header
 
 STATES = "/slider/joint_states"
 CONTROLLERS = ["joint_state_controller", "joint1_position_controller"]

@@ -23,8 +23,8 @@ from running_gateway import log, running_gateway
 from waiting import eventually
 
 from slidectl.errors import Refused
-from slidectl.gateways import process
-from slidectl.gateways.ros1 import xmlrpc
+from slidectl.extensions.gateways import process
+from slidectl.extensions.gateways.ros1 import xmlrpc
 from slidectl.held_bytes import HeldBytes
 
 FLOAT = "std_msgs/Float64"

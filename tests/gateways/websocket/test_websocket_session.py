@@ -8,8 +8,8 @@ from typing import Any
 
 import cbor2
 
-from slidectl.gateways.websocket.action_goals import ActionGoals
-from slidectl.gateways.websocket.rosbridge_session import RosbridgeSession
+from slidectl.extensions.gateways.websocket.action_goals import ActionGoals
+from slidectl.extensions.gateways.websocket.rosbridge_session import RosbridgeSession
 
 Message = dict[str, Any]
 

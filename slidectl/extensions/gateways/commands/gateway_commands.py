@@ -1,0 +1,198 @@
+"""`slidectl gateway`: the processes that connect programs of other protocols to the daemon."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from slidectl.cli import completion, output
+from slidectl.cli.commands import group
+from slidectl.cli.context import Context
+from slidectl.client.link import command
+from slidectl.errors import NoDaemon, Refused
+
+if TYPE_CHECKING:
+    from slidectl.extensions.gateways.process import RunningGateway
+
+PORTS = {"ros1": 11311, "websocket": 9090, "foxglove": 8765}
+"""The default port of each gateway, as of roscore, rosbridge and Foxglove's bridge."""
+_ACTIONS = ("run", "start", "stop", "status")
+
+
+@group(
+    examples=["slidectl gateway ros1 start", "slidectl gateway websocket run --port 9090", "slidectl gateway status"]
+)
+def gateway() -> None:
+    """Let ROS 1 nodes, rosbridge clients and Foxglove in.
+
+    A gateway is a process of its own, and a client of the daemon. It waits for the daemon when that ends, and 'slidectl
+    daemon stop' ends both. All listen on this machine alone unless --host says otherwise.
+    """
+
+
+_HOST = click.option("--host", default="localhost", show_default=True, metavar="ADDRESS",
+                     help="Address of this machine to listen on.")  # fmt: skip
+_TRUST = (
+    click.option(
+        "--allow",
+        type=click.Choice(["files", "code"]),
+        multiple=True,
+        help="Let clients also name files to read and write, or code to run; may repeat.",
+    ),
+    click.option(
+        "--any-user",
+        is_flag=True,
+        help="Let in programs of all users of this machine; else, without a token, yours alone.",
+    ),
+)
+_FOR_BROWSERS = (
+    click.option("--cert", default="", metavar="FILE", shell_complete=completion.files,
+                 help="Certificate (PEM), for TLS."),
+    click.option("--key", default="", metavar="FILE", shell_complete=completion.files,
+                 help="Its private key (PEM), if it is not in the same file."),
+    click.option("--token", default="", envvar="SLIDECTL_TOKEN", metavar="WORD", help="Let in who has this word."),
+    click.option("--token-file", default="", metavar="FILE", shell_complete=completion.files,
+                 help="As --token, from a file."),
+    click.option("--origin", "origins", multiple=True, metavar="URL",
+                 help="Let in pages of this site (https://site:port; null: files; *: all), else of none; may repeat."),
+    click.option("--read-only", is_flag=True, help="Let clients look, and change nothing."),
+    click.option("--max-connections", type=click.IntRange(1), default=200, show_default=True, metavar="N",
+                 help="Clients at a time."),
+)  # fmt: skip
+"""Options of the gateways that browsers reach."""
+
+
+def _listening(kind: str, *more: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Add the argument and the options of every gateway, and `more` options."""
+    port = click.option("--port", type=click.IntRange(0, 65535), default=PORTS[kind], show_default=True, metavar="N",
+                        help="The port; 0 takes any.")  # fmt: skip
+    action = click.argument("action", type=click.Choice(_ACTIONS), default="run")
+
+    def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
+        for decorator in reversed((action, port, _HOST, *more, *_TRUST)):
+            function = decorator(function)
+        return click.pass_obj(function)
+
+    return decorate
+
+
+@gateway.command("ros1", examples=["slidectl gateway ros1 start", "slidectl gateway ros1 --master http://other:11311"])
+@_listening("ros1")
+@click.option("--master", default="", metavar="URI", help="Join the ROS master there, in place of being one.")
+def ros1(ctx: Context, action: str, **options: Any) -> None:
+    """Let ROS 1 nodes and tools in, as their master.
+
+    ACTION is run (until Ctrl-C, the default), start (in the background), stop or status. rostopic, rospy and roscpp
+    nodes, rosbag and RViz work as with roscore, with ROS_MASTER_URI set to the address that is printed.
+
+    JSON keys: kind, running, pid, address, already (of start), and the counters of status.
+    """
+    _act(ctx, "ros1", action, options)
+
+
+@gateway.command(
+    "websocket", examples=["slidectl gateway websocket start", "slidectl gateway websocket --token-file secret.txt"]
+)
+@_listening("websocket", *_FOR_BROWSERS)
+@click.option("--max-rate", type=click.IntRange(1), default=5000, show_default=True, metavar="N",
+              help="Frames a second that are taken from one client; it waits with more.")  # fmt: skip
+@click.option("--max-size", type=click.IntRange(1, 16777216), default=16777216, show_default=True, metavar="BYTES",
+              help="Of a frame from a client, and of all of its fragments.")  # fmt: skip
+@click.option("--compress/--no-compress", default=None,
+              help="Compress frames for clients that can; by default for other machines only.")  # fmt: skip
+def websocket(ctx: Context, action: str, **options: Any) -> None:
+    """Let clients of rosbridge in, over WebSocket.
+
+    ACTION is run (until Ctrl-C, the default), start (in the background), stop or status. Needs pip install
+    'slidectl[websocket]'.
+
+    JSON keys: kind, running, pid, address, already (of start), and the counters of status.
+    """
+    _act(ctx, "websocket", action, options)
+
+
+@gateway.command("foxglove", examples=["slidectl gateway foxglove start"])
+@_listening("foxglove", *_FOR_BROWSERS)
+def foxglove(ctx: Context, action: str, **options: Any) -> None:
+    """Let the app of Foxglove in.
+
+    ACTION is run (until Ctrl-C, the default), start (in the background), stop or status. Needs pip install
+    'slidectl[foxglove]'.
+
+    JSON keys: kind, running, pid, address, already (of start), and the counters of status.
+    """
+    _act(ctx, "foxglove", action, options)
+
+
+@gateway.command("status", examples=["slidectl gateway status", "slidectl gateway status --json"])
+@click.pass_obj
+def status(ctx: Context) -> None:
+    """Show the gateways of this daemon that run.
+
+    'slidectl gateway ros1 status' shows all counters of one. JSON keys of each: kind, running, pid, address, and its
+    counters.
+    """
+    from slidectl.extensions.gateways import process
+
+    shown = [_state(ctx, found) for found in process.find_all(ctx.paths)]
+    ctx.emit_rows(shown, ["kind", "pid", "address", "connections", "dropped"], "no gateway runs")
+
+
+def start(ctx: Context, kind: str, options: dict[str, Any]) -> bool:
+    """Start a gateway in the background and print it. True when it ran already. Raises Refused, TimedOut."""
+    from slidectl.extensions.gateways import process
+
+    found, already = process.start(ctx.paths, kind, options, ctx.wait_limit(process.START_LIMIT_S))
+    how = "runs already" if already else "started"
+    text = f"{kind} gateway: {how}, process {found.pid}, {found.address}"
+    ctx.done({**_place(found), "already": already}, text)
+    return already
+
+
+def stop_all(ctx: Context) -> None:
+    """Stop the gateways of this daemon. Raises TimedOut."""
+    from slidectl.extensions.gateways import process
+
+    for kind in PORTS:
+        process.stop(ctx.paths, kind, ctx.wait_limit(process.STOP_LIMIT_S))
+
+
+def _act(ctx: Context, kind: str, action: str, options: dict[str, Any]) -> None:
+    from slidectl.extensions.gateways import process
+
+    if action == "run":
+        process.run(ctx.paths, kind, options, lambda address: ctx.done({"kind": kind, "address": address}, address))
+    elif action == "start":
+        source = click.get_current_context().get_parameter_source
+        given = [name for name in options if source(name) is click.core.ParameterSource.COMMANDLINE]
+        if start(ctx, kind, options) and given:
+            words = ", ".join(f"--{name.replace('_', '-').replace('origins', 'origin')}" for name in given)
+            ctx.warn(f"it runs already, so {words} had no effect")
+    elif action == "stop":
+        stopped = process.stop(ctx.paths, kind, ctx.wait_limit(process.STOP_LIMIT_S))
+        how = "does not run" if stopped is None else f"stopped, it was process {stopped.pid}"
+        ctx.done({"kind": kind, "running": False, "pid": stopped and stopped.pid}, f"{kind} gateway: {how}")
+    else:
+        found = process.find(ctx.paths, kind)
+        if found is None:
+            raise Refused(f"no {kind} gateway runs", "start it with: " + command(ctx.paths, f"gateway {kind} start"))
+        state = _state(ctx, found)
+        ctx.emit(state, output.as_lines({key: value for key, value in state.items() if key != "running"}))
+
+
+def _place(found: RunningGateway) -> dict[str, Any]:
+    return {"kind": found.kind, "running": True, "pid": found.pid, "address": found.address}
+
+
+def _state(ctx: Context, found: RunningGateway) -> dict[str, Any]:
+    """The process and address of a gateway, and its counters."""
+    from slidectl.extensions.gateways.gateway import status_service
+
+    try:
+        answer = ctx.call(status_service(found.kind))
+    except (NoDaemon, Refused):
+        return {**_place(found), "daemon": "the gateway waits for the daemon"}
+    counters = zip(answer["names"], answer["values"], strict=True)
+    return _place(found) | {name: int(text) if text.isdigit() else text for name, text in counters}

@@ -1,0 +1,327 @@
+"""The journal: all external input of a world, each entry with the cycle after which it took effect, in one file.
+
+This module writes and reads it; journal_replay.py runs the same world from it again. Each entry is a line of JSON that
+ends with a checksum. It is written to the kernel at once, so it survives any end of the daemon. See docs/journal.md.
+"""
+
+from __future__ import annotations
+
+import binascii
+import json
+import os
+import platform
+import re
+import zlib
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from importlib.metadata import PackageNotFoundError, version
+from typing import TYPE_CHECKING, Any, BinaryIO
+
+import slidectl
+from slidectl import file_reads, input_files
+from slidectl.control import user_modules
+from slidectl.control.node_handle import Message
+from slidectl.control.user_modules import UserModule
+from slidectl.daemon.options import DaemonOptions
+from slidectl.errors import BadFile, Refused, UsageError, cut, listing
+from slidectl.extensions.journal import journal_entries
+from slidectl.extensions.journal.journal_entries import mesh_entry
+from slidectl.names import OWN_NODE
+from slidectl.physics.hulls import Hulls, MeshSource
+from slidectl.simulation.clock import SECOND
+from slidectl.simulation.pending import Pending
+from slidectl.writing import CannotWrite, hint, reason
+
+if TYPE_CHECKING:
+    from slidectl.daemon.session import Session
+    from slidectl.simulation import Simulation
+
+FORMAT = 1
+LARGEST = 2**30
+"""The most bytes of a journal that is replayed: its entries are in memory."""
+_LONGEST_HEADER = 2**20
+_LIBRARIES = ("mujoco", "numpy", "numba")
+PICTURE = "sensor_msgs/Image"
+_PROCESS_OPTIONS = ("child", "journal", "replay", "until")
+"""Options of a daemon that do not describe its world."""
+_READS = re.compile(
+    r"/rosapi/(?!set_param$|delete_param$).*|/gazebo/get_[^/]*|.*/controller_manager/list_[^/]*"
+    r"|/slidectl/(status|resolve|list_robots|scene|update_times|shutdown|get_[^/]*)"
+)
+"""Services that only read, and answer at once."""
+_LINE = re.compile(rb'\{"cycle":(\d{1,20}),"client":(\d{1,20}),"line":(.*)\Z', re.DOTALL)
+_CHECKSUM = re.compile(rb'(.*),"crc":"([0-9a-f]{8})"\}\Z', re.DOTALL)
+
+
+class Journal:
+    """Writes the journal of one simulation, from before its first cycle on.
+
+    Create it before the simulation, whose imports are a part of it; then call `watch`, and give it to each session.
+    """
+
+    def __init__(self, options: DaemonOptions) -> None:
+        """Create the file that the options name. Raises Refused: it exists, or it cannot be written."""
+        self.path = path = options.journal
+        self.trouble = ""
+        """The reason why writing has ended, else empty."""
+        self._hint: str | None = None
+        self._clients: dict[Session, int] = {}
+        """The numbers of connected clients that have sent something."""
+        self._clients_so_far = 0
+        self._size = 0
+        self._simulation: Simulation | None = None
+        self._log: Callable[[str], None] = lambda _: None
+        options.check_journal()
+        try:
+            self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
+        except OSError as error:
+            raise CannotWrite(path, error, "the journal") from None
+        file_reads.read = self._read
+        chosen = {name: value for name, value in asdict(options).items() if name not in _PROCESS_OPTIONS}
+        self._write(_text({"slidectl_journal": FORMAT, **written_by(), "options": chosen}))
+        for module in user_modules.imported.values():
+            self._note_module(module)
+        if self.trouble:
+            os.unlink(path)
+            raise Refused(f"cannot write the journal {path}: {self.trouble}", self._hint)
+        user_modules.listeners.append(self._note_module)
+
+    def watch(self, simulation: Simulation) -> None:
+        """Set the simulation. Its `read_meshes` must be set already."""
+        self._simulation = simulation
+        self._log = lambda text: simulation.graph.log("error", OWN_NODE, text)
+        read_meshes = simulation.read_meshes
+
+        def read(sources: Sequence[MeshSource]) -> Pending:
+            pending = read_meshes(sources)
+            return pending.converted(self._take_meshes)
+
+        render = simulation.render
+        simulation.read_meshes = read
+        simulation.lockstep.on_let_go = lambda node: self._note("let_go", node)
+        simulation.render = lambda *camera: render(*camera).then(self._take_picture)
+        self._states = simulation.graph.timers.every(SECOND, self._note_state)
+
+    def close(self, why: str) -> None:
+        """Write the end of the world, and close the file."""
+        if self._simulation is not None:
+            self._states.cancel()
+            self._note_state(b',"end":%b' % json.dumps(why).encode())
+        if not self.trouble:
+            os.close(self._file)
+        self.trouble = "it is closed"
+        file_reads.read = file_reads.from_disk
+        user_modules.listeners.remove(self._note_module)
+
+    # --- external input -----------------------------------------------------------------------------------------
+
+    def take(self, session: Session, line: bytes, message: Message) -> None:
+        """Record a line of a client, before it is handled."""
+        if not self._matters(message):
+            return
+        number = self._clients.get(session)
+        if number is None:
+            self._clients_so_far += 1
+            number = self._clients[session] = self._clients_so_far
+            self._note("client", number, node=session.node)
+        # Record the line as it came; but the file must be UTF-8.
+        is_plain = line[:1] == b"{" and line[1:2] != b"\0"
+        text = line.strip() if is_plain else json.dumps(message).encode()
+        self._write(b'{"cycle":%d,"client":%d,"line":%b' % (self._cycle, number, text))
+
+    def _matters(self, message: Message) -> bool:
+        """True when the line can change the world."""
+        operation, topic = message["op"], str(message.get("topic"))
+        if operation in ("subscribe", "unsubscribe"):
+            # Pictures: a camera skips some while it renders one for a client.
+            topics = self._simulation.graph.topics if self._simulation is not None else None
+            return PICTURE in (message.get("type"), topics and topics.exists(topic) and topics.type_of(topic))
+        return operation != "set_level" and not (
+            operation == "call_service" and _READS.fullmatch(str(message.get("service")))
+        )
+
+    def gone(self, session: Session) -> None:
+        """Record that a client has disconnected."""
+        number = self._clients.pop(session, None)
+        if number is not None:
+            self._note("gone", number)
+
+    def took_too_long(self) -> None:
+        """Record that users' code was ended by the limit of wall time."""
+        self._note("limit", "")
+
+    def _read(self, what: str, look: Callable[[], Any]) -> Any:
+        found = look()
+        self._note("read", what, found=found)
+        return found
+
+    def _note_module(self, module: UserModule) -> None:
+        self._note("module", module)
+
+    def _take_meshes(self, done: Pending) -> Hulls:
+        """Record meshes at the time when the world gets them."""
+        read: Hulls = done.result()
+        self._note("meshes", [mesh_entry(source, hull) for source, hull in read.items()])
+        return read
+
+    # --- the file -----------------------------------------------------------------------------------------------
+
+    @property
+    def _cycle(self) -> int:
+        return 0 if self._simulation is None else self._simulation.cycles
+
+    def _note(self, kind: str, value: Any, **more: Any) -> None:
+        self._write(_text({"cycle": self._cycle, kind: value, **more}))
+
+    def _take_picture(self, done: Pending) -> None:
+        """Record that the oldest requested picture is done."""
+        self._note("picture", str(done.error or ""))
+
+    def _note_state(self, more: bytes = b"") -> None:
+        """Record the state of the world's joints and the efforts on them, to the bit."""
+        assert self._simulation is not None
+        numbers = binascii.b2a_base64(self._simulation.world.numbers(), newline=False)
+        self._write(b'{"cycle":%d%b,"state":"%b"' % (self._cycle, more, numbers))
+
+    def _write(self, entry: bytes) -> None:
+        """Write one entry, whole or not at all. `entry` lacks its closing brace. After a failure nothing is written."""
+        if self.trouble:
+            return
+        line = b'%b,"crc":"%08x"}\n' % (entry, zlib.crc32(entry))
+        try:
+            written = os.write(self._file, line)
+            if written < len(line):
+                os.write(self._file, line[written:])  # raises with the reason
+            self._size += len(line)
+        except OSError as error:
+            self.trouble, self._hint = reason(error, self.path), hint(error, self.path)
+            with suppress(OSError):
+                os.ftruncate(self._file, self._size)
+            os.close(self._file)
+            self._log(f"the journal {self.path} ends at cycle {self._cycle}: {self.trouble}")
+
+
+def _text(entry: dict[str, Any]) -> bytes:
+    """JSON without the closing brace."""
+    return json.dumps(entry, separators=(",", ":"))[:-1].encode()
+
+
+def written_by() -> dict[str, str]:
+    """The versions on which the bits may depend."""
+    versions = {"version": slidectl.__version__, "machine": platform.machine(), "python": platform.python_version()}
+    for library in _LIBRARIES:
+        with suppress(PackageNotFoundError):
+            versions[library] = version(library)
+    return versions
+
+
+# --- reading ----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Contents:
+    """The contents of a journal, up to its last whole entry."""
+
+    path: str
+    options: DaemonOptions
+    written_by: dict[str, str]
+    entries: list[dict[str, Any]]
+    """In a client's entry, `line` is the received bytes."""
+    is_cut: bool
+    """True when the last entry is not whole."""
+
+
+def read(path: str) -> Contents:
+    """Read a journal.
+
+    Raises:
+        BadFile: not a regular file, larger than LARGEST, not a journal, of another format, damaged before its end, or
+            with an entry that no daemon writes; it names the line.
+    """
+    with input_files.opened(path, LARGEST) as file:
+        try:
+            return _contents(path, file)
+        except OSError as error:
+            raise BadFile(f"cannot be read: {error.strerror}", path) from None
+
+
+def _contents(path: str, file: BinaryIO) -> Contents:
+    first = file.readline(_LONGEST_HEADER)
+    if not first:
+        raise BadFile("it is empty: the daemon ended before it wrote anything", path)
+    is_journal = first.startswith(b'{"slidectl_journal"')
+    if is_journal and not first.endswith(b"\n") and len(first) < _LONGEST_HEADER:
+        raise BadFile("it is cut off in its first line", path)
+    body = _checked(first) if is_journal else None
+    if body is None:
+        raise BadFile(
+            "it is no journal of slidectl", path, hint="one is written by: slidectl daemon start --journal FILE"
+        )
+    header = _json(body, path, 1)
+    if header["slidectl_journal"] != FORMAT:
+        text = f"it is of format {cut(str(header['slidectl_journal']), 60)}, written by slidectl {_version(header)}"
+        raise BadFile(f"{text}; this is {slidectl.__version__}, which reads format {FORMAT}", path)
+    options = _options(path, header)
+    versions = {name: cut(str(header.get(name, "")), 60) for name in written_by()}
+    entries: list[dict[str, Any]] = []
+    damaged = 0
+    """The number of the line that is not whole, 0 if all are."""
+    for number, line in enumerate(file, 2):
+        if damaged:
+            hint = f"the entries before it can be replayed: head -n {damaged - 1} {path} > part.journal"
+            raise BadFile("this entry is damaged: its checksum is another one", path, damaged, hint)
+        body = _checked(line)
+        if body is None or not line.endswith(b"\n"):
+            damaged = number
+        else:
+            entries.append(_entry(body, path, number))
+    return Contents(path, options, versions, entries, bool(damaged))
+
+
+def _checked(line: bytes) -> bytes | None:
+    """The part of a line that its checksum is of; None when it is not whole."""
+    match = _CHECKSUM.match(line.removesuffix(b"\n"))
+    return None if match is None or zlib.crc32(match[1]) != int(match[2], 16) else match[1]
+
+
+def _entry(body: bytes, path: str, number: int) -> dict[str, Any]:
+    """The entry in a line. Raises BadFile for one that no daemon writes."""
+    of_client = _LINE.match(body)
+    if of_client is None:
+        entry = _json(body, path, number)
+    else:
+        entry = {"cycle": int(of_client[1]), "client": int(of_client[2]), "line": of_client[3]}
+    try:
+        journal_entries.check(entry)
+    except ValueError as error:
+        raise BadFile(f"no daemon writes this entry: {error}", path, number) from None
+    return entry
+
+
+def _json(body: bytes, path: str, number: int) -> dict[str, Any]:
+    try:
+        entry: dict[str, Any] = json.loads(body + b"}")
+    except RecursionError:
+        raise BadFile("no daemon writes this entry: it is nested too deep", path, number) from None
+    except ValueError:
+        raise BadFile("no daemon writes this entry: it is no JSON", path, number) from None
+    return entry
+
+
+def _options(path: str, header: dict[str, Any]) -> DaemonOptions:
+    text = f"slidectl {_version(header)} wrote it with options that {slidectl.__version__} does not know"
+    options = header.get("options")
+    if not isinstance(options, dict):
+        raise BadFile("it has no options of the world", path, 1)
+    if unknown := options.keys() - journal_entries.OPTIONS.keys():
+        raise BadFile(f"{text}: {listing(unknown)}", path, 1)
+    try:
+        journal_entries.check_fields(options, journal_entries.OPTIONS)
+        return DaemonOptions.read(options)
+    except (ValueError, UsageError) as error:
+        raise BadFile(f"{text}: {error}", path, 1) from None
+
+
+def _version(header: dict[str, Any]) -> str:
+    return cut(str(header.get("version")), 60)

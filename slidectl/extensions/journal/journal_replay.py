@@ -1,0 +1,332 @@
+"""The replay of a journal: the same world again, without clients and as fast as possible, with the same bits.
+
+Sessions get the recorded lines, each after the cycle in which it came; their answers are discarded. Results of file
+reads, and their times, come from the journal.
+"""
+
+from __future__ import annotations
+
+import base64
+import math
+from collections import deque
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
+from typing import Any, NoReturn
+
+from slidectl import file_reads
+from slidectl.control import user_classes, user_modules
+from slidectl.control.duration import from_seconds
+from slidectl.control.user_modules import UserModule
+from slidectl.daemon import time_limit
+from slidectl.daemon.outbox import Outbox, Publications
+from slidectl.daemon.session import Session
+from slidectl.daemon.time_limit import TimeLimit
+from slidectl.description.robot import Camera
+from slidectl.errors import BadFile, Refused
+from slidectl.extensions.journal import journal
+from slidectl.extensions.journal.journal import Contents
+from slidectl.extensions.journal.journal_entries import mesh_of
+from slidectl.physics.hulls import MeshSource
+from slidectl.physics.rendering import PictureRequest, RenderProcess
+from slidectl.rotations import Pose
+from slidectl.simulation.clock import NEVER, SECOND
+from slidectl.simulation.loop import FAILED
+from slidectl.simulation.pending import Pending
+from slidectl.simulation.simulation import Simulation
+
+_UNREPEATABLE = "code of users that looks at the wall time, random numbers or other files is not repeatable"
+_LONGEST_GAP_NS = 2 * SECOND
+"""The most simulated time without an entry. There is one for each second, so that no number lets a replay run on."""
+_CONSUMED_ENTRIES = frozenset(("limit", "module"))
+"""Entries that are not handled as input, but consumed when the world reaches them."""
+
+
+class ReplayDiffers(Refused):
+    """The replay does not match the recorded run."""
+
+
+class Replay:
+    """One replay. `differs` describes the first difference from a state in the journal; empty without one.
+
+    From its creation until the end of `run`, file reads are answered from the journal.
+    """
+
+    def __init__(self, contents: Contents, until: float | None = None) -> None:
+        """The replay ends at the simulated time `until`, s; entries of the cycle of that time are included."""
+        self.contents = contents
+        self.differs = ""
+        self.states = 0
+        """The number of compared states."""
+        self.after_entry: Callable[[], None] = lambda: None
+        """Called after each handled entry of the journal."""
+        self._until_ns = NEVER if until is None else from_seconds(until)
+        self._at = 0
+        """Index of the entry that is being handled."""
+        self.taken = 0
+        """The number of consumed entries of the journal: the index of the next."""
+        self._limit = TimeLimit()
+        self._limit.on_end = self._take_limit
+        self._sessions: dict[int, Session] = {}
+        self._last_client = 0
+        self._meshes: list[tuple[set[MeshSource], Pending]] = []
+        """Open requests for meshes."""
+        self._renderer = RenderProcess()
+        self._pictures: deque[tuple[Pending, PictureRequest]] = deque()
+        self._state = -1, b""
+        """The cycle of the last whole second, and the numbers of the world at that time."""
+        self._unexpected: Callable[[str], None] = lambda _: None
+        file_reads.read = self._read
+        user_classes.limit = self._limit
+        user_modules.give(UserModule(*entry["module"]) for entry in contents.entries if "module" in entry)
+        self._look_ahead()
+        self.simulation = self._beginning()
+
+    def _beginning(self) -> Simulation:
+        """The world in its initial state."""
+        options = self.contents.options
+        try:
+            simulation = Simulation(**options.of_simulation())
+        except BaseException:
+            self._close()
+            raise
+        simulation.driven = True
+        simulation.run.paused = options.paused
+        simulation.run.speed = options.rtf
+        simulation.read_meshes = self._read_meshes
+        simulation.render = self._render
+        return simulation
+
+    def _close(self) -> None:
+        self._renderer.close()
+        file_reads.read = file_reads.from_disk
+        user_classes.limit = nullcontext()
+        self._limit.close()
+        user_modules.given.clear()
+
+    def run(
+        self, unexpected: Callable[[str], None], publications: Publications | None = None, check: bool = False
+    ) -> None:
+        """Run to the end of the journal, or to the requested time. Then all clients are disconnected.
+
+        `unexpected` logs the exception that is being handled; `publications` are those of a world that goes on. With
+        `check` it ends at the first state that differs.
+
+        Raises:
+            ReplayDiffers: an entry does not fit this world; with `check` also a state that differs.
+            Refused: the journal ends before the requested time.
+        """
+        self._publications, self._unexpected = publications or Publications(), unexpected
+        states = self.simulation.graph.timers.every(SECOND, self._keep_state)
+        try:
+            is_there = self._run(check)
+            for session in list(self._sessions.values()):
+                session.closed()
+        finally:
+            states.cancel()
+            self._close()
+        now_ns = self.simulation.time_ns
+        if not is_there and now_ns < self._until_ns < NEVER:
+            raise Refused(f"the journal ends at {now_ns / SECOND:g} s, before {self._until_ns / SECOND:g} s")
+
+    def _run(self, check: bool) -> bool:
+        """Run the entries. Returns True when the requested time came before the end."""
+        entries = self.contents.entries
+        while True:
+            self._at = self.taken
+            while self._at < len(entries) and not _CONSUMED_ENTRIES.isdisjoint(entries[self._at]):
+                self._at += 1
+            if self._at == len(entries):
+                return False
+            if not self._step_to(entries[self._at]["cycle"]):
+                return True
+            if self.taken != self._at:
+                self._fail("code of a user that took too long then does not now")
+            self._advance()
+            self._carry_out(entries[self._at])
+            self.after_entry()
+            if self.differs and check:
+                raise ReplayDiffers(self.differs, _UNREPEATABLE)
+
+    def _step_to(self, cycle: int) -> bool:
+        """Run the cycles up to that one. Returns False when the requested time comes first."""
+        simulation, run = self.simulation, self.simulation.run
+        if cycle - simulation.cycles > _LONGEST_GAP_NS // simulation.timestep_ns:
+            text = f"its cycle {cycle} is too far after the one before it, {simulation.cycles}"
+            where = self.contents.path, self._at + 2
+            raise BadFile(f"no daemon writes this entry: {text}; a journal has a state for each second", *where)
+        while (left := cycle - simulation.cycles) > 0:
+            allowed = min(left, (self._until_ns - simulation.time_ns) // simulation.timestep_ns)
+            if allowed <= 0:
+                return False
+            trouble, done = run.trouble, 0
+            try:
+                done = simulation.step(allowed)
+            except Exception:
+                self._unexpected(FAILED)
+                run.hold(f"{FAILED}, see the log", FAILED)
+            if not done or run.trouble != trouble:
+                break
+        if simulation.cycles > cycle:
+            self._fail(f"the world is past it now, at cycle {simulation.cycles}")
+        if simulation.cycles != cycle:
+            self._fail(f"the world is at cycle {simulation.cycles} now{run.trouble and f': {run.trouble}'}")
+        return True
+
+    def _carry_out(self, entry: dict[str, Any]) -> None:
+        """Handle one entry, in its cycle. Its reads are the next entries, and are consumed meanwhile."""
+        if "line" in entry:
+            self._session(entry["client"]).take(entry["line"])
+        elif "client" in entry:
+            if entry["client"] <= self._last_client:
+                self._fail(f"there was a client {entry['client']} before")
+            self._last_client = entry["client"]
+            self._sessions[entry["client"]] = Session(
+                _DiscardingReader(self._publications),
+                self.simulation.graph,
+                self._publications,
+                self._unexpected,
+                entry["node"],
+                0,
+            )
+        elif "gone" in entry:
+            self._session(entry["gone"]).closed()
+            del self._sessions[entry["gone"]]
+        elif "meshes" in entry:
+            self._take_meshes(entry["meshes"])
+        elif "let_go" in entry:
+            members = self.simulation.lockstep.members
+            if entry["let_go"] not in members:
+                self._fail(f"{entry['let_go']} is not in lock-step now")
+            self.simulation.lockstep.let_go(members[entry["let_go"]])
+        elif "picture" in entry:
+            self._take_picture(entry["picture"])
+        elif "state" in entry:
+            self._compare(entry)
+        else:
+            self._fail("the world did not ask for what stands in the journal next")
+
+    def _session(self, number: int) -> Session:
+        if number not in self._sessions:
+            self._fail(f"there is no client {number}")
+        return self._sessions[number]
+
+    def _advance(self) -> None:
+        self.taken += 1
+        self._look_ahead()
+
+    def _look_ahead(self) -> None:
+        """Set the limit: users' code must end where it was ended in the run, and only there, on any machine."""
+        while self._peek("module"):
+            self.taken += 1
+        is_limited = self._peek("limit")
+        self._limit.most_s = time_limit.LIMIT_S if is_limited else math.inf
+
+    def _peek(self, kind: str) -> bool:
+        entries = self.contents.entries
+        return self.taken < len(entries) and kind in entries[self.taken]
+
+    def _fail(self, why: str) -> NoReturn:
+        cycle = self.contents.entries[self._at]["cycle"] if self.contents.entries else 0
+        raise ReplayDiffers(f"{self.contents.path}:{self._at + 2}: in cycle {cycle}: {why}", _UNREPEATABLE)
+
+    # --- external input -----------------------------------------------------------------------------------------
+
+    def _read(self, what: str, look: Callable[[], Any]) -> Any:
+        if self.taken == len(self.contents.entries):  # the journal was cut off before this read
+            return look()
+        entry = self.contents.entries[self.taken]
+        if entry.get("read") != what:
+            self._fail(f"the world reads the {what} now, and did not then")
+        self._advance()
+        return entry["found"]
+
+    def _read_meshes(self, sources: Sequence[MeshSource]) -> Pending:
+        pending = Pending()
+        self._meshes.append((set(sources), pending))
+        return pending
+
+    def _take_meshes(self, entries: list[dict[str, Any]]) -> None:
+        hulls = dict(map(mesh_of, entries))
+        asked = next((one for one in self._meshes if not one[1].done and one[0] == set(hulls)), None)
+        if asked is None:
+            self._fail("nobody waits for these meshes now")
+        self._meshes.remove(asked)
+        asked[1].resolve(hulls)
+
+    def _render(self, camera: Camera, pose: Pose, seed: int) -> Pending:
+        pending = Pending()
+        self._pictures.append((pending, self._renderer.look(self.simulation.world, camera, pose, seed)))
+        return pending
+
+    def _take_picture(self, error: str) -> None:
+        """Resolve a picture, which is rendered only for users' code: there are no clients."""
+        if not self._pictures:
+            self._fail("no camera waits for a picture now")
+        pending, request = self._pictures.popleft()
+        topics, clients = self.simulation.graph.topics, {session.node for session in self._sessions.values()}
+        pictures = (topic for topic, kind in topics.types().items() if kind == journal.PICTURE)
+        if error:
+            pending.reject(Refused(error))
+        elif any(node not in clients for topic in pictures for node in topics.subscribers(topic)):
+            self._renderer.ask(request)
+            while (picture := self._renderer.take()) is None:
+                pass
+            pending.resolve(picture)
+        else:
+            pending.resolve("")
+
+    def _take_limit(self) -> None:
+        if self._peek("limit"):
+            self._advance()
+
+    # --- the state ----------------------------------------------------------------------------------------------
+
+    def _keep_state(self) -> None:
+        self._state = self.simulation.cycles, self.simulation.world.numbers()
+
+    def _compare(self, entry: dict[str, Any]) -> None:
+        if "end" in entry:
+            self._keep_state()
+        self.states += 1
+        cycle, here = self._state
+        there = base64.b64decode(entry["state"])
+        if self.differs or (cycle, here) == (entry["cycle"], there):
+            return
+        at = f"the state differs at {self.simulation.time_ns / SECOND:g} s (cycle {entry['cycle']})"
+        if cycle != entry["cycle"] or len(here) != len(there):
+            self.differs = f"{at}: there are {len(here) // 8} numbers now, and {len(there) // 8} in the journal"
+            return
+        names = self.simulation.world.number_names()
+        pairs = list(zip(names, memoryview(here).cast("d"), memoryview(there).cast("d"), strict=True))
+        # Compare the bits: -0.0 differs from 0.0, and NaN is equal to the same NaN.
+        others = [pair for at, pair in enumerate(pairs) if here[8 * at : 8 * at + 8] != there[8 * at : 8 * at + 8]]
+        name, now, then = others[0]
+        more = f", and {len(others) - 1} numbers more" if others[1:] else ""
+        self.differs = f"{at}: {name} is {now!r} now and {then!r} in the journal{more}"
+
+
+class _DiscardingReader:
+    """The reader of a client that is not connected."""
+
+    unread = 0
+    is_overfull = False
+    node = "nobody"
+
+    def __init__(self, publications: Publications) -> None:
+        self.outbox = Outbox(lambda *_: b"", publications)
+
+    def send(self, line: bytes) -> None:
+        """Discard the line."""
+
+    def look_again(self) -> None:
+        """Do nothing: the journal has the time of the disconnect."""
+
+
+def other_versions(contents: Contents) -> list[str]:
+    """Versions that differ from the recorded ones, as texts: the bits may depend on them."""
+    here = journal.written_by()
+    return [
+        f"{name} {value or 'none'} then, {here.get(name, 'none')} now"
+        for name, value in contents.written_by.items()
+        if value != here.get(name, "")
+    ]

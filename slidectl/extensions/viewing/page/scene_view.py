@@ -1,0 +1,317 @@
+"""The 3D view of the robots in the browser, optional drawings in it, and pushing links with the mouse."""
+
+from __future__ import annotations
+
+from collections import deque
+from functools import partial
+from typing import Any
+
+import numpy as np
+from viser import SceneNodeHandle
+
+from slidectl.description.robot import MOVING, Robot
+from slidectl.extensions.viewing.drawn_scene import VIEWS, DrawnScene
+from slidectl.extensions.viewing.page.page import Page, Panel, WorldState
+from slidectl.measures import Array
+from slidectl.rotations import IDENTITY, Vector, compose, conjugate, relative, rotate
+
+FRAMES, AXES, MASSES, CONTACTS = "frames of links", "joint axes", "centres of mass", "contacts and their forces"
+_MOST_TRACED = 2000
+_STIFFNESS = 50.0
+"""Stiffness of a push with the mouse, N per m and per kg of the robot."""
+_PUSH_S = 0.3
+"""Wall seconds after which a push ends unless it is renewed: the page may have ended."""
+_LONGEST_PUSH = 10.0
+"""The longest push, in radii of the scene."""
+_NOTHING = "nothing"
+_RED, _GREEN, _BLUE, _YELLOW = (230, 60, 60), (60, 180, 75), (60, 90, 230), (240, 190, 30)
+
+
+class SceneView(Panel):
+    """The 3D scene, and the panel with its options."""
+
+    title = "View"
+
+    def __init__(self, page: Page) -> None:
+        super().__init__(page)
+        self._scene: DrawnScene | None = None
+        self._links: dict[str, Any] = {}
+        """ROBOT::LINK -> its frame in viser."""
+        self._extra: dict[str, list[SceneNodeHandle]] = {FRAMES: [], AXES: [], MASSES: []}
+        self._shown: dict[str, bool] = dict.fromkeys((FRAMES, AXES, MASSES, CONTACTS), False)
+        self._collisions = self._dark = False
+        self._traced = _NOTHING
+        self._held: dict[str, tuple[Vector, Array]] = {}
+        """Pushed link -> the grasped point in the link's frame, and the mouse's point in the world, m."""
+        self._trace: deque[Vector] = deque(maxlen=_MOST_TRACED)
+        self._is_trace_new = False
+        self._placed: Any = None
+        self._told: set[str] = set()
+        self._is_looked_at = False
+        page.each_frame(self.draw)
+        # Browsers without a graphics card draw shadows slowly.
+        page.server.scene.configure_default_lights(cast_shadow=False)
+        self._ground = page.server.scene.add_grid(
+            "/ground", 40.0, 40.0, cell_size=1.0, section_size=5.0, plane="xy", cell_color=(200, 200, 200)
+        )
+
+    # --- the panel ------------------------------------------------------------------------------------------------
+
+    def shape(self, world: WorldState) -> Any:
+        return tuple((robot["name"], tuple(robot["links"]), robot["fixed"]) for robot in world.robots)
+
+    def build(self, world: WorldState) -> None:
+        self._look()
+        shapes = self.gui.add_dropdown(
+            "shapes", ("visuals", "collisions"), initial_value="collisions" if self._collisions else "visuals"
+        )
+        self.page.looking(shapes, self._choose_shapes)
+        for what, shown in self._shown.items():
+            box = self.gui.add_checkbox(what, shown)
+            self.page.looking(box, partial(self._show, what))
+        links = [f"{robot['name']}::{link}" for robot in world.robots for link in robot["links"] if link != "world"]
+        if self._traced not in links:
+            self._traced = _NOTHING
+        traced = self.gui.add_dropdown("trace of", (_NOTHING, *links), initial_value=self._traced)
+        self.page.looking(traced, self._choose_traced)
+        free = [robot["name"] for robot in world.robots if not robot["fixed"]]
+        place = self.gui.add_dropdown("place with the mouse", (_NOTHING, *free), disabled=not free)
+        if free:
+            self.page.acting(place, self._choose_placed)
+        self.page.looking(self.gui.add_checkbox("dark", self._dark), self._choose_dark)
+        if not self.page.read_only:
+            self.gui.add_markdown("Shift and drag pushes a link. Space pauses and resumes, . steps.")
+
+    def refresh(self, world: WorldState) -> None:
+        self._draw_trace()
+        for link in list(self._held):
+            self._push(link, world.status["speed_reached"])
+
+    def leave(self) -> None:
+        self._held.clear()
+        self.page.server.scene.remove_by_name("/push")
+        self._choose_placed(_NOTHING)
+        self._remove_robots()
+        self._scene = None
+
+    def _remove_robots(self) -> None:
+        for link in self._links.values():
+            link.remove()
+        self._links.clear()
+        for nodes in self._extra.values():
+            nodes.clear()
+
+    def _choose_shapes(self, value: str) -> None:
+        self._collisions = value == "collisions"
+        self._look()
+
+    def _choose_dark(self, value: bool) -> None:
+        self._dark = value
+        self.page.server.choose_theme(value)
+
+    def _show(self, what: str, value: bool) -> None:
+        self._shown[what] = value
+        for node in self._extra.get(what, ()):
+            node.visible = value
+        if what == CONTACTS and not value:
+            self.page.server.scene.remove_by_name("/contacts")
+
+    def _choose_traced(self, value: str) -> None:
+        self._traced = value
+        self._trace.clear()
+        self.page.server.scene.remove_by_name("/trace")
+
+    # --- the scene ------------------------------------------------------------------------------------------------
+
+    def draw(self) -> None:
+        """Update all poses. Raises NoDaemon."""
+        if self._scene is None:
+            return
+        answer = self.page.client.call("/slidectl/scene", {"contacts": self._shown[CONTACTS]})
+        before = self._scene.poses
+        if not self._scene.place(answer):
+            self._look()
+            self.page.look_again()
+            return
+        with self.page.server.atomic():
+            for link, frame in self._links.items():
+                place, turn = pose = self._scene.poses[link]
+                if before.get(link) != pose:
+                    frame.position = place
+                    frame.wxyz = (turn[3], *turn[:3])
+            self._draw_contacts(answer)
+        here = self._scene.poses.get(self._traced, (None,))[0]
+        if here is not None and (not self._trace or self._trace[-1] != here):
+            self._trace.append(here)
+            self._is_trace_new = True
+
+    def _look(self) -> None:
+        """Rebuild the robots in the view. Raises NoDaemon."""
+        self._remove_robots()
+        scene = self._scene = DrawnScene(
+            self.page.client.call("/slidectl/scene", {"descriptions": True}), self._collisions
+        )
+        server = self.page.server
+        for notice in scene.notices:
+            if notice not in self._told:
+                self._told.add(notice)
+                self.page.notify("Drawn otherwise", notice, "yellow")
+        with server.atomic():
+            for link, (place, turn) in scene.poses.items():
+                self._links[link] = server.scene.add_frame(
+                    _path(link), show_axes=False, position=place, wxyz=(turn[3], *turn[:3])
+                )
+            for number, surface in enumerate(scene.surfaces):
+                mesh = server.scene.add_mesh_simple(
+                    f"{_path(surface.link)}/surface{number}", surface.vertices, surface.faces.astype(np.uint32),
+                    color=np.array(surface.colour[:3]), flat_shading=True,
+                    opacity=None if surface.colour[3] >= 1.0 else surface.colour[3], side="double",
+                )  # fmt: skip
+                if not self.page.read_only:
+                    self._pushable(mesh, surface.link)
+            for name, robot in scene.robots.items():
+                self._add_extras(name, robot, 2 * scene.bounds(name)[1])
+        self._ground.visible = scene.ground
+        if not self._is_looked_at and scene.surfaces:
+            self._is_looked_at = True
+            centre, radius = scene.bounds()
+            eye = centre + 3.2 * radius * np.array(VIEWS["iso"])
+            server.initial_camera.look_at, server.initial_camera.position = centre, eye
+            for browser in server.get_clients().values():
+                browser.camera.position, browser.camera.look_at = eye, centre
+
+    def _add_extras(self, name: str, robot: Robot, size: float) -> None:
+        """Add frames, joint axes and centres of mass of a robot of `size` m."""
+        scene, length = self.page.server.scene, 0.08 * size
+        for link in robot.links.values():
+            path = _path(f"{name}::{link.name}")
+            if f"{name}::{link.name}" not in self._links:
+                continue
+            self._extra[FRAMES] += [
+                scene.add_frame(f"{path}/frame", axes_length=length, axes_radius=0.06 * length),
+                scene.add_label(f"{path}/name", link.name),
+            ]
+            if link.inertial is not None:
+                ball = scene.add_icosphere(
+                    f"{path}/mass", 0.2 * length, color=_YELLOW, position=link.inertial.origin.xyz
+                )
+                self._extra[MASSES].append(ball)
+        for joint in robot.joints.values():
+            if joint.type in MOVING:
+                axis = np.array([[[0.0, 0.0, 0.0], np.array(joint.axis) * 2 * length]])
+                arrow = scene.add_arrows(
+                    f"{_path(f'{name}::{joint.child}')}/axis", axis, _BLUE,
+                    shaft_radius=0.06 * length, head_radius=0.15 * length, head_length=0.4 * length,
+                )  # fmt: skip
+                self._extra[AXES].append(arrow)
+        for what, nodes in self._extra.items():
+            for node in nodes:
+                node.visible = self._shown[what]
+
+    def _draw_contacts(self, answer: dict[str, Any]) -> None:
+        if not self._shown[CONTACTS]:
+            return
+        scene, points = self.page.server.scene, _vectors(answer["contact_points"])
+        forces = _vectors(answer["contact_forces"])
+        if not len(points):
+            scene.remove_by_name("/contacts")
+            return
+        largest = float(np.linalg.norm(forces, axis=1).max())
+        length = self._scene.bounds()[1] / 2 if self._scene else 1.0
+        ends = points + forces * (length / largest if largest > 0 else 0.0)
+        scene.add_arrows(
+            "/contacts", np.stack((points, ends), axis=1), _RED,
+            shaft_radius=0.02 * length, head_radius=0.06 * length, head_length=0.15 * length,
+        )  # fmt: skip
+
+    def _draw_trace(self) -> None:
+        if self._is_trace_new and len(self._trace) > 1:
+            self._is_trace_new = False
+            points = np.array(self._trace)
+            self.page.server.scene.add_line_segments(
+                "/trace", np.stack((points[:-1], points[1:]), axis=1), _GREEN, thickness=2.0, thickness_units="screen"
+            )
+
+    # --- the mouse ------------------------------------------------------------------------------------------------
+
+    def _pushable(self, mesh: Any, link: str) -> None:
+        async def dragged(event: Any) -> None:  # async: keeps the order of events
+            start, end = event.start_position, event.end_position
+            if event.phase == "end":
+                self.page.do(lambda: self._release(link), ("push", link))
+            else:
+                self.page.do(lambda: self._hold(link, start, end), ("push", link))
+
+        mesh.on_drag("left", modifier="shift")(dragged)
+
+    def _hold(self, link: str, start: Vector, end: Vector) -> None:
+        """Start or move a push: it acts on the grasped point at each refresh until released."""
+        if self._scene is None or link not in self._scene.poses:  # its robot was just deleted
+            return
+        radius = self._scene.bounds()[1]
+        way = np.array(end) - start
+        length = float(np.linalg.norm(way))
+        if length > _LONGEST_PUSH * radius:  # a browser may send any numbers
+            way *= _LONGEST_PUSH * radius / length
+        taken_at = relative((start, IDENTITY), self._scene.poses[link])[0]
+        self._held[link] = taken_at, np.array(start) + way
+
+    def _push(self, link: str, speed: float) -> None:
+        """Apply a spring force from the grasped point towards the mouse, for a short time."""
+        if self._scene is None or link not in self._scene.poses:
+            del self._held[link]
+            self.page.server.scene.remove_by_name("/push")
+            return
+        taken_at, end = self._held[link]
+        pose = self._scene.poses[link]
+        start = np.array(compose(pose, (taken_at, IDENTITY))[0])
+        robot = self._scene.robots[link.partition("::")[0]]
+        mass = sum(one.inertial.mass for one in robot.links.values() if one.inertial is not None) or 1.0
+        lasting = divmod(round(_PUSH_S * max(1.0, speed) * 1e9), 10**9)  # simulated
+        force = rotate(conjugate(pose[1]), tuple((_STIFFNESS * mass * (end - start)).tolist()))
+        self.page.call("/gazebo/clear_body_wrenches", {"body_name": link})
+        request = {
+            "body_name": link, "reference_frame": link, "reference_point": dict(zip("xyz", taken_at, strict=True)),
+            "wrench": {"force": dict(zip("xyz", force, strict=True))},
+            "duration": dict(zip(("secs", "nsecs"), lasting, strict=True)),
+        }  # fmt: skip
+        self.page.call("/gazebo/apply_body_wrench", request)
+        line = np.array([[start, end]])
+        self.page.server.scene.add_line_segments("/push", line, _RED, thickness=3.0, thickness_units="screen")
+
+    def _release(self, link: str) -> None:
+        self._held.pop(link, None)
+        self.page.server.scene.remove_by_name("/push")
+        self.page.call("/gazebo/clear_body_wrenches", {"body_name": link})
+
+    def _choose_placed(self, name: str) -> None:
+        """Show the handles that move a free robot."""
+        if self._placed is not None:
+            self._placed.remove()
+            self._placed = None
+        if self._scene is None or name not in self._scene.robots:
+            return
+        robot = self._scene.robots[name]
+        place, turn = self._scene.poses[f"{name}::{robot.root}"]
+        handles = self._placed = self.page.server.scene.add_transform_controls(
+            "/place", scale=self._scene.bounds(name)[1], position=place, wxyz=(turn[3], *turn[:3])
+        )
+
+        async def moved(_: Any) -> None:
+            w, x, y, z = map(float, handles.wxyz)
+            position = dict(zip("xyz", map(float, handles.position), strict=True))
+            pose = {"position": position, "orientation": {"x": x, "y": y, "z": z, "w": w}}
+            state = {"model_name": name, "pose": pose, "reference_frame": "world"}
+            self.page.do(lambda: self.page.call("/gazebo/set_model_state", {"model_state": state}), ("place", name))
+
+        handles.on_update(moved)
+
+
+def _path(link: str) -> str:
+    """The name of a link's node in viser's scene tree."""
+    robot, _, name = link.partition("::")
+    return f"/robots/{robot.replace('/', '_')}/{name.replace('/', '_')}"
+
+
+def _vectors(messages: list[dict[str, float]]) -> Array:
+    return np.array([[one["x"], one["y"], one["z"]] for one in messages]).reshape(-1, 3)

@@ -1,0 +1,42 @@
+"""Pictures without OpenGL: the triangles of a scene, drawn by numpy."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+
+from slidectl.extensions.viewing import drawn_scene
+from slidectl.extensions.viewing.drawn_scene import DrawnScene
+from slidectl.extensions.viewing.picture_files import Pixels
+from slidectl.measures import Array
+from slidectl.rasteriser import Plane, Rasteriser, Viewpoint
+
+_GROUND = Plane(np.zeros(3), np.eye(3), drawn_scene.TILES)
+
+
+class SoftwareRenderer:
+    """Draws scenes at one picture size."""
+
+    name = "software"
+
+    def __init__(self, size: tuple[int, int]) -> None:
+        self._rasteriser = Rasteriser(size, drawn_scene.SKY)
+
+    def draw(self, scene: DrawnScene, view: Viewpoint) -> Pixels:
+        """Draw a picture: RGB, shape (height, width, 3)."""
+        surfaces = scene.surfaces
+        corners = np.concatenate([np.zeros((0, 3, 3)), *(scene.vertices(one)[one.faces] for one in surfaces)])
+        of_surfaces = np.array([one.colour[:3] for one in surfaces]).reshape(-1, 3)
+        colours = np.repeat(of_surfaces, [len(one.faces) for one in surfaces], axis=0)
+        planes = [_GROUND] if scene.ground else []
+        return self._rasteriser.draw(corners, colours, planes, partial(_light, view.ahead), view)
+
+
+def _light(ahead: Array, _: Array, normals: Array) -> Array:
+    """The light on surfaces with these normals: ambient, from the viewpoint, and from the sun."""
+    from_eye, from_sun = (-normals @ np.array(way) for way in (ahead, drawn_scene.SUN))
+    light: Array = (
+        drawn_scene.AMBIENT + drawn_scene.FROM_EYE * from_eye.clip(0) + drawn_scene.FROM_SUN * from_sun.clip(0)
+    )
+    return light[:, None]
