@@ -20,7 +20,7 @@ for version in 3.11 3.12 3.13 3.14; do
     fi
   done
   if [ -n "$found" ]; then
-    make PYTHON="$found" VENV=".venv-$version" quick
+    bash scripts/gate_tests.sh PYTHON="$found" VENV=".venv-$version" quick
   else
     missing+=("$version")
   fi

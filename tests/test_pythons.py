@@ -1,4 +1,4 @@
-"""`make quick`, and `scripts/pythons.sh`, which runs it with each Python of the machine."""
+"""`make quick`, `scripts/pythons.sh`, which runs it with each Python of the machine, and `scripts/gate_tests.sh`."""
 
 from __future__ import annotations
 
@@ -85,3 +85,39 @@ def test_most_files_of_tests_are_quick() -> None:
         "check", "cli", "client", "control", "daemon", "description", "gateways", "launch", "msgs", "physics",
         "simulation", "viewing",
     }  # fmt: skip
+
+
+# It fails once in a folder.
+FLAKY = """
+import pathlib
+def test_{0}():
+    seen = pathlib.Path('seen-{0}')
+    first = not seen.exists()
+    seen.touch()
+    assert not first
+"""
+
+
+@pytest.mark.parametrize(
+    ("tests", "code", "said"),
+    [
+        (["def test_right(): pass\n"], 0, "1 passed"),
+        ([FLAKY.format("one"), "def test_right(): pass\n"], 0, "tests/test_0.py::test_one"),
+        (["def test_wrong(): assert False\n", FLAKY.format("one")], 1, "1 failed"),
+        ([FLAKY.format(number) for number in range(6)], 2, "6 tests failed"),
+    ],
+)
+def test_the_gate_runs_what_failed_once_more(tmp_path: Path, tests: list[str], code: int, said: str) -> None:
+    (tmp_path / "scripts").mkdir()
+    (tmp_path / "tests").mkdir()
+    (tmp_path / "scripts" / "gate_tests.sh").write_text((ROOT / "scripts" / "gate_tests.sh").read_text())
+    for number, text in enumerate(tests):
+        (tmp_path / "tests" / f"test_{number}.py").write_text(text)
+    program(tmp_path / "environment" / "bin" / "python", f'exec {sys.executable} "$@" -p no:slidectl')
+    (tmp_path / "Makefile").write_text("test:\n\t@$(VENV)/bin/python -m pytest tests\n")
+    done = subprocess.run(
+        ["bash", "scripts/gate_tests.sh", "VENV=environment", "test"], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert done.returncode == code, done
+    assert said in done.stdout + done.stderr, done
+    assert ("has a race" in done.stdout) == (code == 0 and len(tests) == 2)
