@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
-from slow_tests import is_slow
+from kinds_of_tests import marks_left_out, marks_of
 
 # No test may depend on how fast the machine is, nor leave a database behind; `make fuzz` takes another seed each time.
 settings.register_profile(
@@ -50,12 +50,23 @@ def _share_cache(config: pytest.Config) -> None:
         config.stash[_CACHE].setenv("XDG_CACHE_HOME", tempfile.mkdtemp(prefix="slidectl-cache-"))
 
 
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Files whose tests are all left out by `-m` are not even imported."""
+    left_out = marks_left_out(config.option.markexpr)
+    return True if left_out and collection_path.is_file() and left_out & marks_of(_name(collection_path)) else None
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the tests of the files in SLOW."""
-    here = Path(__file__).parent
+    """Give the tests the marks of their files."""
     for item in items:
-        if item.path.is_relative_to(here) and is_slow(item.path.relative_to(here).as_posix()):
-            item.add_marker("slow")
+        for mark in marks_of(_name(item.path)):
+            item.add_marker(mark)
+
+
+def _name(path: Path) -> str:
+    """The path of a file of tests in this folder; empty elsewhere."""
+    here = Path(__file__).parent
+    return path.relative_to(here).as_posix() if path.is_relative_to(here) else ""
 
 
 def pytest_unconfigure(config: pytest.Config) -> None:
