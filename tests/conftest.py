@@ -44,10 +44,27 @@ def _restore_signals() -> None:
 
 
 def _share_cache(config: pytest.Config) -> None:
-    """Compiled code goes into a folder of this run, which all its workers and daemons share: it is compiled once."""
+    """Compiled code goes into a folder of this run, which all its workers and daemons share: it is compiled once.
+
+    The compiled cycle of the run before is there from the start; it is used where its sources are still the same.
+    """
     if not hasattr(config, "workerinput"):
         config.stash[_CACHE] = pytest.MonkeyPatch()
         config.stash[_CACHE].setenv("XDG_CACHE_HOME", tempfile.mkdtemp(prefix="slidectl-cache-"))
+        _copy_cycles(config.cache.mkdir("slidectl-compiled"), _compiled())
+
+
+def _compiled() -> Path:
+    return Path(os.environ["XDG_CACHE_HOME"], "slidectl")
+
+
+def _copy_cycles(from_folder: Path, to_folder: Path) -> None:
+    """Copy the newest compiled cycles, with their times."""
+    to_folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    for file in sorted(from_folder.glob("cycle-*.o"), key=lambda path: path.stat().st_mtime)[-2:]:
+        partial = to_folder / f"{file.name}.{os.getpid()}"
+        shutil.copy2(file, partial)
+        partial.replace(to_folder / file.name)
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
@@ -72,6 +89,8 @@ def _name(path: Path) -> str:
 def pytest_unconfigure(config: pytest.Config) -> None:
     """A compilation that is still under way finds its folder gone, and ends."""
     if _CACHE in config.stash:
+        with suppress(OSError):
+            _copy_cycles(_compiled(), config.cache.mkdir("slidectl-compiled"))
         shutil.rmtree(os.environ["XDG_CACHE_HOME"], ignore_errors=True)
         config.stash[_CACHE].undo()
 
