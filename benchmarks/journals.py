@@ -39,7 +39,7 @@ def _cost(path: Path, engine: str) -> Row:
     for number in range(ROUNDS):
         bare = cpu_s(lambda: simulation.step(cycles))
         notes = Journal(DaemonOptions(journal=f"{path}.{number}"))
-        notes.watch(simulation)
+        notes.attach(simulation)
         ratios.append(cpu_s(lambda: simulation.step(cycles)) / bare)
         notes.close("measured")
     note = f"slider, {engine}, free-running: {1e6 * bare / SECONDS:.0f} us of processor time a simulated second"
@@ -49,11 +49,11 @@ def _cost(path: Path, engine: str) -> Row:
 
 def _replay(path: Path, engine: str) -> Row:
     notes = Journal(DaemonOptions(journal=str(path), engine=engine, paused=True))
-    simulation = Simulation(engine=engine)
+    simulation = Simulation(engine=engine, host=notes)
     if engine == "compiled":
         simulation.engine.complete()
     simulation.run.paused = True
-    with InProcessWorld(simulation, notes).client(timeout=10.0 * REPLAYED_S) as client:
+    with InProcessWorld(simulation).client(timeout=10.0 * REPLAYED_S) as client:
         client.call("/gazebo/spawn_urdf_model", {"model_name": "slider", "model_xml": description.load("slider").xml})
         client.call("/slidectl/step", {"seconds": float(REPLAYED_S)})
     notes.close("measured")

@@ -14,7 +14,7 @@ PACKAGE = Path(__file__).parent.parent / "slidectl"
 
 FLOORS = {
     "effects": 0, "errors": 0, "local_peers": 0,
-    "names": 0, "expressions": 0, "fault_kinds": 0, "file_reads": 0, "held_bytes": 0, "input_files": 0,
+    "names": 0, "expressions": 0, "fault_kinds": 0, "held_bytes": 0, "input_files": 0,
     "operating_system": 0, "paths": 0,
     "logfile": 1, "processes": 1,
     "event_loop": 0, "rotations": 0, "web_access": 0, "writing": 0, "msgs": 0, "measures": 1, "rasteriser": 1,
@@ -31,7 +31,6 @@ FLOORS = {
 # The client reads a robot's files for `Client.spawn`, inside of functions: a script that spawns none starts without it.
 SAME_FLOOR = {
     ("client", "description"),
-    ("daemon", "journal"),
     ("viewing", "gateways"),
     ("journal", "daemon"),
     ("control", "description"),
@@ -50,7 +49,6 @@ FORBIDDEN = {
     "names": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "expressions": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "fault_kinds": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
-    "file_reads": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "input_files": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "held_bytes": {"asyncio", "click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket", "websockets"},
     "operating_system": {"asyncio", "click", "lxml", "mujoco", "numpy", "rosbags", "yaml"},
@@ -109,7 +107,6 @@ CLI_MAY_TAKE = {
     "names",
     "expressions",
     "fault_kinds",
-    "file_reads",
     "input_files",
     "logfile",
     "operating_system",

@@ -71,7 +71,7 @@ _UNREAD = {
 
 def known_types() -> list[tuple[str, str]]:
     """The types of controllers in this installation, each with the base class that its loader names."""
-    return [(name, registry.BASE_CLASS) for name in registry.types()]
+    return [(name, registry.BASE_CLASS) for name in registry.common.types()]
 
 
 def check(path: str | Path, model: Model | None, findings: Findings, text: bytes | None = None) -> bool:
@@ -449,7 +449,7 @@ class ControllerCheck:
             if found is not None:
                 tree = self._translated(path, tree, found)
                 type_name = found.type
-            cls = registry.find(type_name)
+            cls = registry.common.find(type_name)
         except (registry.UnknownType, NoCounterpart) as error:
             self.source.absent(f"{path}/type", error.message, error.hint or "", f"controller type {type_name}")
             for name, value in tree.items():
@@ -552,8 +552,8 @@ def _interfaces(cls: type[ControllerBase]) -> list[type[ResourceManager[Any]]]:
 def _likely_type(tree: Mapping[str, Any]) -> str | None:
     """The controller type that declares all these names; of several the one with the fewest missing parameters."""
     fitting = []
-    for name in registry.types():
-        declared = Declared(registry.find(name).parameters)
+    for name in registry.common.types():
+        declared = Declared(registry.common.find(name).parameters)
         required = {each.name for each in declared.all if each.required and "<" not in each.name}
         given = {leaf for leaf, _ in declared.leaves(tree)}
         if given & required and all(map(declared.find, given)):

@@ -18,7 +18,7 @@ from slidectl import description, names
 from slidectl.check import bodies
 from slidectl.check.findings import Findings
 from slidectl.check.tags import Tags, Trace, TracedElement, TracedReport, plain
-from slidectl.control import hardware_types
+from slidectl.control import registry
 from slidectl.control.transmission_interface import load
 from slidectl.description import interfaces, slips, xml_tree
 from slidectl.description.document import Written
@@ -370,7 +370,7 @@ def _tell_whole(robot: Robot, root: Element, namespace: str, findings: Findings)
         if not is_driven:
             findings.add("used", subject, "note: without a transmission it drives no joint", file, plugin.line)
         try:
-            hardware_types.check_known(plugin.robot_sim_type)
+            registry.common.hardware.check_known(plugin.robot_sim_type)
         except UnknownName as error:
             findings.refuse(BadFile(error.message, plugin.file, plugin.line, error.hint))
     elif is_driven:

@@ -49,7 +49,7 @@ def check(
             arguments that do not fit the file.
     """
     for module in imports:
-        registry.add_module(module)
+        registry.common.add_module(module)
     findings = Findings(missing)
     kind, words = _resolved(words, text, packages)
     _refuse_what_does_not_fit(kind, words, arguments, parameter_files)

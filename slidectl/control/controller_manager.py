@@ -29,12 +29,12 @@ from slidectl.control.hardware_interface import (
 )
 from slidectl.control.node_handle import NodeHandle, Reasons
 from slidectl.control.params import UPDATE_BUDGET, judge, value_of
+from slidectl.control.registry import ControllerTypes
 from slidectl.control.ros2_names import counterpart
 from slidectl.control.user_classes import (
     HookGuard,
     WatchedHandles,
     file_of,
-    is_cut_off,
     is_fault,
     is_of_a_user,
     raised,
@@ -42,6 +42,7 @@ from slidectl.control.user_classes import (
     watched,
     watched_hardware,
 )
+from slidectl.control.user_modules import UserCode
 from slidectl.errors import BadName, Refused, SlidectlError, UnknownName, quoted
 
 T = TypeVar("T")
@@ -122,7 +123,7 @@ _HOOKS_OF = {
 class LoadedController:
     """A loaded controller of a manager. Times are nanoseconds of simulated time."""
 
-    __slots__ = ("_is_of_user", "_watched", "controller", "failure", "info", "may_compile", "node", "times")
+    __slots__ = ("_code", "_is_of_user", "_watched", "controller", "failure", "info", "may_compile", "node", "times")
 
     def __init__(
         self,
@@ -130,9 +131,11 @@ class LoadedController:
         type_name: str,
         controller: ControllerBase,
         node: NodeHandle,
+        code: UserCode,
         handles: WatchedHandles | None = None,
     ) -> None:
-        """`handles`: the joint handles that a user's controller has got; None for a controller of slidectl."""
+        """`code`: the users' code of the world. `handles`: the joint handles that a user's controller has got; None for
+        a controller of slidectl."""
         self.controller = controller
         self.node = node
         self.info = ControllerInfo(name, type_name, controller.claimed_resources)
@@ -142,7 +145,8 @@ class LoadedController:
         self.may_compile = True
         """False when the compiled form that a user's class declares has failed."""
         self._is_of_user = is_of_a_user(type(controller))
-        self._watched = watched(type(controller), handles)
+        self._code = code
+        self._watched = watched(type(controller), code, handles)
         self._read_budget()
         node.watch_param(UPDATE_BUDGET.name, self._read_budget)
 
@@ -221,7 +225,7 @@ class LoadedController:
         where = f" in {hook}" if hook else ""
         self.failure = f"controller {self.name!r} failed{where} and is aborted: {described(failure)}"
         self.node.log("fatal", self.failure)
-        if is_cut_off(type(self.controller)):
+        if type(self.controller) in self._code.cut_off:
             self.controller.state = State.ABORTED
             return
         try:
@@ -236,7 +240,7 @@ class LoadedController:
         if not self._is_of_user:
             return action()
         try:
-            with watched(type(self.controller)):
+            with watched(type(self.controller), self._code):
                 return action()
         except Exception as failure:
             self.may_compile = False
@@ -263,8 +267,8 @@ def described(failure: Exception) -> str:
 class CallbackGuard(HookGuard):
     """Context of a callback of a user's controller: message, service call, goal or tick. Exceptions become Refused."""
 
-    def __init__(self, cls: type, node: NodeHandle) -> None:
-        super().__init__(cls)
+    def __init__(self, cls: type, code: UserCode, node: NodeHandle) -> None:
+        super().__init__(cls, code)
         self._node = node
 
     def __exit__(self, kind: type[BaseException] | None, failure: BaseException | None, *trace: Any) -> None:
@@ -427,10 +431,13 @@ Messages = list[dict[str, Any]]
 class ControllerManager:
     """The controllers of one robot in load order. Refusals are logged as errors and answered with False."""
 
-    def __init__(self, hw: RobotHW, node: NodeHandle) -> None:
-        """`node` is the robot's namespace: a controller's parameters and topics are below `<node>/<name>`."""
+    def __init__(self, hw: RobotHW, node: NodeHandle, types: ControllerTypes = registry.common) -> None:
+        """`node` is the robot's namespace: a controller's parameters and topics are below `<node>/<name>`. `types` are
+        those that the world knows."""
         self._hw = hw
         self._node = node
+        self.known = types
+        """The types of controllers that can be loaded."""
         self._loaded: dict[str, LoadedController] = {}
         self._running: tuple[LoadedController, ...] = ()
         self._updates: tuple[tuple[Callable[[int, float], None], UpdateTimes], ...] = ()
@@ -510,7 +517,7 @@ class ControllerManager:
         ok = True
         with self._node.answering(switch.reasons):
             try:
-                with watched_hardware(self._hw):
+                with watched_hardware(self._hw, self.known.code):
                     finished = switch.advance(self._hw, time_ns)
             except Refused as failure:
                 self._node.log("fatal", described(failure))
@@ -590,11 +597,11 @@ class ControllerManager:
 
     def types(self) -> Names:
         """The controller types that can be loaded."""
-        return registry.types()
+        return self.known.types()
 
     def base_classes(self) -> Names:
         """The base class of each of `types`."""
-        return len(registry.types()) * [registry.BASE_CLASS]
+        return len(self.known.types()) * [registry.BASE_CLASS]
 
     # Loading.
 
@@ -625,12 +632,12 @@ class ControllerManager:
         node = self._node.child(name)
         try:
             type_name = _understood(node, _type_of(node))
-            controller = registry.create(type_name)
-            guard = CallbackGuard(type(controller), node) if is_of_a_user(type(controller)) else None
+            controller, code = self.known.create(type_name), self.known.code
+            guard = CallbackGuard(type(controller), code, node) if is_of_a_user(type(controller)) else None
             node.guard = guard
             of_all = WatchedHandles(*self._hw.joint_handles(only_new=False), file_of(type(controller)))
             self._hw.joint_handles(only_new=True)
-            with watched(type(controller), of_all):
+            with watched(type(controller), code, of_all):
                 controller.init_request(self._hw, self._node, node)
         except BaseException as failure:
             node.shutdown()
@@ -639,9 +646,9 @@ class ControllerManager:
             raise
         node.guard_params(partial(judge, node, controller.parameters))
         if guard is None:
-            return LoadedController(name, type_name, controller, node)
+            return LoadedController(name, type_name, controller, node, code)
         guard.handles = WatchedHandles(*self._hw.joint_handles(only_new=True), file_of(type(controller)))
-        return LoadedController(name, type_name, controller, node, guard.handles)
+        return LoadedController(name, type_name, controller, node, code, guard.handles)
 
     def unload(self, name: str) -> bool:
         """Remove a controller that is not running. False: it runs, it is not loaded, or a switch is pending."""
@@ -660,13 +667,13 @@ class ControllerManager:
         """Import the file of a loaded controller's class anew, for `exchange`. Returns the controller's state.
 
         Raises:
-            Refused: it is not loaded. SlidectlError: as `registry.renewed`; nothing has changed.
+            Refused: it is not loaded. SlidectlError: as `ControllerTypes.renewed`; nothing has changed.
         """
         entry = self._loaded.get(name)
         if entry is None:
             hint = f"load it: slidectl controller load {name}"
             raise Refused(f"cannot reload controller {quoted(name)}: it is not loaded", hint)
-        registry.renewed(type(entry.controller))
+        self.known.renewed(type(entry.controller))
         return entry.state
 
     def failure_of(self, name: str) -> str:
@@ -687,7 +694,7 @@ class ControllerManager:
             self._loaded[name] = self._load(name)  # an existing key keeps its place in the order
         except Exception as failure:
             text = f"cannot load controller {quoted(name)} from its edited file: {described(failure)}"
-            registry.put_back(former)
+            self.known.put_back(former)
         else:
             return True
         try:
@@ -811,7 +818,7 @@ class ControllerManager:
                 self._node.log("warn", f"resource conflict: {conflict}")
             text = f"resource conflict: {'; '.join(map(str, conflicts))}"
             raise Refused(text + _way_out(conflicts, {info.name for info in plan.start}))
-        with watched_hardware(self._hw):
+        with watched_hardware(self._hw, self.known.code):
             is_possible = self._hw.prepare_switch(plan.start, plan.stop)
         if not is_possible:
             raise Refused("the hardware cannot run this combination of controllers")

@@ -1,12 +1,11 @@
-"""Controllers by type name: the decorator that registers a class, and the functions that create instances.
+"""Controllers by type name: the decorator that registers a class, and the types that a world knows.
 
 Every module of `controllers/` is imported at the first query of types, so a new family needs only a new module. Users'
-classes come from files, from modules, and from the entry points of installed packages.
+classes come from files, from modules, and from the entry points of installed packages; they are those of one world.
 """
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
@@ -16,9 +15,11 @@ from pkgutil import iter_modules
 from types import ModuleType
 from typing import TYPE_CHECKING, TypeVar
 
-from slidectl.control import hardware_types, user_classes
+from slidectl.control import user_classes, user_modules
 from slidectl.control.controller_interface import Compiled, ControllerBase
+from slidectl.control.hardware_types import HardwareTypes
 from slidectl.control.user_classes import ControllerClass
+from slidectl.control.user_modules import UserCode
 from slidectl.errors import BadFile, Refused, UnknownName
 
 if TYPE_CHECKING:
@@ -29,9 +30,10 @@ C = TypeVar("C", bound=type[ControllerBase])
 BASE_CLASS = "controller_interface::ControllerBase"
 ENTRY_POINTS = "slidectl.controllers"
 """The entry point group in which an installed package names its controllers: a type, and `module:Class`."""
-_known: dict[str, ControllerClass] = {}
-_registered: set[str] = set()
-"""Modules that were added. A further simulation in this process may add them again without an error."""
+_shared: dict[str, ControllerClass] = {}
+"""The types that all worlds know: shipped ones, and those that a script registers by itself."""
+_importing: list[dict[str, ControllerClass]] = []
+"""The types of the worlds that are importing users' code, the innermost last."""
 
 
 class UnknownType(UnknownName):
@@ -42,44 +44,141 @@ class UnknownType(UnknownName):
 
 
 def controller(*type_names: str) -> Callable[[C], C]:
-    """Class decorator: register the class under these types. It replaces a class that has the type."""
+    """Class decorator: register the class under these types. It replaces a class that has the type.
+
+    A class in a module that a world imports is known to that world, any other one to all worlds.
+    """
 
     def register(cls: C) -> C:
+        table = _shared
         if user_classes.is_of_a_user(cls):
             _import_shipped()
+            table = _importing[-1] if _importing else _shared
         for type_name in type_names:
-            _known[type_name] = cls
+            table[type_name] = cls
         return cls
 
     return register
 
 
-def types() -> list[str]:
-    """All registered types and those of installed packages, alphabetical."""
-    _import_shipped()
-    return sorted({*_known, *_entry_points()})
+class ControllerTypes:
+    """The types of controllers and of hardware that one world knows."""
+
+    def __init__(self, code: UserCode) -> None:
+        """`code` is the users' code of the world."""
+        self.code = code
+        self.hardware = HardwareTypes(code)
+        self._own: dict[str, ControllerClass] = {}
+        """The types that this world has imported. They hide those that all worlds know."""
+        self._registered: set[str] = set()
+        """Modules that were added. They may be added again without an error."""
+
+    def types(self) -> list[str]:
+        """All registered types and those of installed packages, alphabetical."""
+        return sorted({*self._known(), *_entry_points()})
+
+    def find(self, type_name: str) -> ControllerClass:
+        """The class of that type.
+
+        Raises:
+            UnknownType: no class has this type. BadFile: the code of the installed package that names it fails.
+        """
+        cls = self._known().get(type_name)
+        if cls is None:
+            point = _entry_points().get(type_name)
+            if point is None:
+                raise UnknownType(type_name, self.types())
+            with self._all_or_nothing():
+                module = user_classes.import_named(self.code, point.module)
+                cls = self._own[type_name] = user_classes.chosen_class(module, point.attr)
+        return cls
+
+    def create(self, type_name: str) -> ControllerBase:
+        """A fresh controller of that type. Raises as `find`."""
+        return user_classes.made(self.find(type_name), self.code)
+
+    def add_file(self, file: str, class_name: str) -> str:
+        """Import the file anew and register its controllers. Returns the type of the class of that name, `STEM/CLASS`.
+
+        An empty name means the only controller in it. All or nothing. Raises as `user_classes.run_file` and
+        `user_classes.chosen_class`.
+        """
+        with self._all_or_nothing():
+            module = user_classes.run_file(self.code, file)
+            cls = user_classes.chosen_class(module, class_name)
+            self._register_all(module)
+        return _type_in(module, cls.__name__)
+
+    def add_module(self, name: str) -> list[str]:
+        """Import a module, or a file that ends with `.py`, and register its controllers and hardware.
+
+        Returns their types. All or nothing. Raises as `user_classes.import_named`, and BadFile: it has none of either,
+        or a broken controller.
+        """
+        was_registered = name in self._registered
+        with self._all_or_nothing() as before:
+            module = user_classes.import_named(self.code, name)
+            for class_name, cls in user_classes.classes_of(module).items():
+                user_classes.check_class(cls, class_name, module.__file__)
+            self._register_all(module)
+        added = [type_name for type_name, cls in self._known().items() if before.get(type_name) is not cls]
+        added += self.hardware.add_all(module, _type_in(module, ""))
+        if not added and not was_registered:
+            raise BadFile("there is no controller in it, and no hardware", module.__file__ or name)
+        self._registered.add(name)
+        return added
+
+    def renewed(self, cls: ControllerClass) -> ControllerClass:
+        """Import the class's edited file anew. All types of the class then mean the new class, which is returned.
+
+        Raises:
+            Refused: the class is not a user's, or not from a file. Else as `add_file`. The types are then unchanged.
+        """
+        if not user_classes.is_of_a_user(cls):
+            raise Refused("it is a controller of slidectl itself; only those of users are reloaded")
+        self.code.activate()
+        file = user_classes.file_of(cls)
+        if file is None:
+            raise Refused(f"{cls.__name__} was not read from a file")
+        with self._all_or_nothing():
+            module = user_classes.run_file(self.code, file, cls.__module__)
+            new = user_classes.chosen_class(module, cls.__name__)
+            self._register_all(module)
+        self.put_back(new)
+        return new
+
+    def put_back(self, cls: ControllerClass) -> None:
+        """Register this class under all types of a class with the same module and name."""
+        for type_name, registered in self._known().items():
+            if (registered.__module__, registered.__name__) == (cls.__module__, cls.__name__):
+                self._own[type_name] = cls
+
+    def _known(self) -> dict[str, ControllerClass]:
+        """The registered classes by type."""
+        _import_shipped()
+        return {**_shared, **self._own}
+
+    def _register_all(self, module: ModuleType) -> None:
+        for class_name, cls in user_classes.classes_of(module).items():
+            self._own[_type_in(module, class_name)] = cls
+
+    @contextmanager
+    def _all_or_nothing(self) -> Iterator[dict[str, ControllerClass]]:
+        """Context in which a module is imported and registered. An exception restores the types. Yields all before."""
+        before, own = self._known(), dict(self._own)
+        _importing.append(self._own)
+        try:
+            yield before
+        except BaseException:
+            self._own.clear()
+            self._own.update(own)
+            raise
+        finally:
+            _importing.pop()
 
 
-def find(type_name: str) -> ControllerClass:
-    """The class of that type.
-
-    Raises:
-        UnknownType: no class has this type. BadFile: the code of the installed package that names it fails.
-    """
-    _import_shipped()
-    cls = _known.get(type_name)
-    if cls is None:
-        point = _entry_points().get(type_name)
-        if point is None:
-            raise UnknownType(type_name, types())
-        module = user_classes.import_named(point.module)
-        cls = _known[type_name] = user_classes.chosen_class(module, point.attr)
-    return cls
-
-
-def create(type_name: str) -> ControllerBase:
-    """A fresh controller of that type. Raises as `find`."""
-    return user_classes.made(find(type_name))
+common = ControllerTypes(user_modules.active)
+"""The types of a process without a world, such as `slidectl check`."""
 
 
 def compiled_forms() -> dict[ControllerClass, Compiled]:
@@ -87,88 +186,9 @@ def compiled_forms() -> dict[ControllerClass, Compiled]:
     return {cls: form for cls in _import_shipped() if (form := vars(cls).get("compiled")) is not None}
 
 
-# -- users' classes ----------------------------------------------------------------------------------------------------
-
-
-def add_file(file: str, class_name: str) -> str:
-    """Import the file anew and register its controllers. Returns the type of the class of that name, `STEM/CLASS`.
-
-    An empty name means the only controller in it. All or nothing. Raises as `user_classes.run_file` and
-    `user_classes.chosen_class`.
-    """
-    with _all_or_nothing():
-        module = user_classes.run_file(file)
-        cls = user_classes.chosen_class(module, class_name)
-        _register_all(module)
-    return _type_in(module, cls.__name__)
-
-
-def add_module(name: str) -> list[str]:
-    """Import a module, or a file that ends with `.py`, and register its controllers and hardware. Returns their types.
-
-    All or nothing. Raises as `user_classes.import_named`, and BadFile: it has none of either, or a broken controller.
-    """
-    was_registered = name in _registered and name in sys.modules
-    with _all_or_nothing() as before:
-        module = user_classes.import_named(name)
-        for class_name, cls in user_classes.classes_of(module).items():
-            user_classes.check_class(cls, class_name, module.__file__)
-        _register_all(module)
-    added = [type_name for type_name, cls in _known.items() if before.get(type_name) is not cls]
-    added += hardware_types.add_all(module, _type_in(module, ""))
-    if not added and not was_registered:
-        raise BadFile("there is no controller in it, and no hardware", module.__file__ or name)
-    _registered.add(name)
-    return added
-
-
-def renewed(cls: ControllerClass) -> ControllerClass:
-    """Import the class's edited file anew. All types of the class then mean the new class, which is returned.
-
-    Raises:
-        Refused: the class is not a user's, or not from a file. Else as `add_file`. The types are then unchanged.
-    """
-    if not user_classes.is_of_a_user(cls):
-        raise Refused("it is a controller of slidectl itself; only those of users are reloaded")
-    file = user_classes.file_of(cls)
-    if file is None:
-        raise Refused(f"{cls.__name__} was not read from a file")
-    with _all_or_nothing():
-        module = user_classes.run_file(file, cls.__module__)
-        new = user_classes.chosen_class(module, cls.__name__)
-        _register_all(module)
-    put_back(new)
-    return new
-
-
-def put_back(cls: ControllerClass) -> None:
-    """Register this class under all types of a class with the same module and name."""
-    for type_name, registered in _known.items():
-        if (registered.__module__, registered.__name__) == (cls.__module__, cls.__name__):
-            _known[type_name] = cls
-
-
-def _register_all(module: ModuleType) -> None:
-    for class_name, cls in user_classes.classes_of(module).items():
-        _known[_type_in(module, class_name)] = cls
-
-
 def _type_in(module: ModuleType, class_name: str) -> str:
     name = module.__name__
     return f"{Path(name).stem if name.endswith('.py') else name.rpartition('.')[2]}/{class_name}"
-
-
-@contextmanager
-def _all_or_nothing() -> Iterator[dict[str, ControllerClass]]:
-    """Context in which a module is imported and registered. An exception restores the types. Yields a copy of them."""
-    _import_shipped()
-    before = dict(_known)
-    try:
-        yield before
-    except BaseException:
-        _known.clear()
-        _known.update(before)
-        raise
 
 
 @cache
@@ -185,5 +205,5 @@ def _import_shipped() -> tuple[ControllerClass, ...]:
     package = import_module("slidectl.control.controllers")
     for module in iter_modules(package.__path__):
         import_module(f"{package.__name__}.{module.name}")
-    classes = {cls for each in _known.values() for cls in each.__mro__ if issubclass(cls, ControllerBase)}
+    classes = {cls for each in _shared.values() for cls in each.__mro__ if issubclass(cls, ControllerBase)}
     return tuple(sorted(classes, key=lambda cls: f"{cls.__module__}.{cls.__qualname__}"))

@@ -1,7 +1,7 @@
 """Controller classes that users write: imported from a file or a module, and checked before an instance is made.
 
-Errors name the user's file and line. This module registers nothing. Users' code runs within the context manager
-`limit`, so that it cannot block the process; a process with waiting clients sets it.
+Errors name the user's file and line. This module registers nothing. Users' code runs within the limit of its world, so
+that it cannot block a process with waiting clients.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import Any
 
-from slidectl import file_reads
 from slidectl.control import user_modules
 from slidectl.control.controller_interface import Controller, ControllerBase, MultiInterfaceController
 from slidectl.control.hardware_interface import JointHandle, JointStateHandle
+from slidectl.control.user_modules import UserCode
 from slidectl.errors import BadFile, NotThere, Refused, SlidectlError, UnknownName, UsageError, listing
 from slidectl.input_files import MOST_TEXT, read_bytes
 
@@ -45,14 +45,7 @@ _RAISES_INTERRUPT = signal.default_int_handler
 
 
 class CodeTimeout(BaseException):
-    """`limit` ended users' code. Not an Exception, so that `except Exception` in that code does not catch it."""
-
-
-limit: AbstractContextManager[None] = nullcontext()
-"""Context manager that raises CodeTimeout in users' code. The daemon sets it, since its clients wait meanwhile."""
-_cut_off: dict[type, str] = {}
-"""Users' classes whose code `limit` has ended, with what was said. Their hooks are not called any more: each call could
-hold the world as long again. A reload makes another class."""
+    """The limit ended users' code. Not an Exception, so that `except Exception` in that code does not catch it."""
 
 
 def is_of_a_user(cls: type) -> bool:
@@ -102,7 +95,7 @@ class WatchedHandles:
 
     def repair(self) -> str:
         """Replace what is no float, and each command that is not finite, by what was saved. Returns the error text;
-        empty: no error. Call it inside `limit`: a value may be an object with code of the user's.
+        empty: no error. Call it inside the limit: a value may be an object with code of the user's.
 
         Infinity is allowed when a limit of the joint clips it.
         """
@@ -153,20 +146,24 @@ class WatchedHandles:
 class HookGuard(AbstractContextManager[None]):
     """Context of a hook of a user's class; may be entered in each cycle. What the hook raises becomes an Exception.
 
-    With `handles`, it also raises Refused when one of them has a wrong value afterwards. Code that `limit` has ended is
-    not entered again.
+    With `handles`, it also raises Refused when one of them has a wrong value afterwards. Code that the limit has ended
+    is not entered again.
     """
 
-    def __init__(self, cls: type, handles: WatchedHandles | None = None) -> None:
+    def __init__(self, cls: type, code: UserCode, handles: WatchedHandles | None = None) -> None:
         self._cls = cls
+        self._code = code
         self.handles = handles
 
     def __enter__(self) -> None:
-        if _cut_off and self._cls in _cut_off:
-            raise _no_entry(self._cls)
+        code = self._code
+        if user_modules.active is not code:  # another world of this process has run meanwhile
+            code.activate()
+        if code.cut_off and self._cls in code.cut_off:
+            raise _no_entry(self._cls, code)
         if self.handles is not None:
             self.handles.keep()
-        limit.__enter__()
+        code.limit.__enter__()
 
     def __exit__(self, kind: type[BaseException] | None, failure: BaseException | None, *trace: Any) -> None:
         wrong = ""
@@ -174,7 +171,7 @@ class HookGuard(AbstractContextManager[None]):
             if self.handles is not None:
                 wrong = self.handles.repair()
         finally:
-            limit.__exit__(kind, failure, *trace)
+            self._code.limit.__exit__(kind, failure, *trace)
         if failure is None:
             if wrong:
                 raise Refused(wrong)
@@ -182,7 +179,7 @@ class HookGuard(AbstractContextManager[None]):
         cls = type(failure)
         if issubclass(cls, CodeTimeout):
             refusal = _too_long(failure)
-            _cut_off[self._cls] = refusal.message
+            self._code.cut_off[self._cls] = refusal.message
             raise refusal from None
         if _is_odd(cls) and is_fault(failure):
             raise Refused(raised(failure)) from None
@@ -197,26 +194,24 @@ def _is_odd(cls: type[BaseException]) -> bool:
     return not (type(module) is str and module.startswith("slidectl."))
 
 
-def watched(cls: ControllerClass, handles: WatchedHandles | None = None) -> AbstractContextManager[None]:
+def watched(
+    cls: ControllerClass, code: UserCode, handles: WatchedHandles | None = None
+) -> AbstractContextManager[None]:
     """The context for the hooks of the class: a HookGuard if the class is a user's."""
-    return HookGuard(cls, handles) if is_of_a_user(cls) else nullcontext()
+    return HookGuard(cls, code, handles) if is_of_a_user(cls) else nullcontext()
 
 
-def is_cut_off(cls: type) -> bool:
-    """True when the class's code is not called any more, because it took too long."""
-    return cls in _cut_off
-
-
-def _no_entry(cls: type) -> Refused:
-    text = f"{cls.__name__} is not called any more, because {_cut_off[cls]}"
+def _no_entry(cls: type, code: UserCode) -> Refused:
+    text = f"{cls.__name__} is not called any more, because {code.cut_off[cls]}"
     return Refused(text, "mend it, then: slidectl controller reload NAME, or controller load NAME --from FILE")
 
 
 @contextmanager
-def watched_for(what: str, name: str) -> Iterator[None]:
+def watched_for(what: str, name: str, code: UserCode) -> Iterator[None]:
     """Context for users' code. Raises Refused, with `what`, `name`, file and line, when the code fails."""
+    code.activate()
     try:
-        with limit:
+        with code.limit:
             yield
     except CodeTimeout as failure:
         raise _too_long(failure) from None
@@ -227,10 +222,10 @@ def watched_for(what: str, name: str) -> Iterator[None]:
         raise Refused(f"{what} {name}: {raised(failure)}") from failure
 
 
-def watched_hardware(hardware: object) -> AbstractContextManager[None]:
+def watched_hardware(hardware: object, code: UserCode) -> AbstractContextManager[None]:
     """The context for hooks of a robot's hardware except `read` and `write`: `watched_for` if the class is a user's."""
     cls = type(hardware)
-    return watched_for("hardware", cls.__name__) if is_of_a_user(cls) else nullcontext()
+    return watched_for("hardware", cls.__name__, code) if is_of_a_user(cls) else nullcontext()
 
 
 def raised(failure: BaseException) -> str:
@@ -244,7 +239,7 @@ def raised(failure: BaseException) -> str:
 def text_of(failure: BaseException) -> str:
     """The text of an exception, also of one whose `__str__` fails or does not end."""
     try:
-        with limit:
+        with user_modules.active.limit:
             text = str(failure)
     except BaseException as another:
         if not is_fault(another):
@@ -256,7 +251,7 @@ def text_of(failure: BaseException) -> str:
 def _shown(value: object) -> str:
     """A value as text; its class when its `__repr__` fails."""
     try:
-        with limit:
+        with user_modules.active.limit:
             return str.__str__(reprlib.repr(value))
     except BaseException as failure:
         if not is_fault(failure):
@@ -296,8 +291,8 @@ def _is_library(file: str) -> bool:
 # -- files and modules -------------------------------------------------------------------------------------------------
 
 
-def run_file(file: str, name: str = "") -> ModuleType:
-    """Import the file anew and return its module. Its code can import modules of its folder.
+def run_file(users: UserCode, file: str, name: str = "") -> ModuleType:
+    """Import the file anew for a world, and return its module. Its code can import modules of its folder.
 
     Without `name`, the module's name is the path, since two files may have the same stem. The bytes are compiled here,
     not by Python's importer: its cache compares size and whole seconds, and a file may be edited twice in a second.
@@ -306,7 +301,7 @@ def run_file(file: str, name: str = "") -> ModuleType:
         BadFile: there is no such file, or its code fails (file, line). Refused: it took too long.
     """
     path = Path(file)
-    source, why = file_reads.read(f"code of {file}", lambda: _source(path))
+    source, why = users.host.read(f"code of {file}", lambda: _source(path))
     if why:
         raise BadFile(why, file)
     try:
@@ -317,15 +312,16 @@ def run_file(file: str, name: str = "") -> ModuleType:
     except ValueError as error:
         raise BadFile(f"cannot be read: {error}", file) from None
     name = name or file
+    users.activate()
     module = ModuleType(name)
     module.__file__ = file
     before = sys.modules.get(name)
     module.__package__ = getattr(before, "__package__", None)  # for its relative imports
     sys.modules[name] = module  # dataclasses look up the module of their class
     sys.path.insert(0, str(path.parent))
-    user_modules.watch(name, is_file=True)
+    users.watch(name, is_file=True)
     try:
-        with _importing(file), limit:
+        with _importing(file), users.limit:
             exec(code, vars(module))
     except BaseException:
         del sys.modules[name]
@@ -348,16 +344,17 @@ def _source(path: Path) -> tuple[str, str]:
         return "", f"cannot be read: {error.reason}"
 
 
-def import_named(name: str) -> ModuleType:
-    """The module of that dotted name, or `run_file` of a name that ends with `.py`.
+def import_named(users: UserCode, name: str) -> ModuleType:
+    """The module of that dotted name for a world, or `run_file` of a name that ends with `.py`.
 
     Raises:
         BadFile: it cannot be found, or its code fails. Refused: it took too long.
     """
     if name.endswith(".py"):
-        return run_file(name)
-    user_modules.watch(name, is_file=False)
-    with _importing(name), limit:
+        return run_file(users, name)
+    users.activate()
+    users.watch(name, is_file=False)
+    with _importing(name), users.limit:
         return import_module(name)
 
 
@@ -447,9 +444,9 @@ def check_class(cls: object, name: str, file: str | None = None) -> None:
             raise BadFile(text, function.__code__.co_filename, line, f"{written}: ...") from None
 
 
-def made(cls: ControllerClass) -> ControllerBase:
+def made(cls: ControllerClass, code: UserCode) -> ControllerBase:
     """A new instance. Raises BadFile when its `__init__` does not call that of the base."""
-    with watched(cls):
+    with watched(cls, code):
         controller = cls()
     if not hasattr(controller, "state"):
         raise BadFile(f"{cls.__name__}.__init__ does not call super().__init__()", file_of(cls), _line(cls))

@@ -1,6 +1,7 @@
-"""Modules that users' code imports from users' files. Their source is recorded for a journal and reused in a replay.
+"""Modules that users' code imports from users' files, in one world. A host may record and replace their source.
 
-Modules of Python, slidectl and installed packages do not count, except those of a package that a user has named.
+Modules of Python, slidectl and installed packages do not count, except those of a package that a user has named. Each
+world imports users' files for itself: see UserCode.
 """
 
 from __future__ import annotations
@@ -8,13 +9,14 @@ from __future__ import annotations
 import os
 import sys
 import sysconfig
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, SourceFileLoader
 from importlib.util import spec_from_file_location
 from pathlib import Path
 from types import CodeType, FrameType, ModuleType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from slidectl.errors import BadFile
 from slidectl.input_files import MOST_TEXT, read_bytes
@@ -30,45 +32,149 @@ class UserModule(NamedTuple):
     is_package: bool
 
 
+class CodeLimit(AbstractContextManager[None]):
+    """Context in which users' code runs. This one sets no limit; another may raise user_classes.CodeTimeout in it."""
+
+    def __init__(self) -> None:
+        self.on_end: list[Callable[[], None]] = []
+        """Called after code was ended by the limit."""
+
+    def __exit__(self, *_: Any) -> None:
+        """Leave users' code."""
+
+
+class CodeHost:
+    """What users' code needs from outside of the process. This one reads the disk and sets no limit."""
+
+    def __init__(self, limit: CodeLimit | None = None) -> None:
+        self.limit = limit or CodeLimit()
+        """The context in which users' code runs. It does not change."""
+        self.given: Mapping[str, UserModule] = {}
+        """Modules, by name, that are imported instead of the present content of their files."""
+
+    def read(self, what: str, look: Callable[[], Any]) -> Any:  # noqa: ARG002 - for those that record and answer
+        """Read from the disk: call `look` and return its result, JSON values. `look` never raises.
+
+        `what` describes what is read. Lists and tuples are the same to the caller.
+        """
+        return look()
+
+    def imported(self, module: UserModule) -> None:
+        """Take note of a user's module that the world has imported."""
+
+
 _FOLDERS = [*(sysconfig.get_path(name) for name in ("stdlib", "platstdlib")), str(Path(__file__).parent.parent)]
 _OF_PYTHON = tuple(folder + os.sep for folder in _FOLDERS)
 _INSTALLED = ("/site-packages/", "/dist-packages/")
 
-imported: dict[str, UserModule] = {}
-"""The users' modules that this process has imported, by name."""
-listeners: list[Callable[[UserModule], None]] = []
-"""Functions that are called with each imported module."""
-given: dict[str, UserModule] = {}
-"""Modules, by name, that are imported instead of the present content of their files."""
-_files: set[str] = set()
-"""Names of the modules of users' files."""
-_packages: set[str] = set()
 
+class UserCode:
+    """The code of users in one world: its modules, the limit on it, and the classes that the limit has ended.
 
-def watch(name: str, is_file: bool) -> None:
-    """Treat a module, or with `is_file` false its whole package, as a user's. Call this before the module runs."""
-    if is_file:
-        _files.add(name)
-    elif _top(name) != _top(__name__):
-        _packages.add(_top(name))
-    if _FINDER not in sys.meta_path:
-        sys.meta_path.insert(0, _FINDER)
-
-
-def give(modules: Iterable[UserModule]) -> None:
-    """Replace `given`, and discard the users' modules imported so far.
-
-    An installed module stays, whatever a journal calls its modules: this process runs on it.
+    Python has one table of modules for the process. While code of one world runs, those of its users' modules are in
+    it; the others are kept by their worlds, so that no world gets a module of another. Modules of installed packages,
+    and those that a script imports by itself, are the same for all worlds.
     """
-    given.clear()
-    given.update((module.name, module) for module in modules)
-    for name in (*imported, *(name for name in given if not _is_installed(sys.modules.get(name)))):
-        sys.modules.pop(name, None)
-    imported.clear()
+
+    def __init__(self, host: CodeHost | None = None) -> None:
+        self.host = host or CodeHost()
+        self.limit = self.host.limit
+        self.modules: dict[str, UserModule] = {}
+        """The users' modules that the world has imported, by name."""
+        self.cut_off: dict[type, str] = {}
+        """Users' classes whose code the limit has ended, with what was said. Their hooks are not called any more: each
+        call could hold the world as long again. A reload makes another class."""
+        self._files: set[str] = set()
+        """Names of the modules of users' files."""
+        self._packages: set[str] = set()
+        self._own: set[str] = set()
+        """Names of the modules that this world does not share."""
+        self._kept: dict[str, ModuleType] = {}
+        """The world's own modules while code of another world runs."""
+        self._replaced: dict[str, ModuleType] = {}
+        """The script's modules that `host.given` replaces while code of this world runs."""
+
+    def activate(self) -> None:
+        """Put the world's modules into Python's table. Call this before code of the world runs."""
+        global active
+        if active is self:
+            return
+        active._leave()
+        active = self
+        # An installed module stays, whatever a journal calls its modules: this process runs on it.
+        replaced = [name for name in self.host.given if not _is_installed(sys.modules.get(name))]
+        self._replaced = {name: sys.modules.pop(name) for name in replaced}
+        sys.modules.update(self._kept)
+
+    def _leave(self) -> None:
+        self._kept = {name: sys.modules.pop(name) for name in self._own if name in sys.modules}
+        sys.modules.update(self._replaced)
+        self._replaced = {}
+
+    def watch(self, name: str, is_file: bool) -> None:
+        """Treat a module, or with `is_file` false its whole package, as a user's. Call this before the module runs."""
+        if is_file:
+            self._files.add(name)
+            self._own.add(name)
+        elif _top(name) != _top(__name__):
+            self._packages.add(_top(name))
+            for module in _installed.values():  # another world may have imported it
+                if _top(module.name) == _top(name) and module.name not in self.modules:
+                    self._note(module)
+        if _FINDER not in sys.meta_path:
+            sys.meta_path.insert(0, _FINDER)
+
+    def is_of_a_user(self, name: str) -> bool:
+        """True for a module of that name that is a user's in this world."""
+        return name in self._files or name in self.modules or _top(name) in self._packages
+
+    def find(self, name: str, found: Callable[[], ModuleSpec | None]) -> ModuleSpec | None:
+        """The spec of a user's module; `found` gives the one that Python finds."""
+        module, spec = self.host.given.get(name), None
+        if module is not None:
+            self._own.add(name)
+        else:
+            spec = found()
+            module = None if spec is None else self._read(spec)
+            if module is None:
+                return spec
+            if _is_place_of_installed(module.path):
+                _installed[name] = module
+            else:
+                self._own.add(name)
+        self._note(module)
+        if spec is not None and not spec.has_location:  # a package without a file
+            return spec
+        folder = [str(Path(module.path).parent)] if module.is_package else None
+        return spec_from_file_location(name, module.path, loader=_Loader(module), submodule_search_locations=folder)
+
+    def _note(self, module: UserModule) -> None:
+        self.modules[module.name] = module
+        self.host.imported(module)
+
+    def _read(self, spec: ModuleSpec) -> UserModule | None:
+        """The module with its source; None if it is no user's, or not Python. A package without a file has none."""
+        folders = spec.submodule_search_locations
+        path = str(spec.origin) if spec.has_location else f"{next(iter(folders or ()), '')}/__init__.py"
+        if not path.endswith(".py") or (_is_place_of_installed(path) and _top(spec.name) not in self._packages):
+            return None
+        if not spec.has_location:
+            return None if folders is None else UserModule(spec.name, path, "", True)
+        try:
+            source = read_bytes(path, MOST_TEXT).decode("utf-8", "surrogateescape")
+        except BadFile as error:
+            raise ImportError(str(error), name=spec.name, path=path) from None
+        return UserModule(spec.name, path, source, folders is not None)
+
+
+active = UserCode()
+"""The world whose code runs, or ran last. At first it is the process itself, which imports for `slidectl check`."""
+_installed: dict[str, UserModule] = {}
+"""Modules of installed packages that a user has named: their state is the process's, as that of any library."""
 
 
 def _is_installed(module: ModuleType | None) -> bool:
-    """True for a module of Python, slidectl or an installed package."""
+    """True for a module of Python, slidectl or an installed package, and for none."""
     folders = getattr(module, "__path__", None) or ()
     path = str(getattr(module, "__file__", None) or next(iter(folders), ""))
     return not path or _is_place_of_installed(path)
@@ -82,30 +188,18 @@ def _top(name: str) -> str:
     return name.partition(".")[0]
 
 
-def _is_of_a_user(name: str) -> bool:
-    return name in _files or name in imported or _top(name) in _packages
-
-
 class _Finder(MetaPathFinder):
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        if not _is_of_a_user(fullname) and not _is_of_a_user(_importer()):
+        if not active.is_of_a_user(fullname) and not active.is_of_a_user(_importer()):
             return None
-        module, found = given.get(fullname), None
-        if module is None:
+
+        def found() -> ModuleSpec | None:
             others = (finder for finder in sys.meta_path if finder is not self)
-            found = next((spec for one in others if (spec := one.find_spec(fullname, path, target)) is not None), None)
-            module = None if found is None else _read(found)
-        if module is None:
-            return found
-        imported[fullname] = module
-        for tell in listeners:
-            tell(module)
-        if found is not None and not found.has_location:  # a package without a file
-            return found
-        folder = [str(Path(module.path).parent)] if module.is_package else None
-        return spec_from_file_location(fullname, module.path, loader=_Loader(module), submodule_search_locations=folder)
+            return next((spec for one in others if (spec := one.find_spec(fullname, path, target)) is not None), None)
+
+        return active.find(fullname, found)
 
 
 _FINDER = _Finder()
@@ -117,21 +211,6 @@ def _importer() -> str:
     while frame is not None and _top(name := str(frame.f_globals.get("__name__"))) == "importlib":
         frame = frame.f_back
     return name
-
-
-def _read(spec: ModuleSpec) -> UserModule | None:
-    """The module with its source; None if it is not a user's, or not Python. A package without a file has no source."""
-    folders = spec.submodule_search_locations
-    path = str(spec.origin) if spec.has_location else f"{next(iter(folders or ()), '')}/__init__.py"
-    if not path.endswith(".py") or (_is_place_of_installed(path) and _top(spec.name) not in _packages):
-        return None
-    if not spec.has_location:
-        return None if folders is None else UserModule(spec.name, path, "", True)
-    try:
-        source = read_bytes(path, MOST_TEXT).decode("utf-8", "surrogateescape")
-    except BadFile as error:
-        raise ImportError(str(error), name=spec.name, path=path) from None
-    return UserModule(spec.name, path, source, folders is not None)
 
 
 class _Loader(SourceFileLoader):

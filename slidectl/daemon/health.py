@@ -120,18 +120,18 @@ def _cameras() -> _Found:
     """Render a picture, in a process as cameras of robots have it."""
     from slidectl.description.robot import Camera
     from slidectl.description.robot import Pose as Origin
-    from slidectl.physics import rendering
+    from slidectl.physics import World, rendering
     from slidectl.rotations import ORIGIN
-    from slidectl.simulation.simulation import Simulation
+    from slidectl.simulation.host import Host
 
-    simulation = Simulation()
+    host, world = Host(), World()
     camera = Camera("camera", "link", "image_raw", "link", 1.0, Origin(), 0.0, width=16, height=16)
-    done = simulation.render(camera, ORIGIN, 0)
+    done = host.render(world, camera, ORIGIN, 0)
     if done.error is not None:  # OpenGL has ended the process, and software draws the next one
-        done = simulation.render(camera, ORIGIN, 0)
+        done = host.render(world, camera, ORIGIN, 0)
     done.result()
-    remedy = "" if simulation.drawn_by() == rendering.BY_OPENGL else f"for smoother pictures: {rendering.INSTALL}"
-    yield OK, f"drawn by {simulation.drawn_by()}", remedy
+    remedy = "" if host.drawn_by() == rendering.BY_OPENGL else f"for smoother pictures: {rendering.INSTALL}"
+    yield OK, f"drawn by {host.drawn_by()}", remedy
 
 
 def _compiled() -> _Found:

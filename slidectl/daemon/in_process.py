@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import os
 import traceback
-from collections import deque
 from collections.abc import Callable
 from typing import Any
 
@@ -20,7 +19,6 @@ from slidectl.control.node_handle import Message
 from slidectl.daemon.outbox import Channel, Outbox, Publications
 from slidectl.daemon.session import Session
 from slidectl.errors import NoDaemon, Refused, TimedOut
-from slidectl.extensions.journal.journal import Journal
 from slidectl.names import OWN_NODE
 from slidectl.simulation.simulation import Simulation
 
@@ -29,7 +27,6 @@ _LONGEST_SLICE = 10_000
 """Cycles between two checks for other work: signals, and clients that do not wait."""
 _LONGEST_STILL_S = 600.0
 """How long a client may wait for a world that stands still, on the world's own clock, before it gets TimedOut."""
-_KEPT_LINES = 200
 _NAME = "in-process"
 
 
@@ -40,16 +37,13 @@ class InProcessWorld:
         simulation: one without a driver; a new one by default.
 
     `paused`, `speed` and steps mean the same as in a daemon. `end_ns` is the simulated time at which a waiting client
-    gets TimedOut; `log` has the last lines of the log. A `journal` records what the clients do; its creator closes it.
+    gets TimedOut; `log` has the last lines of the log.
     """
 
-    def __init__(self, simulation: Simulation | None = None, journal: Journal | None = None) -> None:
+    def __init__(self, simulation: Simulation | None = None) -> None:
         self.simulation = simulation or Simulation()
-        self.journal = journal
-        if journal is not None:
-            journal.watch(self.simulation)
         self.simulation.driven = True
-        self.simulation.monitor = self._status
+        self.simulation.host.reports.append(self._status)
         self._news = False
         self.simulation.loop.enough = lambda: self._news
         self.publications = _NotedPublications(self)
@@ -57,16 +51,15 @@ class InProcessWorld:
         self.end_ns: int | None = None
         self.end_hint = ""
         """The hint of that TimedOut."""
-        self.log: deque[str] = deque(maxlen=_KEPT_LINES)
+        self.log = self.simulation.host.lines
         self.stopping = ""
         """The reason why the world ends; empty as long as it runs."""
         self._wall_s = 0.0
         self._still_s = 0.0
         self._serial = 0
         self._waiting: list[InProcessConnection] = []
-        graph = self.simulation.graph
-        graph.log.sink = self._keep_line
-        graph.services.advertise("/slidectl/shutdown", "slidectl/Shutdown", OWN_NODE, self._shut_down)
+        services = self.simulation.graph.services
+        services.advertise("/slidectl/shutdown", "slidectl/Shutdown", OWN_NODE, self._shut_down)
 
     def connect(self) -> InProcessConnection:
         """Create a connection. Raises NoDaemon: the world has ended."""
@@ -176,9 +169,6 @@ class InProcessWorld:
         self.stopping = "asked to stop"  # the caller gets the answer first
         return {"success": True, "message": "the world ends"}
 
-    def _keep_line(self, severity: str, node: str, text: str, time_ns: int) -> None:
-        self.log.append(f"{severity:<5} [{time_ns * 1e-9:.3f}] {node}: {text}")
-
     def unexpected(self, what: str) -> None:
         """Log the exception that is being handled."""
         self.log.append(f"fatal {what}\n{traceback.format_exc()}")
@@ -225,7 +215,8 @@ class InProcessConnection:
         """The time on the world's clock at which `on_lines` is called although nothing has come."""
         graph = world.simulation.graph
         self.node = node
-        self.session = Session(self, graph, world.publications, world.unexpected, node, os.getsid(0), world.journal)
+        recorder = world.simulation.host.recorder
+        self.session = Session(self, graph, world.publications, world.unexpected, node, os.getsid(0), recorder)
         self.outbox = Outbox(self.session.report, world.publications)
         self.open = True
 

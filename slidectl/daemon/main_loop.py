@@ -14,25 +14,19 @@ import traceback
 from typing import Any
 
 import slidectl
-from slidectl.control import user_classes
 from slidectl.control.node_handle import Message
-from slidectl.daemon.mesh_reader import MeshReader
+from slidectl.daemon import host_wrappers
+from slidectl.daemon.daemon_host import DaemonHost
 from slidectl.daemon.options import Start
 from slidectl.daemon.pacing import Pacer
-from slidectl.daemon.picture_queue import PictureQueue
 from slidectl.daemon.place import InstanceInUse, Place
 from slidectl.daemon.server import Server
-from slidectl.daemon.time_limit import TimeLimit
 from slidectl.errors import SlidectlError
 from slidectl.event_loop import READ, EventLoop
-from slidectl.extensions.journal import journal
-from slidectl.extensions.journal.journal import Journal
-from slidectl.extensions.journal.journal_replay import Replay, other_versions
 from slidectl.logfile import LogFile
 from slidectl.names import OWN_NODE
 from slidectl.operating_system import resident_bytes, set_timer_slack
 from slidectl.paths import shown
-from slidectl.simulation.clock import SECOND
 from slidectl.simulation.loop import FAILED
 from slidectl.simulation.simulation import Simulation
 from slidectl.simulation.spawned_robots import SpawnedRobot
@@ -63,57 +57,30 @@ class Daemon:
         self._kept_robots: frozenset[SpawnedRobot] = frozenset()
         self._most_kept_objects = 0
         options = start.options
-        replay = Replay(journal.read(options.replay), options.until) if options.replay else None
-        self._journal: Journal | None = None
-        self.simulation = self._new_simulation() if replay is None else replay.simulation
+        self._loop = EventLoop()
+        self._host = host_wrappers.wrapped(DaemonHost(self._loop, log, self._unexpected), options)
+        self.simulation = self._host.simulation or self._new_simulation()
         self.simulation.driven = True
         self.simulation.engine.may_load = False
         self.simulation.run.paused = options.paused
         self.simulation.run.speed = options.rtf
         self.simulation.chosen.update(_PROPERTIES[name] for name in options.chosen if name in _PROPERTIES)
-        self.simulation.monitor = self._status
+        self._host.reports.append(self._status)
         graph = self.simulation.graph
-        graph.log.sink = self._keep_line
         graph.services.advertise("/slidectl/shutdown", "slidectl/Shutdown", OWN_NODE, self._shut_down)
-        self._loop = EventLoop()
         self._pacer = Pacer(self.simulation.loop, clients_wait=self._loop.is_ready)
         self._server = Server(listener, self._loop, graph, self._unexpected, self.simulation.run)
-        self._mesh_reader = MeshReader(self._loop, self._unexpected)
-        self._pictures = PictureQueue(self._loop, self.simulation.world)
-        if replay is not None:
-            self._replay(replay)
-        self.simulation.read_meshes = self._mesh_reader.read
-        self.simulation.render = self._pictures.render
-        self.simulation.drawn_by = self._pictures.drawn_by
-        if self._journal is not None:
-            self._journal.watch(self.simulation)
-            self._server.journal = self._journal
+        for severity, text in self._host.begin(self._server.publications, self._unexpected):
+            log.write(severity, text)
+        self._server.recorder = self._host.recorder
         self._watch_signals()
 
     def _new_simulation(self) -> Simulation:
-        options = self._start.options
-        limit = user_classes.limit = TimeLimit()
-        if options.journal:  # its first entries are the imported files
-            self._journal = Journal(options)
-            limit.on_end = self._journal.took_too_long
         try:
-            return Simulation(**options.of_simulation())
+            return Simulation(**self._start.options.of_simulation(), host=self._host)
         except SlidectlError:
-            if self._journal is not None:  # let the next start use the name
-                os.unlink(options.journal)
+            self._host.abandon()
             raise
-
-    def _replay(self, replay: Replay) -> None:
-        """Begin with the final world of a replayed journal."""
-        self.simulation.engine.may_load = True
-        replay.run(self._unexpected, self._server.publications)
-        self.simulation.pause()
-        user_classes.limit = TimeLimit()
-        path = replay.contents.path
-        self._log.write("info", f"replayed {path} up to {self.simulation.time_ns / SECOND:.3f} s; paused")
-        for trouble in [replay.differs, *other_versions(replay.contents)]:
-            if trouble:
-                self._log.write("warn", f"{path}: {trouble}")
 
     def run(self) -> None:
         """Loop until stopped: run due cycles, send what they published, then serve the sockets and send answers."""
@@ -223,17 +190,11 @@ class Daemon:
 
     def _end(self) -> None:
         self._log.write("info", self._stopping)
-        if self._journal is not None:
-            self._journal.close(self._stopping)
-        self._mesh_reader.close()
-        self._pictures.close()
+        self._host.close(self._stopping)
         self._server.close(f"the daemon was {self._stopping}")
         self._loop.close()
 
     # --- log and status -----------------------------------------------------------------------------------------
-
-    def _keep_line(self, severity: str, node: str, text: str, time_ns: int) -> None:
-        self._log.write(severity, f"[{time_ns * 1e-9:.3f}] {node}: {text}")
 
     def _unexpected(self, what: str) -> None:
         self._log.write("fatal", f"{what}\n{traceback.format_exc()}")
@@ -248,7 +209,5 @@ class Daemon:
             "memory": resident_bytes(),
             "uptime": time.monotonic() - self._began_s,
             "log": shown(str(self._start.paths.log)),
-            "journal": "" if self._journal is None else shown(self._journal.path),
-            "journal_trouble": "" if self._journal is None else self._journal.trouble,
             **self._pacer.report(),
         }

@@ -19,18 +19,17 @@ from slidectl.simulation.pending import Pending
 class PictureQueue:
     """Requests one picture after the other from a render process, and receives them through `loop`."""
 
-    def __init__(self, loop: EventLoop, world: World) -> None:
+    def __init__(self, loop: EventLoop) -> None:
         self._loop = loop
-        self._world = world
         self._renderer = RenderProcess()
         self._waiting: deque[tuple[Pending, PictureRequest]] = deque()
         self._current: Pending | None = None
         self._descriptor = -1
 
-    def render(self, camera: Camera, pose: Pose, seed: int) -> Pending:
-        """Request a picture of the present state. Resolved with the pixels (base64)."""
+    def render(self, world: World, camera: Camera, pose: Pose, seed: int) -> Pending:
+        """Request a picture of the world's present state. Resolved with the pixels (base64)."""
         pending = Pending()
-        self._waiting.append((pending, self._renderer.look(self._world, camera, pose, seed)))
+        self._waiting.append((pending, self._renderer.look(world, camera, pose, seed)))
         self._next()
         return pending
 

@@ -25,7 +25,7 @@ from slidectl.simulation.graph import Graph
 from slidectl.simulation.loop import RunState
 
 if TYPE_CHECKING:
-    from slidectl.extensions.journal.journal import Journal
+    from slidectl.simulation.host import InputRecorder
 
 MOST_CONNECTIONS = 512
 _KEPT_DESCRIPTORS = 32
@@ -55,7 +55,7 @@ class Server:
         self.graph = graph
         self.unexpected = unexpected
         self.publications = Publications(run)
-        self.journal: Journal | None = None
+        self.recorder: InputRecorder | None = None
         """Records what clients do; set before the first of them connects."""
         self.connections: dict[Connection, None] = {}
         self.with_input: dict[Connection, None] = {}
@@ -207,7 +207,7 @@ class Connection:
         self._incoming = LineBuffer()
         self.node = f"/slidectl_{pid}_{serial}"
         self._session = Session(
-            self, server.graph, server.publications, server.unexpected, self.node, _session_of(pid), server.journal
+            self, server.graph, server.publications, server.unexpected, self.node, _session_of(pid), server.recorder
         )
         self.outbox = Outbox(self._session.report, server.publications)
         self._chunk: bytes | memoryview = b""

@@ -26,7 +26,7 @@ from slidectl.simulation.services import Service
 from slidectl.simulation.topics import TopicPublisher
 
 if TYPE_CHECKING:
-    from slidectl.extensions.journal.journal import Journal
+    from slidectl.simulation.host import InputRecorder
 
 LEVELS = {"info": 0, "warning": 1, "error": 2, "none": 3}
 Message = dict[str, Any]
@@ -71,10 +71,10 @@ class Session:
         unexpected: Callable[[str], None],
         node: str,
         process_session: int,
-        journal: Journal | None = None,
+        recorder: InputRecorder | None = None,
     ) -> None:
         self.node = node
-        self._journal = journal
+        self._recorder = recorder
         self.unexpected = unexpected
         """Logs the exception that is being handled, an internal error."""
         self._process_session = process_session
@@ -121,8 +121,8 @@ class Session:
         except SlidectlError as error:
             self.send_error(error, message)
         else:
-            if self._journal is not None:
-                self._journal.take(self, line, message)
+            if self._recorder is not None:
+                self._recorder.take(self, line, message)
             self._carry_out(getattr(self, f"_{op}"), message)
 
     def _carry_out(self, action: Callable[[Message], None], message: Message) -> None:
@@ -164,8 +164,8 @@ class Session:
 
     def closed(self) -> None:
         """Remove all that the client had, and cancel its open requests, after it has disconnected."""
-        if self._journal is not None:
-            self._journal.gone(self)
+        if self._recorder is not None:
+            self._recorder.gone(self)
         for pending in list(self._calls):
             pending.cancel()
         self._calls.clear()

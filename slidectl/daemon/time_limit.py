@@ -12,8 +12,7 @@ from __future__ import annotations
 import ctypes
 import signal
 import sys
-from collections.abc import Callable
-from contextlib import AbstractContextManager, suppress
+from contextlib import suppress
 from math import inf
 from time import monotonic
 from types import CodeType, FrameType
@@ -21,6 +20,7 @@ from typing import Any
 
 from slidectl.control import controller_interface, controller_manager, user_classes
 from slidectl.control.user_classes import PACKAGE, CodeTimeout
+from slidectl.control.user_modules import CodeLimit
 from slidectl.simulation import cycle, graph
 
 LIMIT_S = 5.0
@@ -38,81 +38,101 @@ _ENTRIES = tuple(
 """Files whose functions call users' code."""
 
 
-class TimeLimit(AbstractContextManager[None]):
-    """Raises CodeTimeout inside its context after `most_s`. Set as `user_classes.limit`; main thread only."""
+class TimeLimit(CodeLimit):
+    """Raises CodeTimeout inside its context after `most_s`. For the main thread only."""
 
     def __init__(self) -> None:
+        super().__init__()
         self.most_s = LIMIT_S
-        self.on_end: Callable[[], None] = lambda: None
-        """Called after code was ended."""
-        self._has_ended = False
-        self._depth = 0
-        self._end_s = inf
+        self.end_s = inf
         """The time at which the code inside is interrupted; infinite outside."""
-        self._tick_s = 0.0
-        """The timer's period; 0: it is stopped."""
-        self._was_entered = False
-        """True when the context was entered since the last tick."""
-        self._spared = 0
-        self._handlers = Handlers()
-        self._deepest = sys.getrecursionlimit()
-        signal.signal(signal.SIGALRM, self._tick)
+        self.has_ended = False
+        """True when the code inside was ended."""
+        self.deepest = sys.getrecursionlimit()
+        self._depth = 0
+        self._outer: TimeLimit | None = None
+        """The limit of another world whose code runs this one's."""
+        signal.signal(signal.SIGALRM, _TIMER.tick)
 
     def __enter__(self) -> None:
         self._depth += 1  # contexts nest: a controller publishes, and another one takes the message
         if self._depth == 1:
-            self._end_s = monotonic() + self.most_s
-            self._was_entered = True
-            if not self._tick_s:
-                self._set_timer(_TICK_S)
+            self.end_s = monotonic() + self.most_s
+            timer = _TIMER
+            if timer.limit is not self:
+                self._outer, timer.limit = timer.limit, self
+            timer.was_entered = True
+            if not timer.period_s:
+                timer.set(_TICK_S)
 
     def __exit__(self, *_: Any) -> None:
         self._depth -= 1
         if not self._depth:
-            self._end_s = inf
-            if self._has_ended:
-                self._has_ended = False
-                self._handlers.restore()
-                sys.setrecursionlimit(self._deepest)
-                self.on_end()
+            self.end_s = inf
+            if self._outer is not None:
+                _TIMER.limit = self._outer if self._outer.end_s < inf else self
+                self._outer = None
+            if self.has_ended:
+                self.has_ended = False
+                _TIMER.handlers.restore()
+                sys.setrecursionlimit(self.deepest)
+                for tell in self.on_end:
+                    tell()
 
     def close(self) -> None:
         """Stop the timer."""
-        self._set_timer(0.0)
+        _TIMER.set(0.0)
 
-    def _set_timer(self, period_s: float) -> None:
-        self._tick_s = period_s
+
+class _LimitTimer:
+    """The timer of the process and its signal. It serves the limit of the world whose code runs."""
+
+    def __init__(self) -> None:
+        self.limit: TimeLimit | None = None
+        """The limit that was entered last."""
+        self.period_s = 0.0
+        """0: it is stopped."""
+        self.was_entered = False
+        """True when a limit was entered since the last tick."""
+        self.handlers = Handlers()
+        self._spared = 0
+
+    def set(self, period_s: float) -> None:
+        """Let it tick with this period, s; 0 stops it."""
+        self.period_s = period_s
         signal.setitimer(signal.ITIMER_REAL, period_s, period_s)
 
-    def _tick(self, _number: int, frame: FrameType | None) -> None:
+    def tick(self, _number: int, frame: FrameType | None) -> None:
+        """Handle the signal."""
         deepest = sys.getrecursionlimit()
-        if deepest == self._deepest:  # the code may be as deep as it can get
+        if self.limit is not None and deepest == self.limit.deepest:  # the code may be as deep as it can get
             sys.setrecursionlimit(deepest + _OWN_DEPTH)
         try:
             self._look(frame)
         finally:
-            with suppress(RecursionError):  # it may be that deep; then `__exit__` does it
+            with suppress(RecursionError):  # it may be that deep; then the limit's `__exit__` does it
                 sys.setrecursionlimit(deepest)
 
     def _look(self, frame: FrameType | None) -> None:
-        late_s = monotonic() - self._end_s
-        if late_s < 0.0:
+        limit = self.limit
+        late_s = -inf if limit is None else monotonic() - limit.end_s
+        if limit is None or late_s < 0.0:
             self._spared = 0
-            if self._end_s == inf and not self._was_entered:
-                self._set_timer(0.0)
-            elif self._tick_s != _TICK_S:
-                self._set_timer(_TICK_S)
-            self._was_entered = False
+            if late_s == -inf and not self.was_entered:
+                self.set(0.0)
+            elif self.period_s != _TICK_S:
+                self.set(_TICK_S)
+            self.was_entered = False
             return
-        if self._tick_s != _AGAIN_S:  # tick faster: the code may catch the exception and go on
-            self._set_timer(_AGAIN_S)
+        if self.period_s != _AGAIN_S:  # tick faster: the code may catch the exception and go on
+            self.set(_AGAIN_S)
         # Work of slidectl for the user's code, such as advertising a topic, must be done completely or not at all: the
         # next signals try again until they meet the user's own code.
         self._spared += 1
         if _is_users(frame) or self._spared > _MOST_AGAIN:
-            self._has_ended = True
+            limit.has_ended = True
             if late_s > _GRACE_S:
-                self._handlers.remove(frame)
+                self.handlers.remove(frame)
             raise CodeTimeout(f"the code ran longer than {LIMIT_S:g} s and was ended")
 
 
@@ -177,3 +197,6 @@ def _is_users(frame: FrameType | None) -> bool:
         is_outside = True
         frame = frame.f_back
     return False
+
+
+_TIMER = _LimitTimer()

@@ -8,9 +8,9 @@ from __future__ import annotations
 from pathlib import Path
 from urllib.parse import unquote
 
-from slidectl import file_reads
 from slidectl.description.packages import Packages, UnknownPackage, is_file
 from slidectl.errors import BadFile
+from slidectl.input_files import ReadInput, from_disk
 
 SUFFIXES = (".stl", ".obj", ".dae")
 
@@ -29,16 +29,17 @@ class UnknownMesh(BadFile):
 class MeshFiles:
     """Finds mesh files. `base` is the folder of the robot's file, None when the robot is not from a file."""
 
-    def __init__(self, packages: Packages, base: Path | None) -> None:
+    def __init__(self, packages: Packages, base: Path | None, read: ReadInput = from_disk) -> None:
         self.packages = packages
         self.base = base
+        self._read = read
 
     def locate(self, uri: str, written_in: str) -> tuple[Path | None, str]:
         """The absolute path of the file and "", or None and the reason. `written_in` is the file that names the mesh.
 
         A relative path is looked up beside that file, then beside the robot's file.
         """
-        path, why = file_reads.read(f"place of the mesh {uri}", lambda: self._look(uri.strip(), written_in))
+        path, why = self._read(f"place of the mesh {uri}", lambda: self._look(uri.strip(), written_in))
         return Path(path) if path else None, why
 
     def _look(self, uri: str, written_in: str) -> tuple[str, str]:

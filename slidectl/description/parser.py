@@ -43,6 +43,7 @@ from slidectl.description.robot import (
 from slidectl.description.transmissions import TransmissionReader, driving, takes_positions
 from slidectl.description.xml_tree import Element
 from slidectl.errors import listing
+from slidectl.input_files import ReadInput, from_disk
 
 DEEPEST = 1000
 """The most joints between the root and a link. MuJoCo allows a few more, and takes minutes to refuse a longer chain."""
@@ -67,17 +68,19 @@ def parse(
     strict: bool = False,
     *,
     may_use_files: bool = True,
+    read: ReadInput = from_disk,
 ) -> Robot:
     """Parse the robot that a URDF text describes.
 
     `file` is its name in messages, unless the text has a note of its sources. `packages` and `base` (the folder for
-    relative paths) find meshes; without `may_use_files` none is looked up, and all are missing. Impossible masses and
-    inertias are corrected, and shapes without a size are left out, each with a notice; `strict` refuses them.
+    relative paths) find meshes, through `read`; without `may_use_files` none is looked up, and all are missing.
+    Impossible masses and inertias are corrected, and shapes without a size are left out, each with a notice; `strict`
+    refuses them.
 
     Raises:
         BadFile: with file and line, and the link or joint by name.
     """
-    meshes = MeshFiles(packages or Packages(start=base), base) if may_use_files else ForbiddenMeshes()
+    meshes = MeshFiles(packages or Packages(start=base), base, read) if may_use_files else ForbiddenMeshes()
     return parse_tree(xml_tree.read(xml, file), meshes, Report(), strict)
 
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from slidectl.control.duration import to_seconds
 from slidectl.control.laws import law
 from slidectl.control.user_classes import HookGuard, is_of_a_user, raised
+from slidectl.control.user_modules import UserCode
 from slidectl.errors import SlidectlError
 from slidectl.physics import HUGE
 from slidectl.simulation.history import EVERY
@@ -65,11 +66,11 @@ class HardwareFailed(SlidectlError):
     """Hardware of a user's class has failed in a cycle."""
 
 
-def guarded(hardware: RobotHW, hook: Callable[[int, float], None]) -> Callable[[int, float], None]:
+def guarded(hardware: RobotHW, hook: Callable[[int, float], None], code: UserCode) -> Callable[[int, float], None]:
     """The hook. That of a user's class is wrapped: any exception becomes HardwareFailed, with file and line."""
     if not is_of_a_user(type(hardware)):
         return hook
-    guard = HookGuard(type(hardware))
+    guard = HookGuard(type(hardware), code)
 
     def call(time_ns: int, period_s: float) -> None:
         try:
@@ -115,7 +116,8 @@ class ControlCycle:
 
     def __init__(self, hardware: RobotHW, manager: ControllerManager, control_period_ns: int, time_ns: int) -> None:
         """`time_ns` is the present time. From 0 the first period would be the whole simulated time so far."""
-        self._stages = Stages(guarded(hardware, hardware.read), manager.update, guarded(hardware, hardware.write))
+        read, write = (guarded(hardware, hook, manager.known.code) for hook in (hardware.read, hardware.write))
+        self._stages = Stages(read, manager.update, write)
         self.intercept(None)
         self.control_period_ns = control_period_ns
         self.emergency_stop = False

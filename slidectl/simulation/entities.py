@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Literal
 
-from slidectl import file_reads
 from slidectl.description import sdf
 from slidectl.effects import Effect
 from slidectl.errors import AmbiguousName, Refused, SlidectlError, UnknownName
@@ -105,7 +104,7 @@ class Entities:
         if sdf.is_urdf(xml):
             return [(self._robots.read(xml, name, namespace, is_model=True), place)]
         may_use_files = Effect.FILES in self._simulation.graph.services.permitted
-        parts = file_reads.read_or_raise(
+        parts = self._simulation.host.read_or_raise(
             f"SDF of {name}",  # it may include other files
             lambda: [
                 (part.xml, part.name, part.pose)
@@ -134,7 +133,7 @@ class Entities:
             except Exception as error:  # only the caller would see it
                 raise Refused(f"{read[0][0].name!r} cannot be spawned: {type(error).__name__}: {error}") from error
 
-        return self._simulation.read_meshes(meshes).converted(go_on)
+        return self._simulation.host.read_meshes(meshes).converted(go_on)
 
     def _spawn_now(self, read: list[Placed], known: Hulls) -> list[SpawnedRobot]:
         spawned: list[SpawnedRobot] = []

@@ -6,14 +6,13 @@ time.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from slidectl.control.duration import from_seconds
 from slidectl.control.node_handle import Message
 from slidectl.errors import Refused
 from slidectl.names import OWN_NODE
 from slidectl.simulation.clock import Clock, Timer
 from slidectl.simulation.graph import Graph
+from slidectl.simulation.host import Host
 from slidectl.simulation.loop import Loop, whole_cycles
 from slidectl.simulation.pending import Pending
 
@@ -46,14 +45,13 @@ class LockStepMember:
 class LockStepService:
     """The service `/slidectl/lockstep`, and its members."""
 
-    def __init__(self, graph: Graph, loop: Loop) -> None:
+    def __init__(self, graph: Graph, loop: Loop, host: Host) -> None:
+        self._host = host
         self._graph = graph
         self._loop = loop
         self._let_go: dict[str, str] = {}
         """The reasons of removals, by node, until it was told."""
         self.members: dict[str, LockStepMember] = {}
-        self.on_let_go: Callable[[str], None] = lambda _: None
-        """Called with the node of a removed member. This is the only event in this class that wall time decides."""
         graph.node(OWN_NODE, OWN_NODE).advertise_service("lockstep", "slidectl/LockStep", self._take)
         graph.on_node_closed.append(self._gone)
 
@@ -71,8 +69,8 @@ class LockStepService:
         return [member for member in self.members.values() if member.pending is None]
 
     def let_go(self, member: LockStepMember) -> None:
-        """Remove a member that has held the world for longer than its time-out."""
-        self.on_let_go(member.node)
+        """Remove a member that has held the world for longer than its time-out. Only this is decided by wall time."""
+        self._host.let_go(member.node)
         why = f"it held the world for more than {member.timeout_s:g} s"
         self._graph.log("warn", OWN_NODE, f"{member.node} has left the lock-step: {why}")
         self._leave(member.node)

@@ -13,7 +13,6 @@ from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING
 
-from slidectl.control import registry
 from slidectl.control.controller_interface import State
 from slidectl.control.controller_manager import STRICT
 from slidectl.control.duration import to_seconds
@@ -86,7 +85,8 @@ class ManagerServices:
     def load_file(self, name: str, file: str, class_name: str) -> Pending:
         """Load a user's class from a file under a name; its type becomes the controller's parameter `type`.
 
-        Answered with `ok`. On failure nothing changes. Raises as `registry.add_file`, and when the name is not free.
+        Answered with `ok`. On failure nothing changes. Raises as `ControllerTypes.add_file`, and when the name is not
+        free.
         """
 
         def load(_request: Message, _pending: Pending) -> Message:
@@ -97,7 +97,7 @@ class ManagerServices:
                 raise Refused(
                     f"cannot load controller {name!r}: {error}", f"slidectl controller reload {name}"
                 ) from None
-            type_name = registry.add_file(file, class_name)
+            type_name = manager.known.add_file(file, class_name)
             parameter = f"{name}/type"
             before = node.get_param(parameter, None)
             node.set_param(parameter, type_name)
@@ -114,8 +114,8 @@ class ManagerServices:
         """Load the present content of a controller's file: stop the controller if it runs, replace it, start it again.
 
         An aborted controller is started too. Name, parameters and place in the order of updates stay. Answered with
-        `ok` after the first update, or at once when the world stands still. Raises as `registry.renewed`, and then
-        nothing changes; when the new class fails to load, the old controller goes on.
+        `ok` after the first update, or at once when the world stands still. Raises as `ControllerTypes.renewed`, and
+        then nothing changes; when the new class fails to load, the old controller goes on.
         """
         manager = self._manager
         if self._switch is not None:

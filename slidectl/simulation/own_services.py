@@ -106,7 +106,7 @@ class OwnServices:
             "timestep": simulation.timestep_ns * 1e-9,
             "chosen": sorted(simulation.chosen),
             "engine": str(simulation.engine),
-            "pictures": simulation.drawn_by(),
+            "pictures": simulation.host.drawn_by(),
             "cameras": [topic for topic, *_ in cameras],
             "cameras_asked": [asked for _, asked, _, _ in cameras],
             "cameras_reached": [reached for _, _, reached, _ in cameras],
@@ -117,7 +117,7 @@ class OwnServices:
             "faults": [fault["name"] for fault in simulation.faults.messages() if fault["state"] != "over"],
             "controllers": sum(len(manager.names()) for manager in managers),
             "controllers_running": sum(len(manager.running) for manager in managers),
-            **simulation.monitor(),
+            **simulation.host.status(),
         }
 
     # Time
@@ -415,14 +415,19 @@ class OwnServices:
 
     def _save(self, request: Message) -> Message:
         file = request["file"] and _absolute(request["file"])
-        write = partial(snapshot_files.write, path=file) if file else lambda _: None
+        write = partial(snapshot_files.write, path=file, host=self._simulation.host) if file else lambda _: None
         return {"time": self._snapshots.save(request["name"], write).time_ns / SECOND}
 
     def _load(self, request: Message) -> Message:
         name, file = request["name"], request["file"]
         if bool(name) == bool(file):
             raise UsageError("give the name of a snapshot that is kept, or a file")
-        made = self._snapshots.load(name) if name else put(self._simulation, snapshot_files.read(_absolute(file)))
+        simulation = self._simulation
+        made = (
+            self._snapshots.load(name)
+            if name
+            else put(simulation, snapshot_files.read(_absolute(file), simulation.host))
+        )
         return {"time": self._graph.clock.seconds, "robots": made}
 
     def _list_snapshots(self, _: Message) -> Message:
@@ -445,7 +450,8 @@ class OwnServices:
         return {}
 
     def _export_snapshot(self, request: Message) -> Message:
-        snapshot_files.write(self._snapshots.get(request["name"]), _absolute(request["file"]))
+        snapshot = self._snapshots.get(request["name"])
+        snapshot_files.write(snapshot, _absolute(request["file"]), self._simulation.host)
         return {}
 
 

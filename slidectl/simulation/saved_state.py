@@ -25,6 +25,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from slidectl.control import user_modules
 from slidectl.control.controller_interface import State
 from slidectl.control.controller_manager import UpdateTimes
 from slidectl.control.goals import MonitoredGoal
@@ -569,14 +570,14 @@ class _OwnState(Rule):
         state = restoring.value(content, _state_of(live))
 
         def load() -> None:
-            with watched_for("load_state of", type(live).__name__):
+            with watched_for("load_state of", type(live).__name__, user_modules.active):
                 live.load_state(state)
 
         restoring.later.append(load)
 
 
 def _state_of(value: Any) -> Any:
-    with watched_for("save_state of", type(value).__name__):
+    with watched_for("save_state of", type(value).__name__, user_modules.active):
         return value.save_state()
 
 

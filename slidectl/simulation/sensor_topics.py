@@ -224,7 +224,7 @@ class CameraTopics:
         simulation, camera, robot = self._simulation, self._camera, self._robot.name
         pose = sensing.sensor_pose(simulation.world, robot, camera)
         header, seed = self._header(), zlib.crc32(f"{robot}/{camera.name}/{simulation.time_ns}".encode())
-        self._rendering = simulation.render(camera, pose, seed)
+        self._rendering = simulation.host.render(simulation.world, camera, pose, seed)
         self._rendering.then(lambda done: self._publish(header, done))
 
     def _count(self) -> None:
@@ -268,7 +268,7 @@ class CameraTopics:
             return
         self._has_failed = False
         camera = self._camera
-        drawn_by, self._drawn_by = self._drawn_by, self._simulation.drawn_by()
+        drawn_by, self._drawn_by = self._drawn_by, self._simulation.host.drawn_by()
         if self._drawn_by != drawn_by and self._drawn_by.startswith(rendering.BY_SOFTWARE):
             text = f"camera {camera.name} is drawn by {self._drawn_by}; {rendering.INSTALL}"
             self._robot.node.log("info", text)

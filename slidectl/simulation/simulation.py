@@ -5,19 +5,17 @@ Knows no wall time, no sockets and no threads: the same calls give the same bits
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from numbers import Integral
 from typing import Any
 
-from slidectl.control import registry
 from slidectl.control.duration import from_seconds
 from slidectl.control.node_handle import Message, MessageCallback
-from slidectl.description.robot import Camera
+from slidectl.control.registry import ControllerTypes
+from slidectl.control.user_modules import UserCode
 from slidectl.errors import Refused
-from slidectl.physics import World, hulls
-from slidectl.physics.hulls import MeshSource
-from slidectl.physics.rendering import RenderProcess
+from slidectl.physics import World
 from slidectl.rotations import ORIGIN, Pose
 from slidectl.simulation import base_drives, joint_traces, rosapi, waits
 from slidectl.simulation.compiled.engine import Engine
@@ -25,6 +23,7 @@ from slidectl.simulation.entities import Entities
 from slidectl.simulation.faults import Faults
 from slidectl.simulation.gazebo_services import GazeboServices
 from slidectl.simulation.graph import Graph
+from slidectl.simulation.host import Host
 from slidectl.simulation.lockstep import LockStepService
 from slidectl.simulation.loop import Loop, RunState, check_timestep
 from slidectl.simulation.own_services import OwnServices
@@ -54,6 +53,8 @@ class Simulation:
             first.
         strict: a robot whose state is no longer a number stops the world, with Diverged; else that robot is held at
             rest until a reset, and the others go on.
+        host: all that reaches the world from outside: files, users' modules, meshes, pictures, log. That of a plain
+            script by default.
 
     In callbacks of `subscribe` and of `graph.timers` the objects of a robot that the script holds (controllers, joint
     handles) are up to date. A node of the graph that listens in another way must take them from `robots` each time.
@@ -71,27 +72,21 @@ class Simulation:
         engine: str = "auto",
         imports: Sequence[str] = (),
         strict: bool = True,
+        host: Host | None = None,
     ) -> None:
         check_timestep(timestep)
+        self.host = host or Host()
+        self.types = ControllerTypes(UserCode(self.host))
+        """The types of controllers and hardware that this world knows, and the users' code of it."""
         for module in imports:
-            registry.add_module(module)
+            self.types.add_module(module)
         self.world = World(timestep, gravity, ground)
         self.graph = Graph()
+        self.graph.log.sink = self.host.log
         self.loop = Loop(self.graph, self.world, from_seconds(timestep), engine)
         self.loop.strict = strict
-        self.robots = Robots(self.world, self.loop)
+        self.robots = Robots(self.world, self.loop, self.types)
         self.entities = Entities(self)
-        self.monitor: Callable[[], dict[str, Any]] = dict
-        """Returns the fields that the driver adds to `/slidectl/status`: wall times, connections, memory."""
-        self.read_meshes: Callable[[Sequence[MeshSource]], Pending] = _read_here
-        """Gives `/gazebo/spawn_urdf_model` the hulls (physics.hulls.Hulls) of meshes. A driver sets its own function,
-        which may answer later."""
-        self.render: Callable[[Camera, Pose, int], Pending] = self._render_here
-        """Renders the picture of a camera at a pose (pixels in base64), with the seed of its noise. A driver sets its
-        own function, which may answer later."""
-        self.drawn_by: Callable[[], str] = lambda: self._renderer.drawn_by if self._renderer else ""
-        """What drew the last picture: OpenGL, or software with the reason; empty before the first one."""
-        self._renderer: RenderProcess | None = None
         self.snapshots = Snapshots(self)
         self.kept: dict[str, object] = {}
         """Objects that a snapshot saves in addition to world, clock, parameters and robots, by name. Any module may
@@ -102,7 +97,7 @@ class Simulation:
         self.run.on_halt = self.robots.settle_switches
         self.graph.parameters.set("/use_sim_time", True, derived=True)
         rosapi.advertise(self.graph)
-        self.lockstep = LockStepService(self.graph, self.loop)
+        self.lockstep = LockStepService(self.graph, self.loop, self.host)
         OwnServices(self)
         StandardServices(self)
         waits.advertise(self.graph)
@@ -114,6 +109,7 @@ class Simulation:
             partial(bring_up_sensors, self),
             partial(base_drives.bring_up, self),
         ]
+        self.host.attach(self)
 
     @property
     def time_ns(self) -> int:
@@ -254,18 +250,6 @@ class Simulation:
         """Restore the state that was saved under the name. Raises UnknownName, Refused."""
         self.snapshots.load(name)
 
-    def _render_here(self, camera: Camera, pose: Pose, seed: int) -> Pending:
-        """Render, and block until the picture is there."""
-        renderer = self._renderer = self._renderer or RenderProcess()
-
-        def render() -> str:
-            renderer.ask(renderer.look(self.world, camera, pose, seed))
-            while (picture := renderer.take()) is None:
-                pass
-            return picture
-
-        return Pending.attempt(render)
-
     def reset_simulation(self) -> None:
         """Set time and world back to the beginning, in one call, all or nothing; controllers stay loaded and running.
 
@@ -289,7 +273,3 @@ class Simulation:
         self.loop.history.forget()
         self.faults.restart()
         self.robots.reset()
-
-
-def _read_here(sources: Sequence[MeshSource]) -> Pending:
-    return Pending.of({source: hulls.read(source) for source in sources})

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 import slidectl
-from slidectl import file_reads, input_files, names, writing
+from slidectl import input_files, names, writing
 from slidectl.description.meshes import BadMesh
 from slidectl.errors import BadFile, Refused, SlidectlError
 from slidectl.fault_kinds import checked_options
@@ -26,6 +26,7 @@ from slidectl.physics import mujoco_library
 from slidectl.physics.hulls import Hull, MeshSource
 from slidectl.simulation.clock import NEVER
 from slidectl.simulation.faults import FaultRequest
+from slidectl.simulation.host import Host
 from slidectl.simulation.saved_state import NOT_SAVED, NUMBER_TYPES, Method, Named, NotSaved, Ref, SavedObject
 from slidectl.simulation.snapshots import Snapshot, SpawnedAs
 
@@ -37,7 +38,7 @@ _Packed = Any
 """A value that JSON can represent."""
 
 
-def write(snapshot: Snapshot, path: str) -> None:
+def write(snapshot: Snapshot, path: str, host: Host) -> None:
     """Write the file, whole or not at all. Raises Refused: it cannot be written."""
     content = zlib.compress(json.dumps(_pack_all(snapshot), separators=(",", ":")).encode(), 1)
     about = {
@@ -47,7 +48,7 @@ def write(snapshot: Snapshot, path: str) -> None:
         "sha256": hashlib.sha256(content).hexdigest(),
     }
     whole = MAGIC + json.dumps(about).encode() + b"\n" + content
-    trouble, _, hint = file_reads.read(f"writing of the snapshot {path}", lambda: _written(path, whole)).partition("\n")
+    trouble, _, hint = host.read(f"writing of the snapshot {path}", lambda: _written(path, whole)).partition("\n")
     if trouble:
         raise Refused(f"cannot write the snapshot {path}: {trouble}", hint or None)
 
@@ -63,9 +64,9 @@ def _written(path: str, content: bytes) -> str:
     return ""
 
 
-def read(path: str) -> Snapshot:
+def read(path: str, host: Host) -> Snapshot:
     """The snapshot in a file. Raises BadFile: not a snapshot, of another version, cut off, or damaged."""
-    text, trouble = file_reads.read(f"snapshot {path}", lambda: _content(path))
+    text, trouble = host.read(f"snapshot {path}", lambda: _content(path))
     if trouble:
         raise BadFile(trouble, path)
     try:

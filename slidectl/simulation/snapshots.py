@@ -17,7 +17,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from slidectl import description, names
-from slidectl.control import registry
+from slidectl.control.registry import ControllerTypes
 from slidectl.control.user_classes import is_of_a_user
 from slidectl.description import source_note
 from slidectl.errors import BadName, Refused, SlidectlError, UnknownName
@@ -120,6 +120,7 @@ def take(simulation: Simulation) -> Snapshot:
 
 
 def _taken(simulation: Simulation) -> Snapshot:
+    simulation.types.code.activate()  # `save_state` of users' classes may be called
     saving = Saving()
     state = saving.value(_tree(simulation))
     return Snapshot(
@@ -192,6 +193,7 @@ def _go_back(simulation: Simulation, before: Snapshot, kept: dict[str, object]) 
 
 
 def _put(simulation: Simulation, snapshot: Snapshot) -> list[str]:
+    simulation.types.code.activate()
     simulation.faults.remove()
     goals = _goals_since(simulation, snapshot)
     clock, timers = simulation.graph.clock, simulation.graph.timers
@@ -268,6 +270,7 @@ def _goals_since(simulation: Simulation, snapshot: Snapshot) -> list[ActionGoal]
 
 def _modules_of_users(simulation: Simulation) -> list[ModuleType]:
     """The user modules that define the present controllers and hardware."""
+    simulation.types.code.activate()
     found = {}
     for robot in simulation.robots:
         if robot.is_controlled:
@@ -290,7 +293,7 @@ def _make(simulation: Simulation, snapshot: Snapshot) -> list[str]:
         return []
     for one in wanted:
         for name, type_name in one.controllers:
-            _check_type(one.name, name, type_name)
+            _check_type(simulation.types, one.name, name, type_name)
     same = _common([one.is_like(other) for one, other in zip(present, wanted, strict=False)])
     for one in reversed(present[same:]):
         robots.delete(one.name)
@@ -323,10 +326,10 @@ def _common(equal: list[bool]) -> int:
     return next((place for place, one in enumerate(equal) if not one), len(equal))
 
 
-def _check_type(robot: str, name: str, type_name: str) -> None:
+def _check_type(types: ControllerTypes, robot: str, name: str, type_name: str) -> None:
     """Raise Refused for an unknown type: a snapshot must not cause the import of a user's file."""
     try:
-        registry.find(type_name)
+        types.find(type_name)
     except UnknownName:
         raise Refused(
             f"controller {name!r} of {robot!r} is a {type_name}, which is not known here",

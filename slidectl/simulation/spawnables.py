@@ -11,7 +11,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from slidectl import description, file_reads
+from slidectl import description
 from slidectl.control.node_handle import Message
 from slidectl.description import models, sdf, xml_tree
 from slidectl.description.document import has_xacro
@@ -21,6 +21,7 @@ from slidectl.errors import BadFile, NotThere, SlidectlError, UnknownName, listi
 from slidectl.physics.builder import BadShape
 from slidectl.rotations import ORIGIN, Pose
 from slidectl.simulation.entities import check_size
+from slidectl.simulation.host import Host
 
 FORMATS = ("urdf", "sdf", "xacro")
 _OF_SCENES = ("sdf", "world", "gazebo", "model")
@@ -50,7 +51,7 @@ class ResourcePart(NamedTuple):
 
 
 def read(
-    resource: Message, name: str, named: Callable[[str], str], permitted: Collection[Effect]
+    resource: Message, name: str, named: Callable[[str], str], permitted: Collection[Effect], host: Host
 ) -> list[ResourcePart]:
     """The parts of a simulation_interfaces/Resource; URDF has one.
 
@@ -59,6 +60,7 @@ def read(
         name: the requested name; empty for the name in the resource.
         named: returns the name to use.
         permitted: what the caller may do.
+        host: reads the files.
 
     Raises SpawnFailure.
     """
@@ -76,7 +78,7 @@ def read(
         except SlidectlError as error:
             raise failure(error) from None
 
-    parts = file_reads.read_or_raise(f"resource {uri or 'that came as text'}", look)
+    parts = host.read_or_raise(f"resource {uri or 'that came as text'}", look)
     return [ResourcePart(xml, part, (tuple(xyz), tuple(turn)), is_model) for xml, part, (xyz, turn), is_model in parts]
 
 

@@ -14,10 +14,10 @@ from itertools import count
 from typing import NamedTuple
 
 from slidectl import description, names
-from slidectl.control import hardware_types
 from slidectl.control.controller_manager import ControllerManager
 from slidectl.control.duration import from_seconds, header_of
 from slidectl.control.node_handle import Message
+from slidectl.control.registry import ControllerTypes
 from slidectl.control.user_classes import file_of, raised, watched_for, watched_hardware
 from slidectl.description import source_note
 from slidectl.description.gazebo_tags import TRANSMISSIONS
@@ -156,7 +156,7 @@ class SpawnedRobot:
             reset()
         if not self.is_controlled:
             return
-        with watched_hardware(self.hardware):
+        with watched_hardware(self.hardware, self.manager.known.code):
             self.hardware.reset()
         self.cycle.rewind(time_ns)
         self.look()
@@ -211,9 +211,10 @@ class Sources:
 class Robots:
     """All robots by name, in the order of their spawning."""
 
-    def __init__(self, world: World, loop: Loop) -> None:
+    def __init__(self, world: World, loop: Loop, types: ControllerTypes) -> None:
         self._world = world
         self._loop = loop
+        self._types = types
         self._robots: dict[str, SpawnedRobot] = {}
         self._serials = count(1)
         self.on_spawn: list[Callable[[SpawnedRobot], object]] = []
@@ -268,16 +269,17 @@ class Robots:
         urdf, note = source_note.split(xml)
         # A note says where meshes are: a client that may name no files gives none, and gets none.
         note = (note or self.sources.get(source_note.digest(urdf))) if may_use_files else ""
-        paper = description.parse(source_note.join(urdf, note), may_use_files=may_use_files)
+        read = self._types.code.host.read
+        paper = description.parse(source_note.join(urdf, note), may_use_files=may_use_files, read=read)
         asked = (names.join("/", namespace).rstrip("/") or "/") if namespace else description.namespace_of(paper, name)
         place = names.check(asked)
         plugin = paper.plugin or ControlPlugin()
         how = self._loop.graph.parameters.get(names.join(place, TRANSMISSIONS), None)
         if plugin.transmissions is None and how is not None:
             urdf, note = source_note.split(description.with_transmissions(source_note.join(urdf, note), str(how)))
-            paper = description.parse(source_note.join(urdf, note), may_use_files=may_use_files)
+            paper = description.parse(source_note.join(urdf, note), may_use_files=may_use_files, read=read)
         try:
-            hardware_types.check_known(plugin.robot_sim_type)
+            self._types.hardware.check_known(plugin.robot_sim_type)
         except UnknownName as error:
             raise BadFile(error.message, plugin.file or DESCRIPTION, plugin.line, error.hint) from None
         is_controlled = not is_model or paper.plugin is not None or bool(paper.transmissions)
@@ -314,7 +316,7 @@ class Robots:
         _put_description(robot, loop.graph.parameters)
         parts.hardware = self._hardware(robot, plugin.robot_sim_type)
         parts.hardware.read(robot.node.now_ns(), 0.0)
-        parts.manager = ControllerManager(parts.hardware, robot.node)
+        parts.manager = ControllerManager(parts.hardware, robot.node, self._types)
         period_ns = _control_period(plugin, loop.step_ns, robot)
         parts.cycle = ControlCycle(parts.hardware, parts.manager, period_ns, loop.graph.clock.time_ns)
         robot.services = ManagerServices(parts.manager, robot.node, robot.look, loop)
@@ -335,13 +337,13 @@ class Robots:
         """The simulated hardware. Raises BadFile: an unsuitable class. Refused: a user's class failed. Else as
         `MujocoRobotHW`."""
         places = self._world, robot.body, robot.paper, robot.node, robot.namespace
-        cls = hardware_types.find(sim_type)
+        cls = self._types.hardware.find(sim_type)
         if cls is None:
             return MujocoRobotHW(*places)
         if not issubclass(cls, MujocoRobotHW):
             hint = f"class {cls.__name__}(slidectl.physics.MujocoRobotHW): ..."
             raise BadFile(f"{sim_type} is not derived from slidectl.physics.MujocoRobotHW", file_of(cls), None, hint)
-        with watched_for("robotSimType", sim_type):
+        with watched_for("robotSimType", sim_type, self._types.code):
             return cls(*places)
 
     def delete(self, name: str) -> None:

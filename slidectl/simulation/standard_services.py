@@ -122,6 +122,7 @@ class StandardServices:
             request["name"],
             lambda name: self._name(name, request),
             self._simulation.graph.services.permitted,
+            self._simulation.host,
         )
         try:
             parsed = [

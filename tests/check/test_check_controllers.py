@@ -259,11 +259,13 @@ def test_gains_of_a_position_joint_are_used_and_judged(model: Check) -> None:
     assert lines.about("wrong", "/slide/p: is missing")
 
 
-@pytest.mark.parametrize("type_name", [name for name in registry.types() if registry.find(name).parameters])
+@pytest.mark.parametrize(
+    "type_name", [name for name in registry.common.types() if registry.common.find(name).parameters]
+)
 def test_every_type_of_controller_is_known_by_its_parameters(controllers: Check, type_name: str) -> None:
     lines = controllers(controller("nonsense: 1", type_name))
     assert lines.about("/bot/c/nonsense: is unknown to the controller")
-    required = [parameter.name for parameter in registry.find(type_name).parameters if parameter.required]
+    required = [parameter.name for parameter in registry.common.find(type_name).parameters if parameter.required]
     missing = [name for name in required if "[]" not in name and "<" not in name]
     assert [name for name in missing if not lines.about(f"/bot/c/{name}: is missing")] == []
 

@@ -28,7 +28,7 @@ NAMES = st.sampled_from([
     "_ns", "é x", "[0]",
 ])  # fmt: skip
 SCALARS = st.one_of(
-    st.sampled_from([*registry.types(), "slide", "1e-3", ".nan", True, False, 0, -1, 0.0, 1.0, float("inf")]),
+    st.sampled_from([*registry.common.types(), "slide", "1e-3", ".nan", True, False, 0, -1, 0.0, 1.0, float("inf")]),
     st.floats(),
     st.text(max_size=5),
 )

@@ -11,8 +11,8 @@ from slidectl.control import registry
 @pytest.fixture(autouse=True)
 def _own_types(monkeypatch: pytest.MonkeyPatch) -> None:
     """Types that a test registers are gone after it."""
-    registry.types()  # imports the shipped ones
-    monkeypatch.setattr(registry, "_known", dict(registry._known))
+    registry.common.types()  # imports the shipped ones
+    monkeypatch.setattr(registry, "_shared", dict(registry._shared))
 
 
 @pytest.fixture

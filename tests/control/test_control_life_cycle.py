@@ -15,6 +15,7 @@ from slidectl.control.controller_interface import (
 )
 from slidectl.control.controller_manager import LoadedController
 from slidectl.control.hardware_interface import EffortJointInterface, PositionJointInterface, VelocityJointInterface
+from slidectl.control.user_modules import UserCode
 from slidectl.errors import Refused
 
 HOOKS = {
@@ -55,7 +56,9 @@ def test_only_a_running_controller_is_updated(state):
     controller = initialised(Recorder())
     if state in HOOKS:
         controller.enter_state(state, 0)
-    LoadedController("c", "test/Recorder", controller, FakeGraph().node("/bot/c")).update_if_running(1, 0.001)
+    LoadedController("c", "test/Recorder", controller, FakeGraph().node("/bot/c"), UserCode()).update_if_running(
+        1, 0.001
+    )
     assert ("update" in controller.calls) is (controller.state is State.RUNNING)
 
 

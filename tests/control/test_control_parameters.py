@@ -38,7 +38,7 @@ VALUES = {
     TWO: ["joint1", "joint1"],
 }
 
-TYPES = [name for name in registry.types() if not name.startswith("tests/")]  # whatever other tests define
+TYPES = [name for name in registry.common.types() if not name.startswith("tests/")]  # whatever other tests define
 
 
 class WatchedGraph(FakeGraph):
@@ -63,13 +63,13 @@ def own(declared: tuple[Parameter, ...]) -> dict[str, Parameter]:
 
 @pytest.mark.parametrize("type_name", TYPES)
 def test_a_controller_reads_what_it_says_and_says_what_it_reads(type_name: str) -> None:
-    declared = own(registry.find(type_name).parameters)
+    declared = own(registry.common.find(type_name).parameters)
     values = {f"/bot/c/{name}": VALUES[parameter.kind] for name, parameter in declared.items()}
     graph = WatchedGraph({"/bot/robot_description": URDF, **values})
     robot = FakeRobot(commands=COMMAND_INTERFACES)
     robot.register_interface(ImuSensorInterface())
     robot.register_interface(ForceTorqueSensorInterface())
-    registry.create(type_name).init_request(robot, graph.node("/bot"), graph.node("/bot/c"))
+    registry.common.create(type_name).init_request(robot, graph.node("/bot"), graph.node("/bot/c"))
     asked = {name for name in graph.asked_below("/bot/c") if not name.endswith("robot_description")}
     namespaces = {above for name in declared for above in (name.rpartition("/")[0], name.partition("/")[0])}
     assert asked - (namespaces - set(declared)) == set(declared)
@@ -77,7 +77,7 @@ def test_a_controller_reads_what_it_says_and_says_what_it_reads(type_name: str) 
 
 @pytest.mark.parametrize("type_name", TYPES)
 def test_every_parameter_has_a_meaning_and_a_default_of_its_own_type(type_name: str) -> None:
-    for parameter in registry.find(type_name).parameters:
+    for parameter in registry.common.find(type_name).parameters:
         assert parameter.meaning, parameter.name
         if parameter.default is not None:
             assert parameter.kind.convert(parameter.default) == parameter.default
@@ -95,4 +95,4 @@ def test_joint_limits_are_all_declared() -> None:
 
 def test_an_unknown_type_is_refused_with_the_closest_known_one() -> None:
     with pytest.raises(registry.UnknownType, match="Did you mean 'effort_controllers/JointPositionController'"):
-        registry.find("effort_controler/JointPositionController")
+        registry.common.find("effort_controler/JointPositionController")

@@ -33,7 +33,7 @@ def test_every_name_that_the_table_gives_is_a_type_here() -> None:
     given = [known.here for known in NAMES.values()]
     types = [name for here in given for name in ([here] if isinstance(here, str) else here.values())]
     words = [word for advice, _ in OTHERS.values() for word in advice.replace(",", " ").split() if "Controller" in word]
-    assert set(types + words) <= set(registry.types()) | {"control_msgs/GripperCommand"}
+    assert set(types + words) <= set(registry.common.types()) | {"control_msgs/GripperCommand"}
 
 
 def test_parameters_of_other_names_are_handed_on_and_defaults_filled_in() -> None:

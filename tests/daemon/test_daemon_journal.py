@@ -24,8 +24,8 @@ from daemon_fixture import Runtime
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slidectl import Client, description, file_reads
-from slidectl.control import user_classes
+from slidectl import Client, description
+from slidectl.control.user_modules import CodeLimit
 from slidectl.daemon import time_limit
 from slidectl.daemon.in_process import InProcessWorld
 from slidectl.daemon.options import DaemonOptions
@@ -38,6 +38,7 @@ from slidectl.extensions.recording.recording_files import opened
 from slidectl.physics import rendering
 from slidectl.simulation import Simulation
 from slidectl.simulation.compiled import object_file
+from slidectl.simulation.host import Host
 
 ENGINES = ["plain", pytest.param("compiled", marks=pytest.mark.skipif(not object_file.is_possible(), reason="numba"))]
 PIDS = {"p": 100.0, "i": 1.0, "d": 10.0, "i_clamp": 5.0}
@@ -66,19 +67,20 @@ def switch(client: Client, model: str, start: list[str], stop: list[str]) -> Non
 
 
 @contextmanager
-def recorded(path: Path, engine: str = "plain", imports: tuple[str, ...] = ()) -> Iterator[InProcessWorld]:
+def recorded(
+    path: Path, engine: str = "plain", imports: tuple[str, ...] = (), limit: CodeLimit | None = None
+) -> Iterator[InProcessWorld]:
     """A world in this process whose journal ends with the block."""
     options = DaemonOptions(journal=str(path), engine=engine, paused=True, imports=imports)
-    notes = Journal(options)
+    notes = Journal(options, Host(limit))
     try:
-        simulation = Simulation(engine=engine, imports=imports)
+        simulation = Simulation(engine=engine, imports=imports, host=notes)
         if engine == "compiled":
             simulation.engine.complete()
         simulation.run.paused = True
-        yield InProcessWorld(simulation, notes)
+        yield InProcessWorld(simulation)
     finally:
         notes.close("the test is over")
-        file_reads.read = file_reads.from_disk
 
 
 def fail(what: str) -> None:
@@ -316,11 +318,7 @@ def test_a_controller_that_was_ended_by_the_time_limit_is_ended_in_the_same_cycl
     file = tmp_path / "endless.py"
     endless = SPRING.format(stiffness=50.0) + "        while time_ns == 1_234_000_000:\n            pass\n"
     file.write_text(endless, "utf-8")
-    limit = TimeLimit()
-    monkeypatch.setattr(user_classes, "limit", limit)
-    with recorded(tmp_path / "run.journal") as world, world.client() as client:
-        assert world.journal is not None
-        limit.on_end = world.journal.took_too_long
+    with recorded(tmp_path / "run.journal", limit=TimeLimit()) as world, world.client() as client:
         spawn(client, "slider")
         load_spring(client, file)
         client.call("/slidectl/step", {"cycles": 3000})

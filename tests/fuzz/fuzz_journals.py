@@ -62,9 +62,9 @@ class Journals:
         trimesh.creation.box((0.1, 0.2, 0.3)).export(mesh)
         notes = Journal(DaemonOptions(journal=str(path), engine="plain", paused=True))
         try:
-            simulation = Simulation(engine="plain")
+            simulation = Simulation(engine="plain", host=notes)
             simulation.run.paused = True
-            world = InProcessWorld(simulation, notes)
+            world = InProcessWorld(simulation)
             with world.client() as client:
                 client.call(
                     "/gazebo/spawn_urdf_model", {"model_name": "slider", "model_xml": description.load("slider").xml}

@@ -10,8 +10,11 @@ import numpy as np
 import pytest
 
 from slidectl import Simulation, description
+from slidectl.description.robot import Camera
 from slidectl.errors import BadFile
-from slidectl.physics import rendering
+from slidectl.physics import World, rendering
+from slidectl.rotations import Pose
+from slidectl.simulation.host import Host
 from slidectl.simulation.pending import Pending
 
 LINK = """<link name="base"><inertial><mass value="2"/>
@@ -137,18 +140,30 @@ def test_a_camera_that_cannot_be_is_refused_and_another_format_is_said() -> None
     assert "<format> BAYER_RGGB8 is unknown here" in str(report[0])
 
 
-def test_a_camera_that_drawing_does_not_keep_up_with_says_its_rate(monkeypatch: pytest.MonkeyPatch) -> None:
-    simulation = Simulation(gravity=(0.0, 0.0, 0.0))
-    simulation.spawn(robot("1 1 1 1", CAMERA.format("R8G8B8", "", "")), "thing")
+class EmptyPictures(Host):
+    """A host whose pictures are empty. Each takes `takes_ns` of simulated time."""
 
-    def slowly(*_: Any) -> Pending:
-        """A picture that takes 0.35 s of simulated time, in which three others are due."""
+    def __init__(self, takes_ns: int) -> None:
+        super().__init__()
+        self.takes_ns = takes_ns
+
+    def render(self, world: World, camera: Camera, pose: Pose, seed: int) -> Pending:
+        del world, camera, pose, seed
         drawn = Pending()
-        simulation.graph.timers.after(350_000_000, lambda: drawn.resolve(""))
+        assert self.simulation is not None
+        if self.takes_ns:
+            self.simulation.graph.timers.after(self.takes_ns, lambda: drawn.resolve(""))
+        else:
+            drawn.resolve("")
         return drawn
 
-    monkeypatch.setattr(simulation, "render", slowly)
-    monkeypatch.setattr(simulation, "drawn_by", lambda: rendering.BY_OPENGL)
+    def drawn_by(self) -> str:
+        return rendering.BY_OPENGL
+
+
+def test_a_camera_that_drawing_does_not_keep_up_with_says_its_rate() -> None:
+    simulation = Simulation(gravity=(0.0, 0.0, 0.0), host=EmptyPictures(350_000_000))  # three others are due meanwhile
+    simulation.spawn(robot("1 1 1 1", CAMERA.format("R8G8B8", "", "")), "thing")
     log: list[dict[str, Any]] = []
     simulation.subscribe("/rosout", log.append)
     assert simulation.call("/slidectl/status")["cameras"] == []
@@ -162,11 +177,9 @@ def test_a_camera_that_drawing_does_not_keep_up_with_says_its_rate(monkeypatch: 
     assert said.startswith("/thing/eye/image_raw: 10 Hz asked, ")
 
 
-def test_a_camera_that_keeps_up_has_nothing_to_say(monkeypatch: pytest.MonkeyPatch) -> None:
-    simulation = Simulation(gravity=(0.0, 0.0, 0.0))
+def test_a_camera_that_keeps_up_has_nothing_to_say() -> None:
+    simulation = Simulation(gravity=(0.0, 0.0, 0.0), host=EmptyPictures(0))
     simulation.spawn(robot("1 1 1 1", CAMERA.format("R8G8B8", "", "")), "thing")
-    monkeypatch.setattr(simulation, "render", lambda *_: Pending.of(""))
-    monkeypatch.setattr(simulation, "drawn_by", lambda: rendering.BY_OPENGL)
     simulation.subscribe("/thing/eye/image_raw", lambda _: None)
     simulation.step(3000)
     status = simulation.call("/slidectl/status")

@@ -11,7 +11,7 @@ import pytest
 from engine_scenes import add
 from sim_robots import cart, switch
 
-from slidectl.control import hardware_types, registry
+from slidectl.control import hardware_types
 from slidectl.description import gazebo_tags
 from slidectl.errors import SlidectlError
 from slidectl.simulation import Simulation
@@ -105,8 +105,9 @@ def test_two_simulations_of_one_process_import_the_same_module(tmp_path: Path, m
         "    interface_type = EffortJointInterface\n\n    def update(self, time_ns, period_s):\n        pass\n"
     )
     for _ in range(2):
-        Simulation(imports=["imported_twice"])
-        assert "imported_twice/Twice" in registry.types()
+        simulation = Simulation(imports=["imported_twice"])
+        assert "imported_twice/Twice" in simulation.types.types()
+    assert "imported_twice/Twice" not in Simulation().types.types()
 
 
 def test_a_module_with_nothing_but_a_base_for_hardware_has_none(tmp_path: Path) -> None:

@@ -11,7 +11,6 @@ from engine_scenes import Scene, add, arm, play, usual
 from sim_robots import STATES
 from test_simulation_compiled_controllers import is_compiled
 
-from slidectl.control import registry
 from slidectl.simulation import Simulation
 from slidectl.simulation.compiled import object_file
 
@@ -250,18 +249,14 @@ class Mine(Controller):
     def update(self, time_ns, period_s):
         self.joint.command = self.joint.position
 """)
-    taken = registry.find("diff_drive_controller/DiffDriveController")
-    registry.add_module(str(path))
-    try:
 
-        def scene(simulation: Simulation) -> None:
-            controllers = usual() | {"three": {"type": "diff_drive_controller/DiffDriveController"}}
-            add(simulation, "a", arm(), controllers)
-            simulation.step(100)
+    def scene(simulation: Simulation) -> None:
+        simulation.types.add_module(str(path))
+        controllers = usual() | {"three": {"type": "diff_drive_controller/DiffDriveController"}}
+        add(simulation, "a", arm(), controllers)
+        simulation.step(100)
 
-        (plain, _), (compiled, simulation) = (play(scene, engine) for engine in ("plain", "compiled"))
-    finally:
-        registry.controller("diff_drive_controller/DiffDriveController")(taken)
+    (plain, _), (compiled, simulation) = (play(scene, engine) for engine in ("plain", "compiled"))
     assert compiled == plain
     assert is_compiled(simulation, "a", "one")
     assert not is_compiled(simulation, "a", "three")

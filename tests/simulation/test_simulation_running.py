@@ -189,7 +189,7 @@ def test_a_call_that_needs_time_is_refused_when_somebody_else_drives(driven: Sim
 def test_status_tells_what_there_is() -> None:
     simulation = running_cart()
     simulation.step(1500)
-    simulation.monitor = lambda: {"pid": 42, "connections": 3}
+    simulation.host.reports.append(lambda: {"pid": 42, "connections": 3})
     status = simulation.call("/slidectl/status")
     assert set(status) == {field.name for field in msgs.fields("slidectl/StatusResponse")}
     assert (status["time"], status["cycles"], status["timestep"]) == (1.5, 1500, 0.001)

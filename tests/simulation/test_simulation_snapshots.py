@@ -33,7 +33,7 @@ from test_simulation_force_torque import arm as tool_arm
 
 import slidectl
 from slidectl import Simulation, description
-from slidectl.control import hardware_types, registry
+from slidectl.control import registry
 from slidectl.control.controller_interface import Controller
 from slidectl.control.hardware_interface import EffortJointInterface
 from slidectl.control.node_handle import NodeHandle
@@ -300,7 +300,8 @@ def test_every_shipped_controller_is_in_a_scene() -> None:
         build(simulation)
         for robot in simulation.robots:
             seen |= {one["type"] for one in robot.manager.list()} if robot.is_controlled else set()
-    shipped = {kind for kind in registry.types() if registry.find(kind).__module__.startswith("slidectl.")}
+    known = registry.common
+    shipped = {kind for kind in known.types() if known.find(kind).__module__.startswith("slidectl.")}
     assert shipped <= seen
 
 
@@ -335,9 +336,9 @@ def test_going_on_from_a_snapshot_gives_the_same_bits(scene: str, engine: str, t
     one.load("here")
     assert future(one, act, topics) == never_stopped  # with robots that were made again
     file = str(tmp_path / "here.snapshot")
-    snapshot_files.write(one.snapshots.get("here"), file)
+    snapshot_files.write(one.snapshots.get("here"), file, one.host)
     other = made(engine)
-    put(other, snapshot_files.read(file))
+    put(other, snapshot_files.read(file, other.host))
     assert future(other, act, topics) == never_stopped  # in another simulation
 
 
@@ -390,10 +391,10 @@ def test_any_moment_among_random_faults_robots_and_commands_has_the_same_future(
     one.load("here")
     assert future(one, act, topics) == never_stopped
     file = str(tmp_path_factory.mktemp("random") / "here.snapshot")
-    snapshot_files.write(one.snapshots.get("here"), file)
+    snapshot_files.write(one.snapshots.get("here"), file, one.host)
     other = made(engine)
     other.heard = Heard(other)  # type: ignore[attr-defined]
-    put(other, snapshot_files.read(file))
+    put(other, snapshot_files.read(file, other.host))
     assert future(other, act, topics) == never_stopped
 
 
@@ -681,10 +682,10 @@ class SlowMotors(MujocoRobotHW):
         self.set_joint_effort("joint1", self.efforts["joint1"])
 
 
-def test_hardware_of_a_user_goes_on_with_its_attributes(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(hardware_types._known, "tests/SlowMotors", SlowMotors)
+def test_hardware_of_a_user_goes_on_with_its_attributes() -> None:
     xml = arm(plugin="<robotSimType>tests/SlowMotors</robotSimType>")
     simulation = made("plain")
+    simulation.types.hardware.add_all(sys.modules[__name__], "tests/")
     add(simulation, "a", xml, {"one": {"type": POSITION, "joint": "joint1", "pid": GAINS}})
     simulation.publish("/a/one/command", {"data": 1.0})
     simulation.step(100)

@@ -1,7 +1,8 @@
 """The journal: all external input of a world, each entry with the cycle after which it took effect, in one file.
 
-This module writes and reads it; journal_replay.py runs the same world from it again. Each entry is a line of JSON that
-ends with a checksum. It is written to the kernel at once, so it survives any end of the daemon. See docs/journal.md.
+This module writes and reads it; journal_replay.py runs the same world from it again. The writer is a host around that
+of the world, so it hears of all that comes from outside. Each entry is a line of JSON that ends with a checksum. It is
+written to the kernel at once, so it survives any end of the daemon. See docs/journal.md.
 """
 
 from __future__ import annotations
@@ -19,17 +20,21 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 import slidectl
-from slidectl import file_reads, input_files
-from slidectl.control import user_modules
+from slidectl import input_files
 from slidectl.control.node_handle import Message
 from slidectl.control.user_modules import UserModule
 from slidectl.daemon.options import DaemonOptions
+from slidectl.description.robot import Camera
 from slidectl.errors import BadFile, Refused, UsageError, cut, listing
 from slidectl.extensions.journal import journal_entries
 from slidectl.extensions.journal.journal_entries import mesh_entry
 from slidectl.names import OWN_NODE
+from slidectl.paths import shown
+from slidectl.physics import World
 from slidectl.physics.hulls import Hulls, MeshSource
+from slidectl.rotations import Pose
 from slidectl.simulation.clock import SECOND
+from slidectl.simulation.host import Host, HostWrapper
 from slidectl.simulation.pending import Pending
 from slidectl.writing import CannotWrite, hint, reason
 
@@ -54,14 +59,18 @@ _LINE = re.compile(rb'\{"cycle":(\d{1,20}),"client":(\d{1,20}),"line":(.*)\Z', r
 _CHECKSUM = re.compile(rb'(.*),"crc":"([0-9a-f]{8})"\}\Z', re.DOTALL)
 
 
-class Journal:
-    """Writes the journal of one simulation, from before its first cycle on.
+class Journal(HostWrapper):
+    """Writes the journal of one world, from before its first cycle on: a host that records what another one gives.
 
-    Create it before the simulation, whose imports are a part of it; then call `watch`, and give it to each session.
+    Give it to the Simulation as its host; imported modules are a part of the journal.
     """
 
-    def __init__(self, options: DaemonOptions) -> None:
-        """Create the file that the options name. Raises Refused: it exists, or it cannot be written."""
+    def __init__(self, options: DaemonOptions, host: Host | None = None) -> None:
+        """Create the file that the options name. `host` is that of a plain script by default.
+
+        Raises Refused: the file exists, or it cannot be written.
+        """
+        super().__init__(host or Host())
         self.path = path = options.journal
         self.trouble = ""
         """The reason why writing has ended, else empty."""
@@ -70,49 +79,39 @@ class Journal:
         """The numbers of connected clients that have sent something."""
         self._clients_so_far = 0
         self._size = 0
-        self._simulation: Simulation | None = None
-        self._log: Callable[[str], None] = lambda _: None
         options.check_journal()
         try:
             self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
         except OSError as error:
             raise CannotWrite(path, error, "the journal") from None
-        file_reads.read = self._read
         chosen = {name: value for name, value in asdict(options).items() if name not in _PROCESS_OPTIONS}
         self._write(_text({"slidectl_journal": FORMAT, **written_by(), "options": chosen}))
-        for module in user_modules.imported.values():
-            self._note_module(module)
         if self.trouble:
             os.unlink(path)
             raise Refused(f"cannot write the journal {path}: {self.trouble}", self._hint)
-        user_modules.listeners.append(self._note_module)
+        self.recorder = self
+        self.limit.on_end.append(self._note_limit)
+        self.reports.append(lambda: {"journal": shown(path), "journal_trouble": self.trouble})
 
-    def watch(self, simulation: Simulation) -> None:
-        """Set the simulation. Its `read_meshes` must be set already."""
-        self._simulation = simulation
-        self._log = lambda text: simulation.graph.log("error", OWN_NODE, text)
-        read_meshes = simulation.read_meshes
-
-        def read(sources: Sequence[MeshSource]) -> Pending:
-            pending = read_meshes(sources)
-            return pending.converted(self._take_meshes)
-
-        render = simulation.render
-        simulation.read_meshes = read
-        simulation.lockstep.on_let_go = lambda node: self._note("let_go", node)
-        simulation.render = lambda *camera: render(*camera).then(self._take_picture)
+    def attach(self, simulation: Simulation) -> None:
+        super().attach(simulation)
         self._states = simulation.graph.timers.every(SECOND, self._note_state)
+
+    def abandon(self) -> None:
+        """Remove the file: the next start may use its name."""
+        os.unlink(self.path)
+        super().abandon()
 
     def close(self, why: str) -> None:
         """Write the end of the world, and close the file."""
-        if self._simulation is not None:
+        if self.simulation is not None:
             self._states.cancel()
             self._note_state(b',"end":%b' % json.dumps(why).encode())
         if not self.trouble:
             os.close(self._file)
         self.trouble = "it is closed"
-        file_reads.read = file_reads.from_disk
-        user_modules.listeners.remove(self._note_module)
+        self.limit.on_end.remove(self._note_limit)
+        super().close(why)
 
     # --- external input -----------------------------------------------------------------------------------------
 
@@ -135,7 +134,7 @@ class Journal:
         operation, topic = message["op"], str(message.get("topic"))
         if operation in ("subscribe", "unsubscribe"):
             # Pictures: a camera skips some while it renders one for a client.
-            topics = self._simulation.graph.topics if self._simulation is not None else None
+            topics = self.simulation.graph.topics if self.simulation is not None else None
             return PICTURE in (message.get("type"), topics and topics.exists(topic) and topics.type_of(topic))
         return operation != "set_level" and not (
             operation == "call_service" and _READS.fullmatch(str(message.get("service")))
@@ -147,17 +146,28 @@ class Journal:
         if number is not None:
             self._note("gone", number)
 
-    def took_too_long(self) -> None:
-        """Record that users' code was ended by the limit of wall time."""
-        self._note("limit", "")
-
-    def _read(self, what: str, look: Callable[[], Any]) -> Any:
-        found = look()
+    def read(self, what: str, look: Callable[[], Any]) -> Any:
+        found = super().read(what, look)
         self._note("read", what, found=found)
         return found
 
-    def _note_module(self, module: UserModule) -> None:
+    def imported(self, module: UserModule) -> None:
+        super().imported(module)
         self._note("module", module)
+
+    def read_meshes(self, sources: Sequence[MeshSource]) -> Pending:
+        return super().read_meshes(sources).converted(self._take_meshes)
+
+    def render(self, world: World, camera: Camera, pose: Pose, seed: int) -> Pending:
+        return super().render(world, camera, pose, seed).then(self._take_picture)
+
+    def let_go(self, node: str) -> None:
+        super().let_go(node)
+        self._note("let_go", node)
+
+    def _note_limit(self) -> None:
+        """Record that users' code was ended by the limit of wall time."""
+        self._note("limit", "")
 
     def _take_meshes(self, done: Pending) -> Hulls:
         """Record meshes at the time when the world gets them."""
@@ -169,7 +179,7 @@ class Journal:
 
     @property
     def _cycle(self) -> int:
-        return 0 if self._simulation is None else self._simulation.cycles
+        return 0 if self.simulation is None else self.simulation.cycles
 
     def _note(self, kind: str, value: Any, **more: Any) -> None:
         self._write(_text({"cycle": self._cycle, kind: value, **more}))
@@ -180,8 +190,8 @@ class Journal:
 
     def _note_state(self, more: bytes = b"") -> None:
         """Record the state of the world's joints and the efforts on them, to the bit."""
-        assert self._simulation is not None
-        numbers = binascii.b2a_base64(self._simulation.world.numbers(), newline=False)
+        assert self.simulation is not None
+        numbers = binascii.b2a_base64(self.simulation.world.numbers(), newline=False)
         self._write(b'{"cycle":%d%b,"state":"%b"' % (self._cycle, more, numbers))
 
     def _write(self, entry: bytes) -> None:
@@ -199,7 +209,14 @@ class Journal:
             with suppress(OSError):
                 os.ftruncate(self._file, self._size)
             os.close(self._file)
-            self._log(f"the journal {self.path} ends at cycle {self._cycle}: {self.trouble}")
+            if self.simulation is not None:
+                text = f"the journal {self.path} ends at cycle {self._cycle}: {self.trouble}"
+                self.simulation.graph.log("error", OWN_NODE, text)
+
+
+def host_of(host: Host, options: DaemonOptions) -> Host:
+    """The journal that the options of a daemon ask for, around its host. Raises as Journal."""
+    return Journal(options, host)
 
 
 def _text(entry: dict[str, Any]) -> bytes:

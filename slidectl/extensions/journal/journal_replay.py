@@ -9,15 +9,13 @@ from __future__ import annotations
 import base64
 import math
 from collections import deque
-from collections.abc import Callable, Sequence
-from contextlib import nullcontext
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NoReturn
 
-from slidectl import file_reads
-from slidectl.control import user_classes, user_modules
 from slidectl.control.duration import from_seconds
 from slidectl.control.user_modules import UserModule
 from slidectl.daemon import time_limit
+from slidectl.daemon.options import DaemonOptions
 from slidectl.daemon.outbox import Outbox, Publications
 from slidectl.daemon.session import Session
 from slidectl.daemon.time_limit import TimeLimit
@@ -26,10 +24,12 @@ from slidectl.errors import BadFile, Refused
 from slidectl.extensions.journal import journal
 from slidectl.extensions.journal.journal import Contents
 from slidectl.extensions.journal.journal_entries import mesh_of
+from slidectl.physics import World
 from slidectl.physics.hulls import MeshSource
 from slidectl.physics.rendering import PictureRequest, RenderProcess
 from slidectl.rotations import Pose
 from slidectl.simulation.clock import NEVER, SECOND
+from slidectl.simulation.host import Host, HostWrapper
 from slidectl.simulation.loop import FAILED
 from slidectl.simulation.pending import Pending
 from slidectl.simulation.simulation import Simulation
@@ -45,15 +45,23 @@ class ReplayDiffers(Refused):
     """The replay does not match the recorded run."""
 
 
-class Replay:
+class Replay(HostWrapper):
     """One replay. `differs` describes the first difference from a state in the journal; empty without one.
 
-    From its creation until the end of `run`, file reads are answered from the journal.
+    It is the host of the world that it makes. Until the end of `run` it answers from the journal, then from the host
+    that it is around.
     """
 
-    def __init__(self, contents: Contents, until: float | None = None) -> None:
-        """The replay ends at the simulated time `until`, s; entries of the cycle of that time are included."""
+    simulation: Simulation
+
+    def __init__(self, contents: Contents, until: float | None = None, host: Host | None = None) -> None:
+        """The replay ends at the simulated time `until`, s; entries of the cycle of that time are included.
+
+        `host` is that of the world afterwards, by default the one of a plain script.
+        """
+        super().__init__(host or Host())
         self.contents = contents
+        self._is_over = False
         self.differs = ""
         self.states = 0
         """The number of compared states."""
@@ -64,44 +72,50 @@ class Replay:
         """Index of the entry that is being handled."""
         self.taken = 0
         """The number of consumed entries of the journal: the index of the next."""
-        self._limit = TimeLimit()
-        self._limit.on_end = self._take_limit
+        self._limit = self.inner.limit if isinstance(self.inner.limit, TimeLimit) else TimeLimit()
+        self._limit.on_end.append(self._take_limit)
+        self.limit = self._limit
         self._sessions: dict[int, Session] = {}
         self._last_client = 0
         self._meshes: list[tuple[set[MeshSource], Pending]] = []
         """Open requests for meshes."""
-        self._renderer = RenderProcess()
+        self._own_renderer = RenderProcess()
         self._pictures: deque[tuple[Pending, PictureRequest]] = deque()
         self._state = -1, b""
         """The cycle of the last whole second, and the numbers of the world at that time."""
         self._unexpected: Callable[[str], None] = lambda _: None
-        file_reads.read = self._read
-        user_classes.limit = self._limit
-        user_modules.give(UserModule(*entry["module"]) for entry in contents.entries if "module" in entry)
+        modules = [UserModule(*entry["module"]) for entry in contents.entries if "module" in entry]
+        self.given = {module.name: module for module in modules}
         self._look_ahead()
-        self.simulation = self._beginning()
-
-    def _beginning(self) -> Simulation:
-        """The world in its initial state."""
-        options = self.contents.options
+        options = contents.options
         try:
-            simulation = Simulation(**options.of_simulation())
+            simulation = Simulation(**options.of_simulation(), host=self)
         except BaseException:
-            self._close()
+            self._end()
             raise
         simulation.driven = True
         simulation.run.paused = options.paused
         simulation.run.speed = options.rtf
-        simulation.read_meshes = self._read_meshes
-        simulation.render = self._render
-        return simulation
 
-    def _close(self) -> None:
-        self._renderer.close()
-        file_reads.read = file_reads.from_disk
-        user_classes.limit = nullcontext()
+    def _end(self) -> None:
+        """Leave the world to the host that this one is around."""
+        self._is_over = True
+        self._own_renderer.close()
+        self._limit.on_end.remove(self._take_limit)
         self._limit.close()
-        user_modules.given.clear()
+        self._limit.most_s = time_limit.LIMIT_S if self._limit is self.inner.limit else math.inf
+        self.given = {}
+
+    def begin(self, publications: Publications, unexpected: Callable[[str], None]) -> Iterable[tuple[str, str]]:
+        """Run, for a daemon that goes on with the final world."""
+        simulation, path = self.simulation, self.contents.path
+        simulation.engine.may_load = True
+        self.run(unexpected, publications)
+        simulation.pause()
+        yield "info", f"replayed {path} up to {simulation.time_ns / SECOND:.3f} s; paused"
+        for trouble in [self.differs, *other_versions(self.contents)]:
+            if trouble:
+                yield "warn", f"{path}: {trouble}"
 
     def run(
         self, unexpected: Callable[[str], None], publications: Publications | None = None, check: bool = False
@@ -123,7 +137,7 @@ class Replay:
                 session.closed()
         finally:
             states.cancel()
-            self._close()
+            self._end()
         now_ns = self.simulation.time_ns
         if not is_there and now_ns < self._until_ns < NEVER:
             raise Refused(f"the journal ends at {now_ns / SECOND:g} s, before {self._until_ns / SECOND:g} s")
@@ -231,16 +245,18 @@ class Replay:
 
     # --- external input -----------------------------------------------------------------------------------------
 
-    def _read(self, what: str, look: Callable[[], Any]) -> Any:
-        if self.taken == len(self.contents.entries):  # the journal was cut off before this read
-            return look()
+    def read(self, what: str, look: Callable[[], Any]) -> Any:
+        if self._is_over or self.taken == len(self.contents.entries):  # it may have been cut off before this read
+            return super().read(what, look)
         entry = self.contents.entries[self.taken]
         if entry.get("read") != what:
             self._fail(f"the world reads the {what} now, and did not then")
         self._advance()
         return entry["found"]
 
-    def _read_meshes(self, sources: Sequence[MeshSource]) -> Pending:
+    def read_meshes(self, sources: Sequence[MeshSource]) -> Pending:
+        if self._is_over:
+            return super().read_meshes(sources)
         pending = Pending()
         self._meshes.append((set(sources), pending))
         return pending
@@ -253,9 +269,11 @@ class Replay:
         self._meshes.remove(asked)
         asked[1].resolve(hulls)
 
-    def _render(self, camera: Camera, pose: Pose, seed: int) -> Pending:
+    def render(self, world: World, camera: Camera, pose: Pose, seed: int) -> Pending:
+        if self._is_over:
+            return super().render(world, camera, pose, seed)
         pending = Pending()
-        self._pictures.append((pending, self._renderer.look(self.simulation.world, camera, pose, seed)))
+        self._pictures.append((pending, self._own_renderer.look(world, camera, pose, seed)))
         return pending
 
     def _take_picture(self, error: str) -> None:
@@ -268,8 +286,8 @@ class Replay:
         if error:
             pending.reject(Refused(error))
         elif any(node not in clients for topic in pictures for node in topics.subscribers(topic)):
-            self._renderer.ask(request)
-            while (picture := self._renderer.take()) is None:
+            self._own_renderer.ask(request)
+            while (picture := self._own_renderer.take()) is None:
                 pass
             pending.resolve(picture)
         else:
@@ -320,6 +338,11 @@ class _DiscardingReader:
 
     def look_again(self) -> None:
         """Do nothing: the journal has the time of the disconnect."""
+
+
+def host_of(host: Host, options: DaemonOptions) -> Host:
+    """The replay that the options of a daemon ask for, around its host. Raises as journal.read and Replay."""
+    return Replay(journal.read(options.replay), options.until, host)
 
 
 def other_versions(contents: Contents) -> list[str]:

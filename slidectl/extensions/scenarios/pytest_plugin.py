@@ -248,16 +248,17 @@ def slidectl_world(request: pytest.FixtureRequest) -> Iterator[InProcessWorld]:
     from slidectl.daemon.in_process import InProcessWorld
     from slidectl.extensions.journal.journal import Journal
     from slidectl.simulation.compiled import object_file
+    from slidectl.simulation.host import Host
     from slidectl.simulation.simulation import Simulation
 
     given = _marked(request)
     path = _journal_of(request)
     options = _options(given, request.path.parent, path)
-    journal = None if path is None else Journal(options)
+    host = Host() if path is None else Journal(options)
     try:
         with _told():
-            simulation = Simulation(**options.of_simulation())
-        world = InProcessWorld(simulation, journal)
+            simulation = Simulation(**options.of_simulation(), host=host)
+        world = InProcessWorld(simulation)
         request.node.stash.setdefault(_RUNS, []).append(
             _JournaledRun(path, _path_for(options), world.client, lambda: world.log)
         )
@@ -270,8 +271,7 @@ def slidectl_world(request: pytest.FixtureRequest) -> Iterator[InProcessWorld]:
         world.end_hint = f"more of it: @pytest.mark.{_MARKER}(sim_timeout={2 * limit_s:g})"
         yield world
     finally:
-        if journal is not None:
-            journal.close("the test is over")
+        host.close("the test is over")
 
 
 @pytest.fixture

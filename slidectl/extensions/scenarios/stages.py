@@ -151,38 +151,35 @@ class InProcess:
     @contextmanager
     def of(self, case: Case, journal: str = "") -> Iterator[Stage]:
         """Make the stage of a case; it writes a journal if a path is given. Raises SlidectlError: it cannot start."""
-        from slidectl.control import user_classes
         from slidectl.daemon.options import DaemonOptions
         from slidectl.daemon.time_limit import TimeLimit
         from slidectl.extensions.journal.journal import Journal
         from slidectl.simulation.compiled import object_file
+        from slidectl.simulation.host import Host
         from slidectl.simulation.simulation import Simulation
 
         wanted = dict(case.world)
         paused = wanted.pop("paused", False)
         if "gravity" in wanted:
             wanted["gravity"] = tuple(wanted["gravity"])
-        user_classes.limit = limit = TimeLimit()
-        notes = None
+        host = Host(TimeLimit())
         if journal:
-            notes = Journal(DaemonOptions(paused=paused, journal=os.path.abspath(journal), **wanted))
-            limit.on_end = notes.took_too_long
-        simulation = Simulation(**wanted)
+            host = Journal(DaemonOptions(paused=paused, journal=os.path.abspath(journal), **wanted), host)
+        simulation = Simulation(**wanted, host=host)
         simulation.engine.may_load = object_file.is_there()  # if it is not there, `warm` has started the compiler
-        stage = _WorldStage(simulation, notes)
+        stage = _WorldStage(simulation)
         stage.world.simulation.run.paused = paused
         try:
             yield stage
         finally:
-            if notes is not None:
-                notes.close("the case is over")
+            host.close("the case is over")
 
 
 class _WorldStage(Stage):
-    def __init__(self, simulation: Any, journal: Any) -> None:
+    def __init__(self, simulation: Any) -> None:
         from slidectl.daemon.in_process import InProcessWorld
 
-        self.world = InProcessWorld(simulation, journal)
+        self.world = InProcessWorld(simulation)
         self.client = self.world.client()
 
     def now_s(self) -> float:

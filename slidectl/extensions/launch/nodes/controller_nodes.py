@@ -91,7 +91,7 @@ class Spawner(_ControllerTask):
             values = {full.removeprefix(own): value for full, (value, _) in parameters.items() if full.startswith(own)}
             try:
                 found = ros2_names.counterpart(kind, values)
-                registry.find(kind if found is None else found.type)
+                registry.common.find(kind if found is None else found.type)
             except (registry.UnknownType, ros2_names.NoCounterpart) as error:
                 self._absent.add(name)
                 message = f"controller {names.join(self.namespace, name)}: {error.message}"
