@@ -118,6 +118,19 @@ def vector(element: Element, name: str, owner: str) -> Vector:
     return (x, y, z)
 
 
+def pose_numbers(element: Element, what: str) -> tuple[Vector, Vector]:
+    """Position and angles of an SDF `<pose>`: three numbers, or six. Gazebo takes three as a position without rotation.
+
+    Raises:
+        BadFile: another count, or what is not a number.
+    """
+    words = element.first_text.split()
+    if len(words) not in (3, 6):
+        raise element.error(f"{what} is 6 numbers, or 3 without its angles, not {element.first_text!r}")
+    x, y, z, roll, pitch, yaw = (parse_number(word, element, what) for word in [*words, "0", "0", "0"][:6])
+    return (x, y, z), (roll, pitch, yaw)
+
+
 def pose(origin: Element | None, owner: str) -> Pose:
     """The pose of an `<origin xyz rpy>`; missing parts are zero."""
     if origin is None:

@@ -8,7 +8,14 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping
 
-from slidectl.description.element_values import child_count, child_number, child_rate, child_text, parse_number
+from slidectl.description.element_values import (
+    child_count,
+    child_number,
+    child_rate,
+    child_text,
+    parse_number,
+    pose_numbers,
+)
 from slidectl.description.report import Report
 from slidectl.description.robot import (
     Bumper,
@@ -274,13 +281,7 @@ def _vector(element: Element, place: str) -> Vector:
 
 
 def _pose(element: Element, place: str) -> Pose:
-    words = element.first_text.split()
-    if not words:
-        return Pose()
-    if len(words) != 6:
-        raise element.error(f"{place}: <pose> is six numbers, not {element.first_text!r}")
-    x, y, z, roll, pitch, yaw = (parse_number(word, element, f"{place}/<pose>") for word in words)
-    return Pose((x, y, z), (roll, pitch, yaw))
+    return Pose(*pose_numbers(element, f"{place}/<pose>")) if element.first_text else Pose()
 
 
 def _moved(plugin: Element, origin: Pose, place: str) -> Pose:
