@@ -161,8 +161,9 @@ def _check(snapshot: Snapshot) -> None:
             raise ValueError(f"the fault {asked.name} has no name, no times or no seed")
 
 
-def _hull(path: str, scale: tuple[float, float, float], content: Any) -> tuple[MeshSource, Hull | BadMesh]:
-    return MeshSource(path, scale), BadMesh(content, path) if isinstance(content, str) else Hull(*content)
+def _hull(path: str, scale: tuple[float, float, float], *rest: Any) -> tuple[MeshSource, Hull | BadMesh]:
+    *kind, content = rest  # a file of an earlier version does not tell surfaces from hulls
+    return MeshSource(path, scale, *kind), BadMesh(content, path) if isinstance(content, str) else Hull(*content)
 
 
 # -- values ------------------------------------------------------------------------------------------------------------
