@@ -21,7 +21,7 @@ from pathlib import Path
 from urllib.parse import unquote
 
 from slidectl.description import models, xml_tree
-from slidectl.description.element_values import child_text, parse_number, pose_numbers
+from slidectl.description.element_values import LACKS_ANGLES, child_text, lacks_angles, parse_number, pose_numbers
 from slidectl.description.mesh_files import FORBIDDEN
 from slidectl.description.missing import Missing
 from slidectl.description.packages import Packages, UnknownPackage, is_file, shown
@@ -307,6 +307,8 @@ class _SceneReader:
         if title == GROUND_PLANE or is_ground(element):
             self.scene.has_ground = True
             return
+        for pose in filter(lacks_angles, element.walk()):
+            self.say("wrong", pose, LACKS_ANGLES)
         part = _ModelReader(self, title, element, version)
         place = at if at is not None else _pose_of(element)
         is_static = static if static is not None else _truth(element.find("static"))

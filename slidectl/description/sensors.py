@@ -9,10 +9,12 @@ import math
 from collections.abc import Collection, Mapping
 
 from slidectl.description.element_values import (
+    LACKS_ANGLES,
     child_count,
     child_number,
     child_rate,
     child_text,
+    lacks_angles,
     parse_number,
     pose_numbers,
 )
@@ -88,6 +90,8 @@ class SensorReader:
         name = sensor.get("name") or kind
         text = plugin.find("pose") or sensor.find("pose")
         origin = _pose(text, place) if text is not None else Pose()
+        if text is not None and lacks_angles(text):
+            self.report.wrong(text, LACKS_ANGLES, f"{place}/<pose>")
         rate = child_rate(sensor, "update_rate", 0.0, place)
         common = Sensor(name, link, "", "", rate, origin, 0.0)
         if kind in ("ray", "gpu_ray"):

@@ -197,6 +197,10 @@ def test_what_is_not_read_of_a_joint_or_an_include_is_reported(tmp_path: Path, m
 def test_a_pose_without_angles_is_a_position_as_in_gazebo() -> None:
     (model,) = scene("<pose>1 2 3</pose>" + box(more="<pose>0 0 1</pose>")).models
     assert model.pose == ((1.0, 2.0, 4.0), (0.0, 0.0, 0.0, 1.0))
+    found = scene("<pose>1 2 3 1</pose>" + box())
+    assert found.models[0].pose == ((1.0, 2.0, 3.0), (0.0, 0.0, 0.0, 1.0))
+    (notice,) = found.notices
+    assert "has not all three angles: it is a position without rotation" in notice.text
 
 
 @pytest.mark.parametrize(
