@@ -37,6 +37,7 @@ from slidectl.description.robot import (
 )
 from slidectl.description.transmissions import driving
 from slidectl.errors import Refused, SlidectlError
+from slidectl.physics import surfaces
 from slidectl.physics.hulls import Hull, Hulls, source_of
 from slidectl.physics.touching import ORDINARY, self_colliding
 from slidectl.rotations import (
@@ -75,6 +76,10 @@ GAZEBO_FRICTION = 1.0
 
 LARGEST_FRICTION = 1e6
 """Upper bound of coefficients, also for `Inf`: nothing slides at it, and its square is an exact number."""
+
+_ROUND = 0.95
+"""The least part of its radius to which a mesh that is a wheel reaches in every direction."""
+_DIRECTIONS = 36
 
 STEEPEST_AXLE = 0.5
 """Sine of the largest angle between the axle of a wheel and the ground on which its robot stands."""
@@ -319,7 +324,8 @@ def put_shapes(
 
     A wheel is an ellipsoid with the cylinder's radius and width: it touches the ground at the middle of its width. A
     cylinder touches along a line, whose ends would have to roll at different speeds when the robot turns. With the high
-    friction that wheels have in models they cannot slip, and the robot would not turn.
+    friction that wheels have in models they cannot slip, and the robot would not turn. A mesh that is round about the
+    axle is a wheel, too.
 
     Raises:
         BadShape: a size that is not positive, or a mesh that could not be read.
@@ -336,6 +342,11 @@ def put_shapes(
         position, attitude = compose(frame, (shape.origin.xyz, from_rpy(shape.origin.rpy)))
         if isinstance(shape.geometry, Mesh):
             hull = _hull_of(shape.geometry, robot, link, shape, hulls, is_surface)
+            if axle is not None and (wheel := _wheel_in(hull, (position, attitude), axle)):
+                position, radius, half_width = wheel
+                geom = add_geom(name, position, _turn_to(axle))
+                geom.type, geom.size = mujoco.mjtGeom.mjGEOM_ELLIPSOID, [radius, radius, half_width]
+                continue
             for piece, part in enumerate(hull.parts):
                 _put_mesh(spec, add_geom(f"{name}.{piece}" if piece else name, position, attitude), part)
             continue
@@ -353,6 +364,33 @@ def _is_wheel(shape: Shape, position: Vector, attitude: Quaternion, axle: Vector
         return False
     is_along = math.hypot(*cross(rotate(attitude, (0.0, 0.0, 1.0)), axle)) < 1e-2
     return is_along and math.hypot(*cross(position, axle)) < 1e-2 * cylinder.radius
+
+
+def _wheel_in(hull: Hull, place: Pose, axle: Vector) -> tuple[Vector, float, float] | None:
+    """Centre, radius and half the width of the wheel that a hull at this place is; None for another shape.
+
+    A wheel is round about the axle, which goes through the body's origin, and not wider than its diameter.
+    """
+    corners = surfaces.corners(hull.stl) @ np.array(matrix(place[1])).T + np.array(place[0])
+    along = corners @ np.array(axle)
+    sides = corners @ np.array(perpendicular(axle)).T
+    radius = float(np.linalg.norm(sides, axis=1).max())
+    width = float(np.ptp(along))
+    angles = np.arange(_DIRECTIONS) * (2.0 * math.pi / _DIRECTIONS)
+    reach = (sides @ np.stack([np.cos(angles), np.sin(angles)])).max(axis=0)
+    if width > 2.0 * radius or float(reach.min()) < _ROUND * radius:
+        return None
+    x, y, z = (float(along.max() + along.min()) / 2.0 * part for part in axle)
+    return (x, y, z), radius, width / 2.0
+
+
+def _turn_to(axis: Vector) -> Quaternion:
+    """The attitude (x y z w) of a frame whose z axis is this one."""
+    x, y, z = axis
+    if z < -1.0 + 1e-9:
+        return (1.0, 0.0, 0.0, 0.0)
+    length = math.sqrt(2.0 * (1.0 + z))
+    return (-y / length, x / length, 0.0, (1.0 + z) / length)
 
 
 def put_friction(geom: Any, mu: float) -> None:

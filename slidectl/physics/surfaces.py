@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from slidectl.description.meshes import Triangles, is_flat
+from slidectl.rotations import perpendicular
 
 Array = np.ndarray[Any, np.dtype[Any]]
 
@@ -107,6 +108,11 @@ def decoded(stl: bytes) -> list[bytes]:
     facets = _facets(stl)
     starts = np.flatnonzero(np.diff(facets["piece"])) + 1
     return [_written([(piece["corners"], 0)]) for piece in np.split(facets, starts)]
+
+
+def corners(stl: bytes) -> Array:
+    """The corners of all triangles of a file (n x 3)."""
+    return _facets(stl)["corners"].reshape(-1, 3).astype(np.float64)
 
 
 def _facets(stl: bytes) -> Array:
@@ -222,7 +228,7 @@ def _polygons(
     for pair in pairs:
         inner.setdefault(int(together[pair[0]]), []).append(pair)
     for group, faces in members.items():
-        axes = _plane(normals[group])
+        axes = np.array(perpendicular(tuple(normals[group].tolist())))
         flat = corners[faces] @ axes.T
         whole = _convex(flat.reshape(-1, 2), float(areas[faces].sum()))
         if whole is not None:
@@ -259,14 +265,6 @@ def _merged(
                 del points[second]
                 goes_on = True
     yield from points.items()
-
-
-def _plane(normal: Array) -> Array:
-    """Two axes (2 x 3) of a plane, so that the first, the second and the normal are a right-handed frame."""
-    least = np.eye(3)[np.argmin(np.abs(normal))]
-    first = np.cross(normal, least)
-    first /= np.linalg.norm(first)
-    return np.stack([first, np.cross(normal, first)])
 
 
 def _convex(flat: Array, area: float) -> list[int] | None:
