@@ -12,6 +12,7 @@ from itertools import product
 
 from slidectl.check.findings import Findings
 from slidectl.description.inertia import DENSEST, densest_ball, principal_moments
+from slidectl.description.rigid_bodies import surroundings
 from slidectl.description.robot import Box, Cylinder, Inertial, Link, Mesh, Robot, Shape, Vector, Verdict
 from slidectl.errors import BadFile
 from slidectl.rotations import from_rpy, matrix
@@ -31,8 +32,9 @@ Bounds = tuple[Vector, Vector]
 
 def tell(robot: Robot, findings: Findings) -> None:
     """Add findings on every link with an inertia, and on meshes that cannot be read."""
+    around = surroundings(robot)
     for link in robot.links.values():
-        corners = list(_corners(link, findings))
+        corners = list(_corners(link, link.name in around, findings))
         if link.inertial is not None and not link.inertial.mended:
             _Body(link, link.inertial, corners, findings).tell()
 
@@ -94,10 +96,13 @@ class _Body:
         self.findings.add(verdict, f"link {self.link.name!r}/<inertial>", text, self.link.file or "", line)
 
 
-def _corners(link: Link, findings: Findings) -> Iterator[Vector]:
-    """Corners of the boxes around all shapes of a link, in the link's frame. It reads the meshes."""
+def _corners(link: Link, is_around: bool, findings: Findings) -> Iterator[Vector]:
+    """Corners of the boxes around all shapes of a link, in the link's frame. It reads the meshes.
+
+    `is_around`: the link is part of the surroundings, whose meshes collide as their faces.
+    """
     for shape in (*link.visuals, *link.collisions):
-        bounds = _bounds(link, shape, findings)
+        bounds = _bounds(link, shape, is_around, findings)
         if bounds is not None:
             turn = matrix(from_rpy(shape.origin.rpy))
             for corner in product(*zip(*bounds, strict=True)):
@@ -108,10 +113,10 @@ def _corners(link: Link, findings: Findings) -> Iterator[Vector]:
                 yield x, y, z
 
 
-def _bounds(link: Link, shape: Shape, findings: Findings) -> Bounds | None:
+def _bounds(link: Link, shape: Shape, is_around: bool, findings: Findings) -> Bounds | None:
     geometry = shape.geometry
     if isinstance(geometry, Mesh):
-        return _mesh_bounds(link, shape, geometry, findings)
+        return _mesh_bounds(link, shape, geometry, is_around, findings)
     if isinstance(geometry, Box):
         x, y, z = geometry.size
     else:
@@ -120,7 +125,7 @@ def _bounds(link: Link, shape: Shape, findings: Findings) -> Bounds | None:
     return (-x / 2, -y / 2, -z / 2), (x / 2, y / 2, z / 2)
 
 
-def _mesh_bounds(link: Link, shape: Shape, mesh: Mesh, findings: Findings) -> Bounds | None:
+def _mesh_bounds(link: Link, shape: Shape, mesh: Mesh, is_around: bool, findings: Findings) -> Bounds | None:
     from slidectl.description import meshes
 
     if mesh.path is None:
@@ -129,7 +134,7 @@ def _mesh_bounds(link: Link, shape: Shape, mesh: Mesh, findings: Findings) -> Bo
     subject = f"link {link.name!r}/<{'collision' if collides else 'visual'}>/<mesh>"
     try:
         triangles = meshes.load(mesh.path, mesh.scale)
-        if collides and meshes.is_flat(triangles.vertices):
+        if collides and not is_around and meshes.is_flat(triangles.vertices):
             raise BadFile(meshes.FLAT, mesh.path)
     except BadFile as error:
         findings.add("wrong", subject, str(error), shape.file or "", shape.line)
@@ -137,7 +142,8 @@ def _mesh_bounds(link: Link, shape: Shape, mesh: Mesh, findings: Findings) -> Bo
             findings.refuse(BadFile(f"{subject}: {error}", shape.file, shape.line))
         return None
     if collides:
-        text = f"collides as its convex hull ({len(triangles.faces)} triangles as drawn)"
+        how = "its faces, if they are not too many" if is_around else "its convex hull"
+        text = f"collides as {how} ({len(triangles.faces)} triangles as drawn)"
         findings.add("converted", subject, text, shape.file or "", shape.line)
     low, high = triangles.vertices.min(axis=0), triangles.vertices.max(axis=0)
     return (float(low[0]), float(low[1]), float(low[2])), (float(high[0]), float(high[1]), float(high[2]))

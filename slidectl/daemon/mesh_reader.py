@@ -169,7 +169,7 @@ class _Job:
                 self.results[source] = BadMesh(_why(status), source.path)
             elif is_hull:
                 self.results[source] = hull = Hull(text, content)
-                self.unprepared.append(hull)
+                self.unprepared.extend(hull.parts)
             else:
                 self.results[source] = BadMesh(text, source.path)
 

@@ -118,6 +118,29 @@ def vector(element: Element, name: str, owner: str) -> Vector:
     return (x, y, z)
 
 
+def pose_numbers(element: Element, what: str) -> tuple[Vector, Vector]:
+    """Position and angles of an SDF `<pose>`. As in Gazebo, the angles are 0 unless all three of them are there.
+
+    Raises:
+        BadFile: fewer than three numbers, more than six, or what is not a number.
+    """
+    words = element.first_text.split()
+    if not 3 <= len(words) <= 6:
+        raise element.error(f"{what} is 6 numbers, or 3 without its angles, not {element.first_text!r}")
+    x, y, z, *angles = (parse_number(word, element, what) for word in words)
+    roll, pitch, yaw = angles if len(angles) == 3 else (0.0, 0.0, 0.0)
+    return (x, y, z), (roll, pitch, yaw)
+
+
+def lacks_angles(element: Element) -> bool:
+    """True for a `<pose>` with one or two angles, which have no effect."""
+    return element.tag == "pose" and len(element.first_text.split()) in (4, 5)
+
+
+LACKS_ANGLES = "has not all three angles: it is a position without rotation, as in Gazebo"
+"""The notice for a pose that `lacks_angles`."""
+
+
 def pose(origin: Element | None, owner: str) -> Pose:
     """The pose of an `<origin xyz rpy>`; missing parts are zero."""
     if origin is None:

@@ -6,13 +6,15 @@ Nothing is expanded or parsed here.
 from __future__ import annotations
 
 import os
+import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 from slidectl import input_files, paths
 from slidectl.description.packages import is_file
 from slidectl.description.xml_tree import MOST_BYTES
-from slidectl.errors import BadFile, UnknownName
+from slidectl.errors import BadFile, UnknownName, UsageError
 
 SUFFIXES = (".xacro", ".urdf", ".xml")
 
@@ -52,6 +54,26 @@ def read_file(path: Path, *, pipes: bool = False) -> bytes:
         if path.suffix in SUFFIXES and path.stem in shipped():
             error.hint = f"a shipped model goes by its name alone: {path.stem}"
         raise
+
+
+def xacro_words(words: Iterable[str]) -> tuple[dict[str, str], list[str]]:
+    """The arguments among the words of xacro's command line, by name, and the other words.
+
+    As with xacro, `name:=` leaves the model's own default, and `_name:=value` is a parameter of a node, of no effect.
+
+    Raises:
+        UsageError: a word has several `:=`.
+    """
+    arguments, others = {}, []
+    for word in words:
+        name, *values = (part.strip() for part in word.split(":="))
+        if len(values) > 1:
+            raise UsageError(f"xacro: {word!r} assigns twice", "write name:=value")
+        if not values:
+            others.append(word)
+        elif name and values[0] and not re.match(r"_[^_]", name):
+            arguments[name] = values[0]
+    return arguments, others
 
 
 def find(source: str | Path) -> Path:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from slidectl.description import inertia
 from slidectl.description.inertia import LEAST, Tensor
 from slidectl.description.report import Report
-from slidectl.description.robot import Inertial, Joint, Link, Pose, Vector
+from slidectl.description.robot import Inertial, Joint, Link, Pose, Robot, Vector
 from slidectl.description.xml_tree import Element
 from slidectl.errors import listing
 from slidectl.rotations import Matrix, from_rpy, matrix
@@ -284,3 +284,15 @@ def _product(a: Matrix, b: Matrix) -> Matrix:
 def _transposed(rows: Matrix) -> Matrix:
     x, y, z = zip(*rows, strict=True)
     return x, y, z
+
+
+def surroundings(robot: Robot) -> set[str]:
+    """The links that are fixed to the world and no parts of a machine: all of a model without moving parts.
+
+    Of a model with moving parts they are the links without mass: a table in the file of the arm that stands on it.
+    """
+    bodies = rigid_bodies(robot.root, robot.joints)
+    fixed = {link for body in bodies if not body.moves for link in body.links}
+    if all(not body.moves for body in bodies):
+        return fixed
+    return {link for link in fixed if robot.links[link].inertial is None}

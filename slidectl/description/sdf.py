@@ -21,7 +21,7 @@ from pathlib import Path
 from urllib.parse import unquote
 
 from slidectl.description import models, xml_tree
-from slidectl.description.element_values import child_text, parse_number
+from slidectl.description.element_values import LACKS_ANGLES, child_text, lacks_angles, parse_number, pose_numbers
 from slidectl.description.mesh_files import FORBIDDEN
 from slidectl.description.missing import Missing
 from slidectl.description.packages import Packages, UnknownPackage, is_file, shown
@@ -307,6 +307,8 @@ class _SceneReader:
         if title == GROUND_PLANE or is_ground(element):
             self.scene.has_ground = True
             return
+        for pose in filter(lacks_angles, element.walk()):
+            self.say("wrong", pose, LACKS_ANGLES)
         part = _ModelReader(self, title, element, version)
         place = at if at is not None else _pose_of(element)
         is_static = static if static is not None else _truth(element.find("static"))
@@ -733,10 +735,10 @@ def _pose(element: Element) -> Pose:
         raise element.error(f"<pose> is relative to {name!r}: frames by name are not read", "write it in its parent's")
     if not element.first_text:
         return ORIGIN
-    x, y, z, *angles = _values(element, 6)
+    (x, y, z), angles = pose_numbers(element, "<pose>")
     if element.get("degrees") in ("1", "true"):
-        angles = [math.radians(angle) for angle in angles]
-    return (x, y, z), from_rpy((angles[0], angles[1], angles[2]))
+        angles = (math.radians(angles[0]), math.radians(angles[1]), math.radians(angles[2]))
+    return (x, y, z), from_rpy(angles)
 
 
 def _colour(material: Element | None) -> str:

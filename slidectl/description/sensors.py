@@ -8,7 +8,16 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping
 
-from slidectl.description.element_values import child_count, child_number, child_rate, child_text, parse_number
+from slidectl.description.element_values import (
+    LACKS_ANGLES,
+    child_count,
+    child_number,
+    child_rate,
+    child_text,
+    lacks_angles,
+    parse_number,
+    pose_numbers,
+)
 from slidectl.description.report import Report
 from slidectl.description.robot import (
     Bumper,
@@ -81,6 +90,8 @@ class SensorReader:
         name = sensor.get("name") or kind
         text = plugin.find("pose") or sensor.find("pose")
         origin = _pose(text, place) if text is not None else Pose()
+        if text is not None and lacks_angles(text):
+            self.report.wrong(text, LACKS_ANGLES, f"{place}/<pose>")
         rate = child_rate(sensor, "update_rate", 0.0, place)
         common = Sensor(name, link, "", "", rate, origin, 0.0)
         if kind in ("ray", "gpu_ray"):
@@ -274,13 +285,7 @@ def _vector(element: Element, place: str) -> Vector:
 
 
 def _pose(element: Element, place: str) -> Pose:
-    words = element.first_text.split()
-    if not words:
-        return Pose()
-    if len(words) != 6:
-        raise element.error(f"{place}: <pose> is six numbers, not {element.first_text!r}")
-    x, y, z, roll, pitch, yaw = (parse_number(word, element, f"{place}/<pose>") for word in words)
-    return Pose((x, y, z), (roll, pitch, yaw))
+    return Pose(*pose_numbers(element, f"{place}/<pose>")) if element.first_text else Pose()
 
 
 def _moved(plugin: Element, origin: Pose, place: str) -> Pose:

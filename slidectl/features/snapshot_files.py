@@ -160,8 +160,9 @@ def _check(snapshot: Snapshot) -> None:
         raise ValueError("a feature has no list of its parts")
 
 
-def _hull(path: str, scale: tuple[float, float, float], content: Any) -> tuple[MeshSource, Hull | BadMesh]:
-    return MeshSource(path, scale), BadMesh(content, path) if isinstance(content, str) else Hull(*content)
+def _hull(path: str, scale: tuple[float, float, float], *rest: Any) -> tuple[MeshSource, Hull | BadMesh]:
+    *kind, content = rest  # a file of an earlier version does not tell surfaces from hulls
+    return MeshSource(path, scale, *kind), BadMesh(content, path) if isinstance(content, str) else Hull(*content)
 
 
 # -- values ------------------------------------------------------------------------------------------------------------

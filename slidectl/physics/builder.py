@@ -20,7 +20,7 @@ from slidectl.control.transmission_interface import LoadedTransmission, load
 from slidectl.description import interfaces
 from slidectl.description.inertia import LEAST, can_move, is_mass, why_impossible
 from slidectl.description.parser import TOO_DEEP, too_deep
-from slidectl.description.rigid_bodies import lumped, rigid_bodies
+from slidectl.description.rigid_bodies import lumped, rigid_bodies, surroundings
 from slidectl.description.robot import (
     Box,
     Cylinder,
@@ -37,6 +37,7 @@ from slidectl.description.robot import (
 )
 from slidectl.description.transmissions import driving
 from slidectl.errors import Refused, SlidectlError
+from slidectl.physics import surfaces
 from slidectl.physics.hulls import Hull, Hulls, source_of
 from slidectl.physics.touching import ORDINARY, self_colliding
 from slidectl.rotations import (
@@ -75,6 +76,10 @@ GAZEBO_FRICTION = 1.0
 
 LARGEST_FRICTION = 1e6
 """Upper bound of coefficients, also for `Inf`: nothing slides at it, and its square is an exact number."""
+
+_ROUND = 0.95
+"""The least part of its radius to which a mesh that is a wheel reaches in every direction."""
+_DIRECTIONS = 36
 
 STEEPEST_AXLE = 0.5
 """Sine of the largest angle between the axle of a wheel and the ground on which its robot stands."""
@@ -310,31 +315,46 @@ def put_shapes(
     bits: tuple[int, int],
     hulls: Hulls,
     axle: Vector | None = None,
+    is_surface: bool = False,
 ) -> None:
     """Add one geom per collision of the link, with these collision bits (contype, conaffinity).
 
     `frame` is the link's pose in the body, `hulls` has the hulls of its meshes. `axle`: the body turns about this axis
-    of its frame, and its cylinders about it are wheels.
+    of its frame, and its cylinders about it are wheels. `is_surface` is as in MeshSource: a mesh gets several geoms.
 
     A wheel is an ellipsoid with the cylinder's radius and width: it touches the ground at the middle of its width. A
     cylinder touches along a line, whose ends would have to roll at different speeds when the robot turns. With the high
-    friction that wheels have in models they cannot slip, and the robot would not turn.
+    friction that wheels have in models they cannot slip, and the robot would not turn. A mesh that is round about the
+    axle is a wheel, too.
 
     Raises:
         BadShape: a size that is not positive, or a mesh that could not be read.
     """
-    for number, shape in enumerate(link.collisions):
-        position, attitude = compose(frame, (shape.origin.xyz, from_rpy(shape.origin.rpy)))
-        geom = body.add_geom(name=_geom_name(robot, link, number), pos=position, quat=wxyz(attitude))
+
+    def add_geom(name: str, position: Vector, attitude: Quaternion) -> Any:
+        geom = body.add_geom(name=name, pos=position, quat=wxyz(attitude))
         geom.contype, geom.conaffinity = bits
         put_friction(geom, sliding_friction(link.surface))
+        return geom
+
+    for number, shape in enumerate(link.collisions):
+        name = f"{robot}/{link.name}/{number}"
+        position, attitude = compose(frame, (shape.origin.xyz, from_rpy(shape.origin.rpy)))
         if isinstance(shape.geometry, Mesh):
-            _put_mesh(spec, geom, robot, link, shape, hulls)
-        else:
-            geom.type, geom.size = _primitive(robot, link, shape)
-            if axle is not None and _is_wheel(shape, position, attitude, axle):
-                radius, half_width, _ = geom.size
+            hull = _hull_of(shape.geometry, robot, link, shape, hulls, is_surface)
+            if axle is not None and (wheel := _wheel_in(hull, (position, attitude), axle)):
+                position, radius, half_width = wheel
+                geom = add_geom(name, position, _turn_to(axle))
                 geom.type, geom.size = mujoco.mjtGeom.mjGEOM_ELLIPSOID, [radius, radius, half_width]
+                continue
+            for piece, part in enumerate(hull.parts):
+                _put_mesh(spec, add_geom(f"{name}.{piece}" if piece else name, position, attitude), part)
+            continue
+        geom = add_geom(name, position, attitude)
+        geom.type, geom.size = _primitive(robot, link, shape)
+        if axle is not None and _is_wheel(shape, position, attitude, axle):
+            radius, half_width, _ = geom.size
+            geom.type, geom.size = mujoco.mjtGeom.mjGEOM_ELLIPSOID, [radius, radius, half_width]
 
 
 def _is_wheel(shape: Shape, position: Vector, attitude: Quaternion, axle: Vector) -> bool:
@@ -346,14 +366,31 @@ def _is_wheel(shape: Shape, position: Vector, attitude: Quaternion, axle: Vector
     return is_along and math.hypot(*cross(position, axle)) < 1e-2 * cylinder.radius
 
 
-def mesh_names(robot: Robot, name: str) -> list[str]:
-    """The names of the meshes that `put_shapes` adds to the specification for a robot of this name."""
-    shapes = ((link, number, shape) for link in robot.links.values() for number, shape in enumerate(link.collisions))
-    return [_geom_name(name, link, number) for link, number, shape in shapes if isinstance(shape.geometry, Mesh)]
+def _wheel_in(hull: Hull, place: Pose, axle: Vector) -> tuple[Vector, float, float] | None:
+    """Centre, radius and half the width of the wheel that a hull at this place is; None for another shape.
+
+    A wheel is round about the axle, which goes through the body's origin, and not wider than its diameter.
+    """
+    corners = surfaces.corners(hull.stl) @ np.array(matrix(place[1])).T + np.array(place[0])
+    along = corners @ np.array(axle)
+    sides = corners @ np.array(perpendicular(axle)).T
+    radius = float(np.linalg.norm(sides, axis=1).max())
+    width = float(np.ptp(along))
+    angles = np.arange(_DIRECTIONS) * (2.0 * math.pi / _DIRECTIONS)
+    reach = (sides @ np.stack([np.cos(angles), np.sin(angles)])).max(axis=0)
+    if width > 2.0 * radius or float(reach.min()) < _ROUND * radius:
+        return None
+    x, y, z = (float(along.max() + along.min()) / 2.0 * part for part in axle)
+    return (x, y, z), radius, width / 2.0
 
 
-def _geom_name(robot: str, link: Link, number: int) -> str:
-    return f"{robot}/{link.name}/{number}"
+def _turn_to(axis: Vector) -> Quaternion:
+    """The attitude (x y z w) of a frame whose z axis is this one."""
+    x, y, z = axis
+    if z < -1.0 + 1e-9:
+        return (1.0, 0.0, 0.0, 0.0)
+    length = math.sqrt(2.0 * (1.0 + z))
+    return (-y / length, x / length, 0.0, (1.0 + z) / length)
 
 
 def put_friction(geom: Any, mu: float) -> None:
@@ -391,21 +428,22 @@ def _primitive(robot: str, link: Link, shape: Shape) -> tuple[Any, list[float]]:
     return kind, size
 
 
-def _put_mesh(spec: Any, geom: Any, robot: str, link: Link, shape: Shape, hulls: Hulls) -> None:
-    """Set a geom to the convex hull of a mesh. The hull is a file in the specification's memory. Raises BadShape.
+def _hull_of(mesh: Mesh, robot: str, link: Link, shape: Shape, hulls: Hulls, is_surface: bool) -> Hull:
+    """The hull or the surface of a mesh. Raises BadShape."""
+    if mesh.path is None:
+        raise BadShape(robot, link, shape, f"mesh {mesh.uri!r} was not found")
+    hull = hulls.get(source_of(mesh, is_surface))
+    if not isinstance(hull, Hull):
+        raise BadShape(robot, link, shape, f"mesh {hull.message if hull is not None else mesh.path + ' was not read'}")
+    return hull
+
+
+def _put_mesh(spec: Any, geom: Any, hull: Hull) -> None:
+    """Set a geom to a convex hull, which is a file in the specification's memory.
 
     MuJoCo caches its results for files, but not for vertices in the specification. The file's name is a hash of its
     content, so equal meshes share it.
     """
-    source = shape.geometry
-    assert isinstance(source, Mesh)
-    if source.path is None:
-        raise BadShape(robot, link, shape, f"mesh {source.uri!r} was not found")
-    hull = hulls.get(source_of(source))
-    if not isinstance(hull, Hull):
-        raise BadShape(
-            robot, link, shape, f"mesh {hull.message if hull is not None else source.path + ' was not read'}"
-        )
     spec.assets[hull.name] = hull.stl
     mesh = spec.add_mesh(name=geom.name, file=hull.name)
     mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
@@ -420,6 +458,7 @@ class RobotBuilder:
         self.robot = robot
         self.name = name
         self._self_colliding = self_colliding(robot)
+        self._surroundings = surroundings(robot)
         self.hulls = hulls
         self._motors = {
             joint.name
@@ -494,7 +533,8 @@ class RobotBuilder:
         body.gravcomp = 1.0 if lump.moves and lump.has_gravity is False else 0.0
         for name, link in links.items():
             bits = self._self_colliding.get(name, ORDINARY)
-            put_shapes(self.spec, body, self.name, link, lump.frames[name], bits, self.hulls, axle)
+            is_surface = name in self._surroundings
+            put_shapes(self.spec, body, self.name, link, lump.frames[name], bits, self.hulls, axle, is_surface)
 
     def _scalar(self, body: Any, joint: Joint) -> None:
         made = body.add_joint(name=self._named(joint.name), type=SCALAR_TYPES[joint.type], axis=self._axis(joint))

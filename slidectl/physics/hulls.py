@@ -1,4 +1,4 @@
-"""Meshes for collision: read from their files, and reduced to their convex hulls.
+"""Meshes for collision: read from their files, and reduced to their convex hulls, or to pieces of their surfaces.
 
 Time and memory depend on the file, so a driver does this in another process. The result is small, and the file is not
 needed afterwards. The `Hulls` of a robot are passed to the world with it.
@@ -7,7 +7,8 @@ needed afterwards. The `Hulls` of a robot are passed to the world with it.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 import mujoco
@@ -15,13 +16,17 @@ import numpy as np
 
 from slidectl.description import meshes
 from slidectl.description.meshes import BadMesh
+from slidectl.description.rigid_bodies import surroundings
 from slidectl.description.robot import Mesh, Robot
-from slidectl.physics import mujoco_library
+from slidectl.physics import mujoco_library, surfaces
 from slidectl.rotations import Vector
 
 MOST_VERTICES = 1000
 """Largest number of vertices of a hull. MuJoCo adds points one by one, the farthest first, and stops at this number: a
 ball's hull lacks 0.2 % of the radius. A hull of 10 000 takes 0.3 s to prepare, during which the world would stop."""
+
+_STOPGAP = b"slidectl hull"
+"""The beginning of the file of a hull that `fills_hollows`."""
 
 
 class MeshSource(NamedTuple):
@@ -29,31 +34,46 @@ class MeshSource(NamedTuple):
 
     path: str
     scale: Vector
+    is_surface: bool = False
+    """True when it collides as its faces: the mesh of a link of the surroundings."""
 
 
 class Hull(NamedTuple):
-    """A convex hull, in m."""
+    """A convex hull, or several that make up a surface, in m."""
 
     name: str
     """The hash of the content, with the suffix of the file type."""
     stl: bytes
-    """The surface as the content of a binary STL file."""
+    """The surface as the content of a binary STL file; of several hulls as `surfaces.encoded` has them."""
+
+    @property
+    def parts(self) -> list[Hull]:
+        """The convex hulls, each by itself."""
+        parts = surfaces.decoded(self.stl)
+        return [self] if len(parts) == 1 else list(map(hull_of, parts))
+
+    @property
+    def fills_hollows(self) -> bool:
+        """True for the hull of a mesh that should collide as its faces, and has too many."""
+        return self.stl.startswith(_STOPGAP)
 
 
 Hulls = Mapping[MeshSource, Hull | BadMesh]
 """The hull of each mesh of a robot, or the error."""
 
 
-def source_of(mesh: Mesh) -> MeshSource:
-    """The file and the scale of a mesh. Its file must have been found."""
+def source_of(mesh: Mesh, is_surface: bool) -> MeshSource:
+    """The file and the scale of a mesh. Its file must have been found. `is_surface` is as in MeshSource."""
     assert mesh.path is not None
-    return MeshSource(mesh.path, mesh.scale)
+    return MeshSource(mesh.path, mesh.scale, is_surface)
 
 
 def sources(robot: Robot) -> list[MeshSource]:
     """The collision meshes of a robot, each once, in the order of the file."""
-    shapes = (shape.geometry for link in robot.links.values() for shape in link.collisions)
-    return list(dict.fromkeys(source_of(mesh) for mesh in shapes if isinstance(mesh, Mesh) and mesh.path is not None))
+    around = surroundings(robot)
+    shapes = [(shape.geometry, link.name in around) for link in robot.links.values() for shape in link.collisions]
+    found = (source_of(mesh, is_surface) for mesh, is_surface in shapes if isinstance(mesh, Mesh) and mesh.path)
+    return list(dict.fromkeys(found))
 
 
 def read_all(robot: Robot) -> Hulls:
@@ -62,9 +82,9 @@ def read_all(robot: Robot) -> Hulls:
 
 
 def read(source: MeshSource) -> Hull | BadMesh:
-    """Read the hull of one mesh file. Returns the error if there is none."""
+    """Read the hull or the surface of one mesh file. Returns the error if there is none."""
     try:
-        return _hull(source)
+        return _surface(source) if source.is_surface else _hull(source)
     except BadMesh as error:
         return error
     except MemoryError:
@@ -72,20 +92,43 @@ def read(source: MeshSource) -> Hull | BadMesh:
 
 
 def prepare(hull: Hull) -> None:
-    """Let MuJoCo compute and cache its data of a hull, so that the compilation of a world is fast."""
-    try:
-        spec = _alone()
+    """Let MuJoCo compute and cache its data of one convex hull, so that the compilation of a world is fast."""
+    with suppress(ValueError, mujoco.FatalError):  # the compilation of the world raises it, with the robot's name
+        _compile([hull])
+
+
+def _compile(hulls: Sequence[Hull]) -> None:
+    """Compile a world of convex hulls. Raises ValueError or mujoco.FatalError."""
+    spec = _alone()
+    for number, hull in enumerate(hulls):
         spec.assets[hull.name] = hull.stl
-        _put(spec, spec.add_mesh(name="mesh", file=hull.name))
-        with mujoco_library.warnings_kept():
-            spec.compile()
-    except (ValueError, mujoco.FatalError):
-        return  # the compilation of the world raises the error, with the robot's name
+        _put(spec, spec.add_mesh(name=f"mesh{number}", file=hull.name))
+    with mujoco_library.warnings_kept():
+        spec.compile()
+
+
+def _surface(source: MeshSource) -> Hull:
+    """The pieces of a surface; its hull when it is convex, or has too many pieces. Raises BadMesh."""
+    mesh = meshes.load(source.path, source.scale)
+    pieces = surfaces.split(mesh)
+    if pieces is not None and len(pieces) > 1:
+        surface = hull_of(surfaces.encoded(pieces))
+        with suppress(ValueError, mujoco.FatalError):
+            _compile(surface.parts)
+            return surface
+    if pieces is not None and meshes.is_flat(mesh.vertices):
+        return hull_of(_stl(pieces[0]))
+    hull = _hull_of_points(mesh.vertices, source)
+    return hull if pieces is not None and len(pieces) == 1 else hull_of(_STOPGAP + hull.stl[len(_STOPGAP) :])
 
 
 def _hull(source: MeshSource) -> Hull:
     """Raises BadMesh."""
-    vertices = meshes.load(source.path, source.scale).vertices
+    return _hull_of_points(meshes.load(source.path, source.scale).vertices, source)
+
+
+def _hull_of_points(vertices: np.ndarray[Any, np.dtype[np.float64]], source: MeshSource) -> Hull:
+    """The convex hull of the vertices (n x 3) of a mesh. Raises BadMesh."""
     if meshes.is_flat(vertices):
         raise BadMesh(meshes.FLAT, source.path)
     spec = _alone()

@@ -15,7 +15,7 @@ import mujoco
 from slidectl.errors import SlidectlError
 from slidectl.physics import mujoco_library
 from slidectl.physics.body import Body
-from slidectl.physics.builder import RobotBuilder, mesh_names, put_friction
+from slidectl.physics.builder import RobotBuilder, put_friction
 from slidectl.physics.touching import put_robots
 from slidectl.rotations import Vector
 
@@ -68,8 +68,8 @@ class WorldSpec:
     def remove(self, body: Body) -> None:
         """Remove a robot, with its meshes and the constraints on its joints (mimic joints)."""
         self._spec.delete(self._spec.body(f"{body.name}/{body.robot.root}"))
-        for mesh in mesh_names(body.robot, body.name):
-            self._spec.delete(self._spec.mesh(mesh))
+        for mesh in [mesh for mesh in self._spec.meshes if mesh.name.startswith(f"{body.name}/")]:
+            self._spec.delete(mesh)
         used = {mesh.file for mesh in self._spec.meshes}
         for name in [name for name in self._spec.assets if name not in used]:
             del self._spec.assets[name]

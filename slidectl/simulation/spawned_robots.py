@@ -26,7 +26,8 @@ from slidectl.effects import Effect
 from slidectl.errors import BadFile, Refused, UnknownName
 from slidectl.physics import EngineError, Overlap, World
 from slidectl.physics.body import Body
-from slidectl.physics.hulls import Hulls
+from slidectl.physics.hulls import Hull, Hulls
+from slidectl.physics.hulls import sources as mesh_sources
 from slidectl.physics.robot_hw import MujocoRobotHW
 from slidectl.rotations import ORIGIN, Pose
 from slidectl.simulation.clock import SECOND
@@ -307,6 +308,7 @@ class Robots:
             for notice in robot.paper.report:
                 if notice.verdict in _SEVERITIES:
                     robot.node.log(_SEVERITIES[notice.verdict], f"{robot.name}: {notice}")
+            _warn_of_filled_hollows(robot)
             _warn_of_overlaps(robot, self._world)
             robot.taken = robot.taken.pop_all()
         if parsed.note:
@@ -472,6 +474,16 @@ def _control_period(plugin: ControlPlugin, step_ns: int, robot: SpawnedRobot) ->
     elif period_ns > step_ns:
         robot.node.log("warn", f"{robot.name}: controllers run slower than the simulation: {comparison}")
     return period_ns
+
+
+def _warn_of_filled_hollows(robot: SpawnedRobot) -> None:
+    """Log and keep in `robot.warnings` the meshes that collide as their hulls, although they should as their faces."""
+    for source in mesh_sources(robot.paper):
+        hull = robot.body.hulls.get(source)
+        if isinstance(hull, Hull) and hull.fills_hollows:
+            text = "has too many faces to collide as they are: its convex hull does, and its hollows are filled"
+            robot.warnings.append(f"{robot.name}: the mesh {source.path} {text}; a simpler mesh has hollows")
+            robot.node.log("warn", robot.warnings[-1])
 
 
 def _warn_of_overlaps(robot: SpawnedRobot, world: World) -> None:

@@ -317,6 +317,23 @@ def test_a_spawner_goes_on_waiting_for_its_topic_with_a_warning(slider: CommandL
     launched.interrupt()
 
 
+@pytest.mark.parametrize("script", ["spawner", "controller_manager"])
+def test_the_scripts_go_on_without_a_controller_that_has_no_parameters(
+    slider: CommandLine, write: Write, script: str
+) -> None:
+    verb = "spawn " if script == "controller_manager" else ""
+    node = control(f"{verb}joint_state_controller joint2_position_controller joint1_position_controller")
+    launched = Launched(slider, write(node.replace('"spawner"', f'"{script}"')))
+    launched.up()
+    assert states(slider) == dict.fromkeys(BOTH.split(), "running")
+    assert "no controller 'joint2_position_controller' in the parameters of /slider" in launched.text
+    assert "the controller joint2_position_controller is left out" in launched.text
+    launched.interrupt()
+    strict = slider("launch", "--strict", write(node.replace('"spawner"', f'"{script}"')))
+    assert strict.returncode == 1
+    assert "no controller 'joint2_position_controller'" in strict.stderr
+
+
 def test_a_spawner_that_finds_a_controller_loaded_fails_and_leaves_it_alone(slider: CommandLine, write: Write) -> None:
     slider.ok("controller", "spawn", "joint_state_controller")
     done = slider("launch", write(control("joint1_position_controller joint_state_controller")))

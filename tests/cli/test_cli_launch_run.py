@@ -265,10 +265,6 @@ def test_a_step_that_fails_ends_the_launch_and_names_its_place(slidectl: Command
 
 
 FAILURES = {
-    "a controller without parameters": (
-        SPAWN.format("") + CONTROL.replace("joint1_pos", "joint2_pos"),
-        "node /slider/control (controller_manager/spawner): no controller 'joint2_position_controller'",
-    ),
     "a controller that cannot be loaded": (
         SPAWN.format("") + CONTROL + '<param name="/slider/joint1_position_controller/joint" value="nix"/>',
         "cannot load joint1_position_controller",

@@ -194,6 +194,15 @@ def test_what_is_not_read_of_a_joint_or_an_include_is_reported(tmp_path: Path, m
     assert told[:3] == ["<physics>", "<static>", "<placement_frame>"]
 
 
+def test_a_pose_without_angles_is_a_position_as_in_gazebo() -> None:
+    (model,) = scene("<pose>1 2 3</pose>" + box(more="<pose>0 0 1</pose>")).models
+    assert model.pose == ((1.0, 2.0, 4.0), (0.0, 0.0, 0.0, 1.0))
+    found = scene("<pose>1 2 3 1</pose>" + box())
+    assert found.models[0].pose == ((1.0, 2.0, 3.0), (0.0, 0.0, 0.0, 1.0))
+    (notice,) = found.notices
+    assert "has not all three angles: it is a position without rotation" in notice.text
+
+
 @pytest.mark.parametrize(
     ("inside", "text"),
     [
@@ -201,7 +210,7 @@ def test_what_is_not_read_of_a_joint_or_an_include_is_reported(tmp_path: Path, m
         (box() + box(), "link 'link' is there twice"),
         (box(size="1 2"), "<size> is 3 numbers"),
         (box(size="1 2 nan"), "not a finite number"),
-        (box(more="<pose>1 2</pose>"), "<pose> is 6 numbers"),
+        (box(more="<pose>1 2</pose>"), "<pose> is 6 numbers, or 3 without its angles"),
         (box(more="<pose relative_to='x'>0 0 0 0 0 0</pose>"), "frames by name are not read"),
         ("<static>maybe</static>" + box(), "expected true or false"),
         (box() + "<joint name='j' type='fixed'><parent>link</parent></joint>", "lacks <child>"),

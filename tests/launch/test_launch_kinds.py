@@ -66,7 +66,6 @@ def test_each_is_what_it_is_here(workspace: Workspace, kind: str, args: str, fam
         ("gazebo_ros/spawn_model", "-model m -param d -J joint1 inf", "-J joint1 is a number, not 'inf'"),
         ("gazebo_ros/spawn_model", "-model m -parm d", "no option '-parm' here; did you mean -param?"),
         ("gazebo_ros/spawn_model", "-model m -param d extra", "does not understand 'extra'"),
-        ("gazebo_ros/spawn_model", "-model m -param d -gazebo_namespace /other", "there is one world"),
         ("gazebo_ros/spawn_model", "-model m -param d -x", "argument -x: expected 1 argument"),
         ("controller_manager/spawner", "", "needs the names of controllers"),
         ("controller_manager/spawner", "--timeot 3 a", "no option '--timeot' here; did you mean --timeout?"),
@@ -103,6 +102,15 @@ def test_a_number_is_a_value_however_it_is_written(workspace: Workspace) -> None
     made = task(workspace, "gazebo_ros/spawn_model", "-urdf -model m -param d -x -1e-3 -z -.5 -J m::j -2")
     assert isinstance(made, SpawnModel)
     assert (made.pose[0], made.joints) == ((-0.001, 0.0, -0.5), {"j": -2.0})
+
+
+def test_a_world_in_a_namespace_is_the_one_world(workspace: Workspace) -> None:
+    plan = workspace.plan(
+        '<node pkg="gazebo_ros" type="spawn_model" name="n" args="-model m -param d -gazebo_namespace /a/gazebo"/>'
+    )
+    node_kinds.tasks(plan, workspace.packages)
+    (notice,) = notices(plan)
+    assert "-gazebo_namespace /a/gazebo has no effect: there is one world, in /gazebo" in notice
 
 
 def test_attributes_that_only_mean_something_for_a_process_are_pointed_out(workspace: Workspace) -> None:

@@ -283,6 +283,23 @@ def test_xacro_runs_by_our_own_however_it_is_called(workspace: Workspace, comman
     assert "xacro:" not in xml
 
 
+def test_an_argument_of_xacro_without_a_value_leaves_the_default_of_the_model(workspace: Workspace) -> None:
+    declared = '<robot name="r" xmlns:xacro="x"><xacro:arg name="limited" default="true"/>'
+    workspace.write("urdf/limits.xacro", f'{declared}<link name="$(arg limited)"/></robot>')
+    for words, link in (("limited:=", "true"), ("'limited := '", "true"), ("'limited := no'", "no")):
+        plan = workspace.plan(f"""<param name="x" command="xacro $(find demo)/urdf/limits.xacro {words}"/>""")
+        assert f'<link name="{link}"/>' in str(plan.parameters()["/x"][0])
+        told = [notice.text for notice in plan.notices if "has no value: the model's own default counts" in notice.text]
+        assert bool(told) is (link == "true")
+
+
+def test_what_xacro_takes_for_a_parameter_of_a_node_is_no_argument(workspace: Workspace) -> None:
+    plan = workspace.plan('<param name="x" command="xacro $(find my_slider)/urdf/slider.xacro _namespace:=/left"/>')
+    assert "<robotNamespace>/slider</robotNamespace>" in str(plan.parameters()["/x"][0])
+    with pytest.raises(BadFile, match="'a:=b:=c' assigns twice"):
+        workspace.plan('<param name="x" command="xacro $(find my_slider)/urdf/slider.xacro a:=b:=c"/>')
+
+
 @pytest.mark.parametrize("name", ["xacro", "xacro.py"])
 def test_xacro_is_a_program_that_can_be_called_by_its_path(workspace: Workspace, name: str) -> None:
     path = workspace.value(f"$(find xacro)/{name}")

@@ -169,3 +169,12 @@ def test_lights_other_than_the_sun_are_reported(workspace: Workspace) -> None:
     found = world(workspace, '<light name="sun" type="directional"/>\n<light name="lamp" type="point"/>')
     assert [(notice.verdict, notice.line) for notice in found.notices] == [("ignored", 2)]
     assert "the light of pictures is that of the camera and the sun" in found.notices[0].text
+
+
+@pytest.mark.parametrize("argument", ["paused", "gui", "recording"])
+def test_a_boolean_argument_of_the_world_that_is_none_is_refused_by_its_name(
+    workspace: Workspace, argument: str
+) -> None:
+    include = '<include file="$(find gazebo_ros)/launch/empty_world.launch">{}</include>'
+    with pytest.raises(BadFile, match=f"the argument '{argument}' is 'maybe', which is neither true nor false"):
+        workspace.plan(include.format(f'<arg name="{argument}" value="maybe"/>'))

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from pathlib import Path
 
 import mujoco
+import numpy as np
 import pytest
 from physics_robots import at, block, box_inertial, tree
 
@@ -71,6 +73,26 @@ def test_a_wheel_touches_at_the_middle_of_its_width(
     assert (world.model.geom_type[-1] == mujoco.mjtGeom.mjGEOM_ELLIPSOID) == is_wheel
     if is_wheel:
         assert world.model.geom_size[-1].tolist() == [0.2, 0.2, 0.05]
+
+
+@pytest.mark.parametrize(("sides", "is_wheel"), [(24, True), (6, False)])
+def test_a_round_mesh_about_the_axle_is_a_wheel(tmp_path: Path, sides: int, is_wheel: bool) -> None:
+    rim = [(0.2 * math.cos(turn), 0.2 * math.sin(turn)) for turn in (2 * math.pi * k / sides for k in range(sides))]
+    places = [(x, y, z) for y in (0.03, 0.13) for x, z in rim]
+    path = tmp_path / "wheel.obj"
+    numbers = " ".join(str(k + 1) for k in range(sides)), " ".join(str(sides + k + 1) for k in range(sides))
+    path.write_text("".join(f"v {x} {y} {z}\n" for x, y, z in places) + "".join(f"f {face}\n" for face in numbers))
+    wheel = Link("wheel", box_inertial(1.0, (0.2, 0.2, 0.2)), collisions=(Shape(Mesh("wheel.obj", str(path))),))
+    base = Link("base", box_inertial(1.0, (0.2, 0.2, 0.2)))
+    world = World()
+    world.attach(tree([base, wheel], [Joint("axle", "continuous", "base", "wheel", axis=(0, 1, 0))], "base"), "cart")
+    assert (world.model.geom_type[-1] == mujoco.mjtGeom.mjGEOM_ELLIPSOID) == is_wheel
+    if is_wheel:
+        assert world.model.geom_size[-1] == pytest.approx([0.2, 0.2, 0.05], abs=1e-6)
+        assert world.model.geom_pos[-1] == pytest.approx([0.0, 0.08, 0.0], abs=1e-6)
+        turn = np.zeros(9)
+        mujoco.mju_quat2Mat(turn, world.model.geom_quat[-1])
+        assert turn.reshape(3, 3)[:, 2] == pytest.approx([0.0, 1.0, 0.0], abs=1e-9)
 
 
 def test_a_turntable_is_no_wheel() -> None:

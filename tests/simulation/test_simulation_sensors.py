@@ -170,7 +170,7 @@ def test_topics_of_sensors_go_with_their_robot() -> None:
     [
         (LASER.format(noise="").replace("<max>10</max>", "<max>0.1</max>"), "min is below its max"),
         (LASER.format(noise="").replace("<samples>5</samples>", "<samples>many</samples>"), "not a number"),
-        (LASER.format(noise="").replace("0 0 0.05 0 0 0", "0 0"), "six numbers"),
+        (LASER.format(noise="").replace("0 0 0.05 0 0 0", "0 0"), "<pose> is 6 numbers"),
         (LASER.format(noise="").replace("<samples>5</samples>", "<samples>inf</samples>"), "not a finite number"),
         (LASER.format(noise="").replace("<min_angle>-1.5707963267948966", "<min_angle>-inf"), "not a finite number"),
         (LASER.format(noise="").replace("<update_rate>20<", "<update_rate>1e-320<"), "its period above 2147483647 s"),

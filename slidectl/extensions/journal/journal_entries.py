@@ -19,8 +19,8 @@ from slidectl.errors import cut, listing
 from slidectl.physics.hulls import Hull, MeshSource, hull_of
 from slidectl.simulation.clock import NEVER
 
-_LARGEST_HULL = 2**20
-"""Bytes. A hull of the most vertices takes a tenth of it."""
+_LARGEST_HULL = 2**22
+"""Bytes. A surface of the most pieces takes half of it."""
 _LONGEST_SHOWN = 60
 _NUMBER_BYTES = 8
 
@@ -170,7 +170,9 @@ def _shown(value: Any) -> str:
 
 def mesh_entry(source: MeshSource, hull: Hull | BadMesh) -> dict[str, Any]:
     """One of the `meshes` of an entry."""
-    entry = {"path": source.path, "scale": list(source.scale)}
+    entry: dict[str, Any] = {"path": source.path, "scale": list(source.scale)}
+    if source.is_surface:
+        entry["surface"] = True
     if isinstance(hull, BadMesh):
         return {**entry, "bad": hull.reason}
     return {**entry, "name": hull.name, "hull": base64.b64encode(zlib.compress(hull.stl)).decode()}
@@ -183,7 +185,7 @@ def mesh_of(entry: Mapping[str, Any]) -> tuple[MeshSource, Hull | BadMesh]:
         raise ValueError("a mesh has a path and a scale")
     assert scale is not None
     x, y, z = scale
-    source = MeshSource(path, (x, y, z))
+    source = MeshSource(path, (x, y, z), entry.get("surface") is True)
     if isinstance(entry.get("bad"), str):
         return source, BadMesh(entry["bad"], path)
     try:

@@ -19,11 +19,11 @@ from typing import Any
 
 from slidectl import paths
 from slidectl.description.missing import passed_on, read_notes
-from slidectl.description.models import read_file
+from slidectl.description.models import read_file, xacro_words
 from slidectl.description.packages import is_file, shown
 from slidectl.description.robot import Notice
 from slidectl.description.xml_tree import MOST_BYTES
-from slidectl.errors import BadFile, NotThere, SlidectlError
+from slidectl.errors import BadFile, NotThere, SlidectlError, UsageError
 from slidectl.extensions.launch.plan import RosparamCommand, Setting
 from slidectl.extensions.launch.substitution import automatic, plain
 from slidectl.extensions.launch.supervision import run
@@ -216,12 +216,15 @@ def _before_xacro(command: list[str]) -> int | None:
 
 def _xacro_arguments(tag: Tag, command: list[str]) -> tuple[Path, dict[str, str]]:
     """The model's file, and the arguments for it."""
-    files, arguments = [], {}
-    for word in command:
-        name, given, value = word.partition(":=")
-        if given and name and not word.startswith("-"):
-            arguments[name] = value
-        elif not word.startswith("-"):
+    try:
+        arguments, others = xacro_words(command)
+    except UsageError as error:
+        raise tag.error(error.message, error.hint) from None
+    if empty := [word for word in command if word.strip().endswith(":=")]:
+        tag.notice("ignored", f"{', '.join(empty)} has no value: the model's own default counts, as with xacro itself")
+    files = []
+    for word in others:
+        if not word.startswith("-"):
             files.append(word)
         elif word not in _XACRO_FLAGS and not word.startswith("--verbosity"):
             raise tag.error(f"xacro's option {word!r} is not understood here", f"these are: {', '.join(_XACRO_FLAGS)}")

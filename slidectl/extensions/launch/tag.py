@@ -35,6 +35,7 @@ MOST_SECONDS = 60.0
 """The most time for reading the files, s of processor time, without running commands."""
 DEEPEST_INCLUDE = 60
 _MOST_INCLUDERS = 3
+_ONE_ARGUMENT = re.compile(r"\$\(\s*arg\s+([^\s)]+)\s*\)")
 _BOOLEANS = {"true": True, "1": True, "false": False, "0": False}
 
 
@@ -265,9 +266,14 @@ class Tag:
         for attribute in given:
             text = self.get(attribute) or ""
             if (value := boolean(text)) is None:
-                raise self.error(f"{attribute}: {text!r} is neither true nor false")
+                raise self.error(f"{attribute}: {self._named(attribute, text)} is neither true nor false")
             return value is (attribute == "if")
         return True
+
+    def _named(self, attribute: str, text: str) -> str:
+        """The attribute's text, and the argument whose value it is, if it is that of one argument, for a message."""
+        match = _ONE_ARGUMENT.fullmatch((self.element.get(attribute) or "").strip())
+        return f"the argument {match[1]!r} is {text!r}, which" if match else repr(text)
 
     # --- contents -------------------------------------------------------------------------------------------------
 

@@ -248,6 +248,7 @@ def _xacro(ctx: Context, argv: Sequence[str]) -> None:
     """Print the expanded model, or write it into the file of `-o`. Raises as `description.load`, mostly BadFile."""
     from slidectl import description
     from slidectl.description.missing import taken_over, write_notes
+    from slidectl.description.models import xacro_words
 
     parser = Parser(
         "xacro",
@@ -256,11 +257,10 @@ def _xacro(ctx: Context, argv: Sequence[str]) -> None:
         option("-i --inorder --xacro-ns --check-order --debug -q -v", "no effect", dest="idle"),
     )
     given = parser.parse(argv)
-    models = [word for word in given.words if ":=" not in word]
+    arguments, models = xacro_words(given.words)
     if len(models) != 1:
         raise UsageError(f"xacro takes one file, not {len(models)}", parser.get_usage().strip())
     lookup = package_lookup(())
-    arguments = dict(word.split(":=", 1) for word in given.words if ":=" in word)
     missing = taken_over()  # in a command of a launch file, whose launch decides what is left out
     try:
         document = description.load(models[0], arguments, lookup, missing=missing)

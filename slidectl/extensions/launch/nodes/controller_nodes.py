@@ -1,7 +1,7 @@
 """The scripts of controller_manager as nodes: spawner, unspawner, controller_manager and controller_group.
 
 The first two control controllers as long as the node runs. The other two act once; their errors end the launch, while
-the real scripts print errors and exit with code 0.
+the real scripts print errors and exit with code 0. A controller without parameters is left out, as by the real scripts.
 """
 
 from __future__ import annotations
@@ -58,6 +58,25 @@ class _ControllerTask(Task):
         """`start`, when the manager exists."""
         raise NotImplementedError
 
+    def configured(self, run: Run, manager: Manager, controllers: Sequence[str]) -> list[str]:
+        """The controllers that have parameters. The others are left out, as the scripts do, each with an error line.
+
+        Raises:
+            UnknownName: one has none, in a launch that leaves nothing out.
+        """
+        known = manager.configured()
+        found = []
+        for name in controllers:
+            if name in known or manager.is_configured(name):
+                found.append(name)
+                continue
+            error = UnknownName("controller", name, known, f"in the parameters of {self.namespace}")
+            if not run.plan.missing.keeps_going:
+                raise error
+            self.leave_out(run, f"the controller {name}", error)
+            self.warn(run, f"{error.message}\nthe controller {name} is left out")
+        return found
+
 
 class Spawner(_ControllerTask):
     """`spawner [--stopped] [--wait-for TOPIC] [--namespace NS] [--timeout S | --no-timeout] NAME|FILE.yaml...`"""
@@ -105,18 +124,13 @@ class Spawner(_ControllerTask):
     def act(self, run: Run, manager: Manager) -> str | None:
         if self.topic is not None and not self._is_open(run):
             return f"true on {self.topic}"
+        wanted = [name for name in self._controllers(run) if name not in self._absent]
+        controllers = self.configured(run, manager, wanted)
         goes_on = run.plan.missing.leaves_failures_out
-        controllers = [name for name in self._controllers(run) if name not in self._absent]
-        known = manager.configured()
-        unknown = [name for name in controllers if name not in known and not manager.is_configured(name)]
-        if unknown and not goes_on:
-            raise self._unknown(unknown[0], known)
         for name in controllers:
             try:
-                if name in unknown:
-                    raise self._unknown(name, known)
                 manager.load(name)
-            except (Refused, UnknownName) as error:
+            except Refused as error:
                 if not goes_on:
                     raise
                 self.leave_out(run, f"the controller {name}", error)
@@ -132,10 +146,6 @@ class Spawner(_ControllerTask):
             state = "loaded" if self.words.has("--stopped") else "running"
             self.settled(run, f"{', '.join(self.loaded)} {state} in {self.namespace}", controllers=self.loaded)
         return None
-
-    def _unknown(self, name: str, known: list[str]) -> UnknownName:
-        """The error for a name without parameters; it lists the names with parameters."""
-        return UnknownName("controller", name, known, f"in the parameters of {self.namespace}")
 
     def _start_some(self, run: Run, manager: Manager) -> None:
         """Start the controllers that can be started, and leave out the others."""
@@ -296,6 +306,8 @@ class ManagerScript(_ControllerTask):
         return f"controller_manager {self.command} {' '.join(self.controllers)}".rstrip()
 
     def act(self, run: Run, manager: Manager) -> str | None:
+        if "load" in _VERBS[self.command] and not self.goes_on:
+            self.controllers = self.configured(run, manager, self.controllers)
         for line in self._lines(manager):
             self.settled(run, line)
         failures: list[str] = []

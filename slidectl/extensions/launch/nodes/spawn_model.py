@@ -59,7 +59,8 @@ class SpawnModel(Task):
         if not words.one("-model"):
             raise self.error("needs a name for the robot: -model NAME")
         if words.one("-gazebo_namespace", "/gazebo").strip("/") != "gazebo":
-            raise self.error("there is one world, and it is in /gazebo", "leave -gazebo_namespace out")
+            text = f"-gazebo_namespace {words.one('-gazebo_namespace')} has no effect: there is one world, in /gazebo"
+            plan.notice("converted", node.place, node.full_name, text)
         self.asked_name = words.one("-model")
         self.model = names.legal_robot(self.asked_name)
         self.pose = _pose(words)
