@@ -33,7 +33,9 @@ LIST_LIMIT_S = 2.0
 _LOOK_AGAIN_S = 0.1
 
 
-@group(examples=["slidectl daemon start", "slidectl daemon start --rtf max --paused", "slidectl daemon status"])
+@group(
+    step=None, examples=["slidectl daemon start", "slidectl daemon start --rtf max --paused", "slidectl daemon status"]
+)
 def daemon() -> None:
     """Start, stop and watch the daemon that holds the world."""
 

@@ -9,7 +9,7 @@ from slidectl.cli.context import Context
 from slidectl.errors import Refused
 
 
-@command(examples=["slidectl doctor", "slidectl doctor --json"])
+@command(step=None, examples=["slidectl doctor", "slidectl doctor --json"])
 @click.pass_obj
 def doctor(ctx: Context) -> None:
     """Look whether slidectl can run here.
