@@ -175,7 +175,9 @@ class Registry:
             except BaseException as failure:  # a module may raise SystemExit and KeyboardInterrupt too
                 if interrupted:
                     raise
-                raise BrokenPart(part, self.kind, cause_of(failure)) from failure
+                # An error whose cause is no Exception counts as a real interrupt of the program.
+                cause = failure if isinstance(failure, Exception) else None
+                raise BrokenPart(part, self.kind, cause_of(failure)) from cause
         if expected := self._expected(found):
             raise WrongPart(part, self.kind, expected)
         return found
@@ -188,7 +190,8 @@ class Registry:
         except (Exception, SystemExit) as failure:
             if isinstance(failure, (SlidectlError, *passed)):
                 raise
-            raise PartFailed(part, self.kind, cause_of(failure)) from failure
+            cause = failure if isinstance(failure, Exception) else None
+            raise PartFailed(part, self.kind, cause_of(failure)) from cause
 
     def _claimed(self) -> dict[str, list[Part]]:
         return _installed()[0].get(self.group, {})

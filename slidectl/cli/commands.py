@@ -24,7 +24,7 @@ from slidectl.command_steps import CommandStep
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
-    from slidectl.entry_points import Part
+    from slidectl.entry_points import Part, PartError
 
 Callback = Callable[[click.Context, click.Parameter, Any], Any]
 
@@ -320,14 +320,24 @@ class Group(_Shared, click.Group):
 
         return installed_commands.below(self.entry_point(""))
 
-    def get_installed(self, ctx: click.Context, name: str) -> click.Command | None:
-        """The command that an installed package adds. Raises PartError for one that cannot be used; not in completion,
-        where it is None."""
+    def refused(self) -> list[PartError]:
+        """The commands of installed packages that are not used because of their names, with the reasons."""
         from slidectl.cli import installed_commands
+
+        return installed_commands.refusals(self.entry_point(""))
+
+    def find_installed(self, name: str) -> click.Command | None:
+        """The command that an installed package adds; None: there is none. Raises PartError: it cannot be used."""
+        from slidectl.cli import installed_commands
+
+        return installed_commands.find(self.entry_point(name))
+
+    def get_installed(self, ctx: click.Context, name: str) -> click.Command | None:
+        """As `find_installed`, but without an error in completion, where a command that cannot be used is None."""
         from slidectl.entry_points import PartError
 
         try:
-            return installed_commands.find(self.entry_point(name))
+            return self.find_installed(name)
         except PartError:
             if ctx.resilient_parsing:
                 return None
@@ -346,7 +356,7 @@ class Group(_Shared, click.Group):
         from slidectl.cli import installed_commands
 
         rows = installed_commands.rows(self.installed())
-        notes = installed_commands.refusals(self.entry_point(""))
+        notes = self.refused()
         if rows or notes:
             with formatter.section("Installed packages"):
                 if rows:

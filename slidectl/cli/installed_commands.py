@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from functools import cache
 from typing import Any
 
@@ -75,7 +74,9 @@ def rows(parts: dict[str, Part]) -> list[tuple[str, str]]:
 @cache
 def _load(part: Part) -> click.Command:
     """The command, under the name of its entry point. An exception that it raises names its package."""
-    command: click.Command = copy.copy(INSTALLED.load(part))
+    from copy import copy
+
+    command: click.Command = copy(INSTALLED.load(part))
     command.name = part.name.rpartition(".")[2]
 
     def blamed(method: Any) -> Any:
@@ -84,7 +85,7 @@ def _load(part: Part) -> click.Command:
                 try:
                     return method(*args, **given)
                 except SystemExit as leaving:
-                    raise click.exceptions.Exit(leaving.code if isinstance(leaving.code, int) else 1) from leaving
+                    raise click.exceptions.Exit(leaving.code if isinstance(leaving.code, int) else 1) from None
 
         return call
 

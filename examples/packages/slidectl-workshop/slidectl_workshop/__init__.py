@@ -1,0 +1,1 @@
+"""Parts for slidectl: the commands `nudge` and `sim now`, the gateway `udp` and the step `still`."""
