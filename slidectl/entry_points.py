@@ -34,6 +34,16 @@ class Part(NamedTuple):
     version: str
 
     @property
+    def module(self) -> str:
+        """The module of the value."""
+        return self.value.partition(":")[0].strip()
+
+    @property
+    def attr(self) -> str:
+        """The attribute of the value, without the extras that may follow it."""
+        return self.value.partition(":")[2].partition("[")[0].strip()
+
+    @property
     def owner(self) -> str:
         """The package with its version."""
         return f"{self.package} {self.version}".strip()
@@ -168,10 +178,9 @@ class Registry:
         Raises:
             BrokenPart: its module fails or has no such attribute. WrongPart: it is not of this kind.
         """
-        module, _, attribute = part.value.partition(":")
         with _interrupts() as interrupted:
             try:
-                found = _imported(module.strip(), attribute.partition("[")[0].strip())
+                found = _imported(part.module, part.attr)
             except BaseException as failure:  # a module may raise SystemExit and KeyboardInterrupt too
                 if interrupted:
                     raise

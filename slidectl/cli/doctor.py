@@ -24,12 +24,13 @@ if TYPE_CHECKING:
 
 _REGISTRIES = (
     "slidectl.cli.installed_commands:INSTALLED",
-    "slidectl.extensions.gateways.kinds:GATEWAYS",
+    "slidectl.control.registry:INSTALLED",
+    "slidectl.description.gazebo_tags:HARDWARE",
+    "slidectl.extensions.gateways.gateway_kinds:GATEWAYS",
     "slidectl.extensions.scenarios.commands.step_runner:STEP_KINDS",
 )
 """What installed packages may add to, as `module:attribute`."""
 _IMPORT_LIMIT_S = 20.0
-_TRY = "import sys; from slidectl.cli.doctor import try_part; try_part(*sys.argv[1:])"
 
 
 @command(step=None, examples=["slidectl doctor", "slidectl doctor --json"])
@@ -87,7 +88,8 @@ def _registry(place: str) -> Registry:
 def _trouble(place: str, kind: str, part: Part) -> str:
     """Why a part cannot be used; empty if it can. A process of its own imports it, since an import may do anything."""
     what = f"the {kind} {part.name!r} of {part.owner} cannot be loaded"
-    argv = [sys.executable, "-P", "-c", _TRY, place, part.name]
+    code = f"import sys; from {__name__} import {try_part.__name__} as run; run(*sys.argv[1:])"
+    argv = [sys.executable, "-P", "-c", code, place, part.name]
     try:
         done = subprocess.run(
             argv, stdin=subprocess.DEVNULL, capture_output=True, timeout=_IMPORT_LIMIT_S, check=False,

@@ -14,24 +14,34 @@ from importlib import import_module
 from pathlib import Path
 from pkgutil import iter_modules
 from types import ModuleType
-from typing import TYPE_CHECKING, TypeVar
+from typing import Any, TypeVar
 
 from slidectl.control import hardware_types, user_classes
 from slidectl.control.controller_interface import Compiled, ControllerBase
 from slidectl.control.user_classes import ControllerClass
+from slidectl.entry_points import Registry
 from slidectl.errors import BadFile, Refused, UnknownName
-
-if TYPE_CHECKING:
-    from importlib.metadata import EntryPoint
 
 C = TypeVar("C", bound=type[ControllerBase])
 
 BASE_CLASS = "controller_interface::ControllerBase"
-ENTRY_POINTS = "slidectl.controllers"
-"""The entry point group in which an installed package names its controllers: a type, and `module:Class`."""
 _known: dict[str, ControllerClass] = {}
 _registered: set[str] = set()
 """Modules that were added. A further simulation in this process may add them again without an error."""
+
+
+def _shipped() -> set[str]:
+    _import_shipped()
+    return {name for name, cls in _known.items() if not user_classes.is_of_a_user(cls)}
+
+
+def _expected(found: Any) -> str:
+    is_controller = isinstance(found, type) and issubclass(found, ControllerBase)
+    return "" if is_controller else "class derived from slidectl.control.Controller"
+
+
+INSTALLED = Registry("slidectl.controllers", "controller type", _shipped, _expected)
+"""The types that installed packages name. They are looked up only when a type is unknown."""
 
 
 class UnknownType(UnknownName):
@@ -57,7 +67,7 @@ def controller(*type_names: str) -> Callable[[C], C]:
 def types() -> list[str]:
     """All registered types and those of installed packages, alphabetical."""
     _import_shipped()
-    return sorted({*_known, *_entry_points()})
+    return sorted({*_known, *INSTALLED.parts()})
 
 
 def find(type_name: str) -> ControllerClass:
@@ -65,11 +75,12 @@ def find(type_name: str) -> ControllerClass:
 
     Raises:
         UnknownType: no class has this type. BadFile: the code of the installed package that names it fails.
+        PartError: several packages claim it.
     """
     _import_shipped()
     cls = _known.get(type_name)
     if cls is None:
-        point = _entry_points().get(type_name)
+        point = INSTALLED.find(type_name)
         if point is None:
             raise UnknownType(type_name, types())
         module = user_classes.import_named(point.module)
@@ -169,14 +180,6 @@ def _all_or_nothing() -> Iterator[dict[str, ControllerClass]]:
         _known.clear()
         _known.update(before)
         raise
-
-
-@cache
-def _entry_points() -> dict[str, EntryPoint]:
-    """Types that installed packages name. Read only when a type is unknown, since reading the metadata takes long."""
-    from importlib.metadata import entry_points
-
-    return {point.name: point for point in entry_points(group=ENTRY_POINTS)}
 
 
 @cache

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from slidectl import processes
 from slidectl.client.link import command
 from slidectl.errors import EXIT_DONE, Refused, SlidectlError, TimedOut
-from slidectl.extensions.gateways import kinds
+from slidectl.extensions.gateways import gateway_kinds
 from slidectl.logfile import LogFile
 from slidectl.operating_system import return_large_blocks
 from slidectl.paths import InstancePaths, instance, make_private
@@ -56,7 +56,7 @@ def find_all(paths: InstancePaths) -> list[RunningGateway]:
     except OSError:  # there is no folder: no daemon has ever run
         return []
     others = sorted(name.removeprefix(begin).removesuffix(end) for name in names)
-    return [found for kind in dict.fromkeys([*kinds.OURS, *others]) if (found := find(paths, kind)) is not None]
+    return [found for kind in dict.fromkeys([*gateway_kinds.OURS, *others]) if (found := find(paths, kind)) is not None]
 
 
 def log_file(paths: InstancePaths, kind: str) -> Path:
@@ -132,7 +132,7 @@ def run(paths: InstancePaths, kind: str, options: dict[str, Any], opened: Callab
         Refused: a gateway of that kind runs already, a port is taken, or a library is missing. NoDaemon, UnknownName.
         PartError: an installed package that adds it is broken.
     """
-    gateway_class = kinds.load(kind)
+    gateway_class = gateway_kinds.load(kind)
     import asyncio
 
     from slidectl.extensions.gateways.gateway import serve
@@ -142,8 +142,8 @@ def run(paths: InstancePaths, kind: str, options: dict[str, Any], opened: Callab
         opened(address)
 
     return_large_blocks()
-    part = kinds.find(kind)
-    with nullcontext() if part is None else kinds.GATEWAYS.running(part), _locked(paths, kind) as tell:
+    part = gateway_kinds.find(kind)
+    with nullcontext() if part is None else gateway_kinds.GATEWAYS.running(part), _locked(paths, kind) as tell:
         asyncio.run(serve(gateway_class(gateway_class.Options(**options)), paths, listens))
 
 

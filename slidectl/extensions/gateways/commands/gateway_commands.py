@@ -15,8 +15,8 @@ from slidectl.cli.context import Context
 from slidectl.client.link import command
 from slidectl.entry_points import Part, PartError
 from slidectl.errors import NoDaemon, Refused
-from slidectl.extensions.gateways import kinds
-from slidectl.extensions.gateways.kinds import GATEWAYS
+from slidectl.extensions.gateways import gateway_kinds
+from slidectl.extensions.gateways.gateway_kinds import GATEWAYS
 
 if TYPE_CHECKING:
     from slidectl.extensions.gateways.process import RunningGateway
@@ -165,7 +165,7 @@ def _command_of(part: Part) -> click.Command:
 
     from slidectl.extensions.gateways.gateway import GatewayOptions
 
-    gateway_class: Any = kinds.load(part.name)
+    gateway_class: Any = gateway_kinds.load(part.name)
     options: list[click.Parameter] = []
     with GATEWAYS.running(part):
         of_all = {field.name for field in dataclasses.fields(GatewayOptions)}
@@ -210,7 +210,7 @@ def status(ctx: Context) -> None:
 
 def known(kind: str) -> str:
     """The name of a gateway, unchanged. Raises UnknownName, PartError."""
-    kinds.find(kind)
+    gateway_kinds.find(kind)
     return kind
 
 
