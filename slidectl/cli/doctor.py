@@ -26,6 +26,7 @@ _REGISTRIES = (
     "slidectl.cli.installed_commands:INSTALLED",
     "slidectl.control.registry:INSTALLED",
     "slidectl.description.gazebo_tags:HARDWARE",
+    "slidectl.description.sensors:INSTALLED",
     "slidectl.extensions.gateways.gateway_kinds:GATEWAYS",
     "slidectl.extensions.scenarios.commands.step_runner:STEP_KINDS",
 )

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from command_line import CommandLine, Done
+from command_line import ROOT, CommandLine, Done
 from daemon_fixture import Runtime
 from installed_package import WORKSHOP, install, write_package
 
@@ -149,6 +149,60 @@ def test_an_unknown_gateway_starts_no_daemon(packages: Installed) -> None:
     assert packages("daemon", "status").returncode == 3
 
 
+def model(tmp_path: Path, sensor: str) -> str:
+    """A slider whose base carries a sensor half a metre above the ground."""
+    text = (ROOT / "models" / "slider.xacro").read_text(encoding="utf-8")
+    tag = f'<gazebo reference="base_link">{sensor}</gazebo></robot>'
+    file = tmp_path / "model.xacro"
+    file.write_text(text.replace("</robot>", tag), encoding="utf-8")
+    return str(file)
+
+
+CLEARANCE = """<sensor name="down" type="clearance"><update_rate>10</update_rate><topic>down</topic>
+<pose>3 0 0.5 0 0 0</pose><range><max>{}</max></range></sensor>"""
+
+
+def test_a_package_adds_a_sensor(workshop: Installed, tmp_path: Path) -> None:
+    workshop.ok("daemon", "start", "--paused")
+    workshop.ok("spawn", model(tmp_path, CLEARANCE.format(4)))
+    echo = workshop.start("echo", "/slider/down", "-n", "1", "--json")
+    workshop.until_subscribed("/slider/down")
+    workshop.ok("sim", "step", "1000")
+    heard = json.loads(echo.communicate(timeout=30)[0])
+    message = heard.get("msg", heard)
+    assert (message["header"]["frame_id"], message["max_range"]) == ("base_link", 4.0)
+    assert message["range"] == pytest.approx(0.5, abs=0.2)
+    checked = workshop("check", model(tmp_path, CLEARANCE.format(4)))
+    [line] = [line for line in checked.stdout.splitlines() if 'type="clearance"' in line]
+    assert line.split()[1] == "used"
+    done = workshop("spawn", model(tmp_path, CLEARANCE.format("far")), "-n", "other")
+    assert done.returncode != 0
+    assert "<sensor>/<range/max>" in done.stderr
+    assert json.loads(workshop.ok("robots", "--json"))["name"] == "slider"
+
+
+def test_a_sensor_that_fails_stops_nothing_else(packages: Installed, tmp_path: Path) -> None:
+    text = (
+        "from slidectl.simulation import SensorKind\nclass Bad(SensorKind):\n    message_type = 'std_msgs/Float64'\n"
+        "    def measure(self, view):\n        raise SystemExit('no')\n"
+    )
+    points = {"bad": "bad_sensor:Bad", "gone": "no_module:Gone"}
+    packages.add("slidectl-bad", "slidectl.sensors", points, bad_sensor=text)
+    packages.ok("daemon", "start", "--paused")
+    file = model(tmp_path, '<sensor name="one" type="bad"/><sensor name="two" type="nothing"/>')
+    known = "sensors here are ray, gpu_ray, imu, contact, camera, bad, gone, not 'nothing'"
+    assert known in packages("check", file).stdout
+    packages.ok("spawn", file)
+    with packages.client() as client, client.subscribe("/slider/one", "std_msgs/Float64"):
+        client.step(3)
+    log = packages.ok("daemon", "logs")
+    assert log.count("sensor one: SystemExit: no") == 1
+    assert log.count("it measures nothing more") == 1
+    done = packages("spawn", model(tmp_path, '<sensor name="one" type="gone"/>'), "-n", "other")
+    assert "the sensor 'gone' of slidectl-bad 1.0 cannot be loaded: ModuleNotFoundError" in refused(done)
+    assert "pip uninstall slidectl-bad" in done.stderr
+
+
 def test_a_package_adds_a_step(workshop: Installed, scenario: Callable[..., str]) -> None:
     begin = ("spawn: slider --controllers config/slider_control.yaml --start joint_state_controller", "nudge: joint1 9")
     file = scenario(*begin, "sim now", "at: 0.1", "{still: 0.02, within: 60}")
@@ -171,7 +225,8 @@ def test_what_packages_add_is_listed(workshop: Installed) -> None:
         assert section.split()[:3] == [name, "slidectl-workshop", "1.0:"]
     lines = [line for line in workshop.ok("doctor").splitlines() if "extensions:" in line]
     assert lines == [
-        "ok         extensions: slidectl-workshop 1.0: command nudge, command sim.now, gateway udp, step still"
+        "ok         extensions: slidectl-workshop 1.0: "
+        "command nudge, command sim.now, sensor clearance, gateway udp, step still"
     ]
     words = {"_SLIDECTL_COMPLETE": "bash_complete", "COMP_CWORD": "1"}
     assert "plain,nudge" in workshop("", COMP_WORDS="slidectl nu", **words).stdout

@@ -1,1 +1,1 @@
-"""Parts for slidectl: the commands `nudge` and `sim now`, the gateway `udp` and the step `still`."""
+"""Parts for slidectl: the commands `nudge` and `sim now`, and one each of gateways, sensors and steps."""
