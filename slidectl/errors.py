@@ -196,7 +196,8 @@ class UnknownName(SlidectlError):
 
     def __init__(self, kind: str, name: str, known: Sequence[str], where: str = "") -> None:
         inside = f" {where}" if where else ""
-        plural = kind if kind.endswith("s") else f"{kind[:-1]}ies" if kind.endswith("y") else f"{kind}s"
+        is_irregular = kind.endswith("y") and kind[-2:-1] not in "aeiou"
+        plural = kind if kind.endswith("s") else f"{kind[:-1]}ies" if is_irregular else f"{kind}s"
         super().__init__(f"no {kind} {quoted(name)}{inside}.{_suggestion(name, known)}", f"{plural}: {listing(known)}")
         self.kind = kind
         self.name = name

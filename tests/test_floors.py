@@ -13,7 +13,7 @@ from pathlib import Path
 PACKAGE = Path(__file__).parent.parent / "slidectl"
 
 FLOORS = {
-    "effects": 0, "errors": 0, "local_peers": 0,
+    "command_steps": 0, "effects": 0, "entry_points": 0, "errors": 0, "local_peers": 0,
     "names": 0, "expressions": 0, "fault_kinds": 0, "held_bytes": 0, "input_files": 0,
     "operating_system": 0, "paths": 0,
     "logfile": 1, "processes": 1,
@@ -40,6 +40,8 @@ SAME_FLOOR = {
 }
 
 FORBIDDEN = {
+    "command_steps": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
+    "entry_points": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "effects": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "local_peers": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml"},
     "errors": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
@@ -103,6 +105,8 @@ LINUX_PATHS = ("/proc/", "/sys/", "/dev/shm")
 
 # The daemon's life cycle and journals are all that the command line takes from the daemon's floor directly.
 CLI_MAY_TAKE = {
+    "command_steps",
+    "entry_points",
     "effects",
     "errors",
     "names",

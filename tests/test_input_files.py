@@ -148,6 +148,7 @@ ELSEWHERE = {
     "daemon/lifecycle.py": "a pipe to the new daemon",
     "daemon/mesh_reader.py": "a pipe to the daemon",
     "local_peers.py": "/proc",
+    "entry_points.py": "the metadata of installed packages",
     "gateways/process.py": "the lock of a gateway, which slidectl wrote, and a pipe to it",
     "operating_system.py": "/proc, and files in memory, which are written",
     "msgs/definitions.py": "the package's own definitions of messages",

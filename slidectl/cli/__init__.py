@@ -1,6 +1,7 @@
 """The command line: it parses, calls the client and prints. No other package of slidectl imports this one.
 
-`entry` is the console script. It must stay cheap to import: the command's own module, YAML, rich and the
+It exports the names that authors of commands import, as in `from slidectl.cli import command`; they are imported on
+first use. `entry` is the console script. It must stay cheap to import: the command's own module, YAML, rich and the
 rest are imported inside the functions that need them.
 """
 
@@ -12,12 +13,27 @@ import sys
 
 TYPE_CHECKING = False  # the import of typing takes milliseconds in which no code handles Ctrl-C
 if TYPE_CHECKING:
-    from typing import NoReturn
+    from typing import Any, NoReturn
+
+    from slidectl.cli.commands import Command, Group, command, group
+    from slidectl.cli.context import Context
+    from slidectl.command_steps import CommandStep, StepEffects
+
+__all__ = ["Command", "CommandStep", "Context", "Group", "StepEffects", "command", "entry", "group"]
 
 _INTERRUPTED = 130
 # New objects between two garbage collections: more than a short command makes (collections took a tenth of its time),
 # and few enough for a command that follows a topic for days.
 _GARBAGE_THRESHOLD = 100_000
+
+
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module 'slidectl.cli' has no attribute {name!r}")
+    from slidectl import command_steps
+    from slidectl.cli import commands, context
+
+    return next(getattr(module, name) for module in (context, command_steps, commands) if hasattr(module, name))
 
 
 def entry() -> NoReturn:

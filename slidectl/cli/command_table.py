@@ -1,11 +1,16 @@
-"""The table of the commands. It is data: to name a command and its help imports nothing.
+"""The table of slidectl's own commands. It is data: to name a command and its help imports nothing.
 
 The module of a command has a click command of the command's name (`assert_`: a keyword; `ros_commands`: ros-commands).
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from importlib import import_module
+from keyword import iskeyword
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    import click
 
 
 class Entry(NamedTuple):
@@ -89,3 +94,10 @@ COMMANDS = {
     for section, commands in _SECTIONS.items()
     for name, (module, text) in commands.items()
 }
+
+
+def load(name: str, entry: Entry) -> click.Command:
+    """Import the module of a command and return the command."""
+    attribute = name.replace("-", "_") + "_" * iskeyword(name)
+    command: click.Command = getattr(import_module(entry.module), attribute)
+    return command

@@ -12,13 +12,19 @@ import re
 from collections.abc import Callable, Sequence
 from functools import cache
 from itertools import takewhile
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from slidectl import names
 from slidectl.cli import output
 from slidectl.cli.context import Context
+from slidectl.command_steps import CommandStep
+
+if TYPE_CHECKING:
+    from click.shell_completion import CompletionItem
+
+    from slidectl.entry_points import Part, PartError
 
 Callback = Callable[[click.Context, click.Parameter, Any], Any]
 
@@ -175,12 +181,22 @@ class Variadic(click.Option):
         self.takes = takes or (lambda token: not token.startswith("-") or token == "-")
 
 
-class _Shared(click.Command):
-    """Base class of commands and groups. `examples` are complete command lines."""
+_PLAIN_STEP = CommandStep()
 
-    def __init__(self, *args: Any, examples: Sequence[str] = (), **attributes: Any) -> None:
+
+class _Shared(click.Command):
+    """Base class of commands and groups. `examples` are complete command lines.
+
+    `step` says what the command is as a step of a scenario; with None it cannot be one. That of a group is that of its
+    commands, unless they have one of their own.
+    """
+
+    def __init__(
+        self, *args: Any, examples: Sequence[str] = (), step: CommandStep | None = _PLAIN_STEP, **attributes: Any
+    ) -> None:
         super().__init__(*args, **attributes)
         self.examples = tuple(examples)
+        self.step = step
 
     def get_help_option_names(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
         return ["-h", "--help"]
@@ -287,6 +303,75 @@ class Group(_Shared, click.Group):
             ctx.exit(2)
         return super().parse_args(ctx, args)
 
+    def add_command(self, cmd: click.Command, name: str | None = None) -> None:
+        if isinstance(cmd, _Shared) and cmd.step is _PLAIN_STEP:
+            cmd.step = self.step
+        super().add_command(cmd, name)
+
+    # --- commands of installed packages: `list_commands` does not have them, since to look for them takes time ---
+
+    def entry_point(self, name: str) -> str:
+        """The name of the entry point of a command of this group."""
+        return f"{self.name}.{name}"
+
+    def installed(self) -> dict[str, Part]:
+        """The commands of this group that installed packages add."""
+        from slidectl.cli import installed_commands
+
+        return installed_commands.below(self.entry_point(""))
+
+    def refused(self) -> list[PartError]:
+        """The commands of installed packages that are not used because of their names, with the reasons."""
+        from slidectl.cli import installed_commands
+
+        return installed_commands.refusals(self.entry_point(""))
+
+    def find_installed(self, name: str) -> click.Command | None:
+        """The command that an installed package adds; None: there is none. Raises PartError: it cannot be used."""
+        from slidectl.cli import installed_commands
+
+        return installed_commands.find(self.entry_point(name))
+
+    def get_installed(self, ctx: click.Context, name: str) -> click.Command | None:
+        """As `find_installed`, but without an error in completion, where a command that cannot be used is None."""
+        from slidectl.entry_points import PartError
+
+        try:
+            return self.find_installed(name)
+        except PartError:
+            if ctx.resilient_parsing:
+                return None
+            raise
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        found = super().get_command(ctx, cmd_name)
+        return self.get_installed(ctx, cmd_name) if found is None else found
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        super().format_commands(ctx, formatter)
+        self.format_installed(formatter, 0)
+
+    def format_installed(self, formatter: click.HelpFormatter, width: int) -> None:
+        """The section of the commands that installed packages add, with names at least so wide; nothing if none is."""
+        from slidectl.cli import installed_commands
+
+        rows = installed_commands.rows(self.installed())
+        notes = self.refused()
+        if rows or notes:
+            with formatter.section("Installed packages"):
+                if rows:
+                    formatter.write_dl([(name.ljust(width), text) for name, text in rows])
+                for note in notes:
+                    formatter.write_text(note.message)
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        from click.shell_completion import CompletionItem
+
+        found = [CompletionItem(name, help=part.owner) for name, part in self.installed().items()]
+        return super().shell_complete(ctx, incomplete) + [item for item in found if item.value.startswith(incomplete)]
+
+    # --- names that are not there ---
+
     def elsewhere(self, ctx: click.Context, name: str) -> list[str]:  # noqa: ARG002
         """Full commands outside this group that a name may mean."""
         return []
@@ -297,6 +382,9 @@ class Group(_Shared, click.Group):
         name, known = args[0], self.list_commands(ctx)
         if ctx.resilient_parsing or name.startswith("-") or name in known:
             return super().resolve_command(ctx, args)
+        if self.get_installed(ctx, name) is not None:
+            return super().resolve_command(ctx, args)
+        known += self.installed()
         if meant := self.elsewhere(ctx, name):
             raise click.UsageError(f"no command {name!r}; there is: {', '.join(meant)}", ctx)
         from slidectl.errors import closest

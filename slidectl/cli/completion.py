@@ -23,10 +23,11 @@ Completer = Callable[[click.Context, click.Parameter, str], list[Any]]
 
 
 @command(
+    step=None,
     examples=[
         'eval "$(slidectl completion bash)"',
         "slidectl completion fish > ~/.config/fish/completions/slidectl.fish",
-    ]
+    ],
 )
 @click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
 def completion(shell: str) -> None:

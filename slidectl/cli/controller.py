@@ -21,6 +21,7 @@ from slidectl.cli.context import Context
 from slidectl.cli.param import store
 from slidectl.cli.topic_streams import paused, resume_hint
 from slidectl.client.client import BEST_EFFORT, STARTED, STRICT, UNLOADED, Manager, claimed_text, configured, each
+from slidectl.command_steps import CommandStep, StepEffects
 from slidectl.errors import AmbiguousName, NoDaemon, Refused, TimedOut, UnknownName, UsageError, listing
 from slidectl.names import join, parent, resolve
 
@@ -121,8 +122,22 @@ def _command_stopped_joints(
         ctx.say(answer["message"])
 
 
+def _step_effects(parameters: Mapping[str, Any], has_daemon: bool) -> StepEffects:  # noqa: ARG001
+    """The controllers that a manager must know, without their namespaces."""
+    may_add = parameters.get("source") is not None
+    if parameters.get("wait") or not parameters.get("strict", True):
+        return StepEffects(may_add_controllers=may_add)
+    full = [name for key in ("names", "to_start", "to_stop") for name in parameters.get(key) or ()]
+    named = tuple(name.rpartition("/")[2] for name in full)
+    return StepEffects(named=named, may_add_controllers=may_add)
+
+
 @group(
-    examples=["slidectl controller list", "slidectl controller spawn joint_state_controller joint1_position_controller"]
+    step=CommandStep(effects=_step_effects),
+    examples=[
+        "slidectl controller list",
+        "slidectl controller spawn joint_state_controller joint1_position_controller",
+    ],
 )
 def controller() -> None:
     """Load, start, stop and list controllers."""
@@ -480,7 +495,11 @@ def plot(ctx: Context, manager: str | None, name: str, step: float, duration: fl
     plotting.show(ctx, response.plot, save, records=[{**about, **known, "file": save}])
 
 
-@controller.command("config", examples=["slidectl controller config config/slider_control.yaml"])
+@controller.command(
+    "config",
+    step=CommandStep(may_add_controllers=True),
+    examples=["slidectl controller config config/slider_control.yaml"],
+)
 @_cm
 @click.argument("file", shell_complete=completion.files)
 @click.pass_obj

@@ -33,7 +33,9 @@ LIST_LIMIT_S = 2.0
 _LOOK_AGAIN_S = 0.1
 
 
-@group(examples=["slidectl daemon start", "slidectl daemon start --rtf max --paused", "slidectl daemon status"])
+@group(
+    step=None, examples=["slidectl daemon start", "slidectl daemon start --rtf max --paused", "slidectl daemon status"]
+)
 def daemon() -> None:
     """Start, stop and watch the daemon that holds the world."""
 
@@ -108,7 +110,14 @@ def module_or_file(word: str) -> str:
 
 
 def _gateways(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Add an option for each gateway, with an optional port."""
+    """Add an option for each gateway of slidectl, with an optional port, and one for those of installed packages."""
+    function = click.option(
+        "--gateway",
+        "others",
+        multiple=True,
+        metavar="NAME",
+        help="Start this gateway too, for example one of an installed package; may repeat.",
+    )(function)
     for kind, port in reversed(PORTS.items()):
         function = click.option(
             f"--{kind}",
@@ -140,6 +149,7 @@ def start(click_context: click.Context, /, **world: Any) -> None:
     gateway an object follows, as 'slidectl gateway' has it.
     """
     ctx: Context = click_context.obj
+    others = tuple(map(gateway_commands.known, world.pop("others")))
     gateways = {kind: world.pop(kind) for kind in PORTS}
     options, given = _options(click_context, world)
     already = _start(ctx, options)
@@ -148,6 +158,8 @@ def start(click_context: click.Context, /, **world: Any) -> None:
             was_running = gateway_commands.start(ctx, kind, {"port": port})
             if was_running and port != PORTS[kind]:
                 ctx.warn(f"the {kind} gateway runs already, so port {port} had no effect")
+    for kind in others:
+        gateway_commands.start(ctx, kind, {})
     if already and given:
         names = ", ".join("--import" if name == "imports" else f"--{name}" for name in given)
         ctx.warn(f"it runs already, so {names} had no effect")

@@ -11,15 +11,13 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from importlib import import_module
-from keyword import iskeyword
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from slidectl import __version__
 from slidectl.cli import output
-from slidectl.cli.command_table import COMMANDS, Entry
+from slidectl.cli.command_table import COMMANDS, load
 from slidectl.cli.commands import Group, environment_namespace
 from slidectl.cli.context import Context, paint
 from slidectl.errors import (
@@ -77,14 +75,17 @@ Environment:
 
 
 class Root(Group):
-    """The top-level group. It reads names and short helps from the table only."""
+    """The top-level group. It reads names and short helps from the table, and further names from installed packages."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
         return list(COMMANDS)
 
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         entry = COMMANDS.get(cmd_name)
-        return None if entry is None else load(cmd_name, entry)
+        return self.get_installed(ctx, cmd_name) if entry is None else load(cmd_name, entry)
+
+    def entry_point(self, name: str) -> str:
+        return name
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -103,7 +104,7 @@ class Root(Group):
             return
         from slidectl.cli.window_programs import ALONE
 
-        if args[0] in ALONE:
+        if args[0] in ALONE and args[0] not in self.installed():
             context = ctx.find_object(Context)
             from slidectl.extensions.launch.open_page import instead_of_window
 
@@ -130,22 +131,15 @@ class Root(Group):
             rows = [(name.ljust(width), entry.help) for name, entry in COMMANDS.items() if entry.section == section]
             with formatter.section(section):
                 formatter.write_dl(rows)
+        self.format_installed(formatter, width)
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
         from click.shell_completion import CompletionItem
 
-        items = [
-            CompletionItem(name, help=entry.help) for name, entry in COMMANDS.items() if name.startswith(incomplete)
-        ]
+        helps = {name: entry.help for name, entry in COMMANDS.items()}
+        helps |= {name: part.owner for name, part in self.installed().items()}
+        items = [CompletionItem(name, help=text) for name, text in helps.items() if name.startswith(incomplete)]
         return items + click.Command.shell_complete(self, ctx, incomplete)
-
-
-def load(name: str, entry: Entry) -> click.Command:
-    """Import the module of a command and return the command."""
-    attribute = name.replace("-", "_") + "_" * iskeyword(name)
-    command = getattr(import_module(entry.module), attribute)
-    assert isinstance(command, click.Command)
-    return command
 
 
 root = Root(

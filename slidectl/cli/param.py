@@ -16,6 +16,7 @@ from slidectl import names, values
 from slidectl.cli import completion, output
 from slidectl.cli.commands import group
 from slidectl.cli.context import Context
+from slidectl.command_steps import CommandStep
 from slidectl.errors import AmbiguousName, BadFile, Refused, UnknownName, UsageError, closest, listing
 
 if TYPE_CHECKING:
@@ -26,7 +27,10 @@ _PLAIN_NUMBER = re.compile(r"-?\d+(\.\d+)?\Z")
 _BEGINS_AS_LIST = re.compile(r"(\s*(#.*)?\n)*\s*(-\s|\[)")
 
 
-@group(examples=["slidectl param get joint1_position_controller/pid", "slidectl param set pid/p 150"])
+@group(
+    step=CommandStep(may_add_controllers=True),
+    examples=["slidectl param get joint1_position_controller/pid", "slidectl param set pid/p 150"],
+)
 def param() -> None:
     """Get, set, load and dump parameters."""
 

@@ -12,6 +12,7 @@ from slidectl.cli import completion, output
 from slidectl.cli.commands import group
 from slidectl.cli.context import Context
 from slidectl.cli.pub import message_of
+from slidectl.command_steps import CommandStep
 from slidectl.errors import Refused, UsageError
 from slidectl.msgs.fill import field_paths
 from slidectl.msgs.forms import YamlForm
@@ -118,6 +119,7 @@ def find(ctx: Context, type_name: str) -> None:
 
 @service.command(
     "call",
+    step=CommandStep(may_add_controllers=True),
     examples=[
         "slidectl service call list_controllers",
         "slidectl service call load_controller \"name: 'joint1_position_controller'\"",

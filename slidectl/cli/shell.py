@@ -40,11 +40,12 @@ def _words(line: str) -> list[str]:
 
 
 @command(
+    step=None,
     examples=[
         "slidectl shell",
         "slidectl shell < script",
         "printf 'pub command 1.0\\nsim step 1000\\n' | slidectl --json shell",
-    ]
+    ],
 )
 @click.argument("file", required=False, shell_complete=completion.files)
 @click.option("--keep-going", is_flag=True, help="Go on after a failure; the exit code is that of the first.")

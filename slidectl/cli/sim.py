@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
@@ -12,6 +13,7 @@ import click
 from slidectl.cli import completion
 from slidectl.cli.commands import group, wait_for_world_s
 from slidectl.cli.context import Context
+from slidectl.command_steps import CommandStep, StepEffects
 from slidectl.errors import Refused, TimedOut, UsageError
 
 _STEPS = r"\d+"
@@ -218,7 +220,11 @@ def save(ctx: Context, name: str, file: str | None) -> None:
     )
 
 
-@sim.command("load", examples=["slidectl sim load before", "slidectl sim load --from before.snapshot"])
+@sim.command(
+    "load",
+    step=CommandStep(may_add_controllers=True),
+    examples=["slidectl sim load before", "slidectl sim load --from before.snapshot"],
+)
 @click.argument("name", required=False, shell_complete=_kept)
 @click.option("--from", "file", help="Load it from this file.", **_FILE)
 @click.pass_obj
@@ -250,7 +256,15 @@ def delete(ctx: Context, names: tuple[str, ...]) -> None:
     ctx.done({"names": list(names)}, f"deleted: {', '.join(names)}")
 
 
-@sim.command("fork", examples=["slidectl sim fork before -i other", "slidectl -i first sim fork before -i other"])
+def _refuse_fork(parameters: Mapping[str, Any], has_daemon: bool) -> StepEffects:  # noqa: ARG001
+    raise UsageError("sim fork leaves a daemon behind", "a scenario has a world of its own")
+
+
+@sim.command(
+    "fork",
+    step=CommandStep(effects=_refuse_fork),
+    examples=["slidectl sim fork before -i other", "slidectl -i first sim fork before -i other"],
+)
 @click.argument("name", shell_complete=_kept)
 @click.option("-i", "--instance", "other", required=True, metavar="NAME", help="The daemon to start.")
 @click.pass_obj

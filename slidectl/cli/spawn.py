@@ -21,6 +21,7 @@ from slidectl.cli.param import store
 from slidectl.cli.robots import Robot
 from slidectl.client import spawning
 from slidectl.client.client import SPAWN_LIMIT_S, Manager, configured
+from slidectl.command_steps import CommandStep, StepEffects
 from slidectl.errors import BadFile, NotThere, Refused, UnknownName, UsageError
 
 if TYPE_CHECKING:
@@ -42,8 +43,16 @@ def _check_words(
         models.read_file(sdf.find(source, places) if spawning.is_scene(source) else models.find(source))
 
 
+def _step_effects(parameters: Mapping[str, Any], has_daemon: bool) -> StepEffects:  # noqa: ARG001
+    return StepEffects(
+        controllers=parameters["controllers"] or "", named=tuple(parameters["start"]), model=parameters["model"],
+        may_add_controllers=parameters["keep_going"],
+    )  # fmt: skip
+
+
 @command(
     check_words=_check_words,
+    step=CommandStep(effects=_step_effects),
     examples=[
         "slidectl spawn slider --controllers config/slider_control.yaml",
         "slidectl spawn slider -n left --at 0 1 0 --controllers config/slider_control.yaml"

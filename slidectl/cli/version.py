@@ -13,7 +13,7 @@ from slidectl.cli.context import Context
 _LIBRARIES = ("mujoco", "click", "numpy", "rosbags", "xacro")
 
 
-@command(examples=["slidectl version", "slidectl version --json"])
+@command(step=None, examples=["slidectl version", "slidectl version --json"])
 @click.pass_obj
 def version(ctx: Context) -> None:
     """Print the version.

@@ -13,27 +13,37 @@ from importlib import import_module
 from pathlib import Path
 from pkgutil import iter_modules
 from types import ModuleType
-from typing import TYPE_CHECKING, TypeVar
+from typing import Any, TypeVar
 
 from slidectl.control import user_classes, user_modules
 from slidectl.control.controller_interface import Compiled, ControllerBase
 from slidectl.control.hardware_types import HardwareTypes
 from slidectl.control.user_classes import ControllerClass
 from slidectl.control.user_modules import UserCode
+from slidectl.entry_points import Registry
 from slidectl.errors import BadFile, Refused, UnknownName
-
-if TYPE_CHECKING:
-    from importlib.metadata import EntryPoint
 
 C = TypeVar("C", bound=type[ControllerBase])
 
 BASE_CLASS = "controller_interface::ControllerBase"
-ENTRY_POINTS = "slidectl.controllers"
-"""The entry point group in which an installed package names its controllers: a type, and `module:Class`."""
 _shared: dict[str, ControllerClass] = {}
 """The types that all worlds know: shipped ones, and those that a script registers by itself."""
 _importing: list[dict[str, ControllerClass]] = []
 """The types of the worlds that are importing users' code, the innermost last."""
+
+
+def _shipped() -> set[str]:
+    _import_shipped()
+    return {name for name, cls in _shared.items() if not user_classes.is_of_a_user(cls)}
+
+
+def _expected(found: Any) -> str:
+    is_controller = isinstance(found, type) and issubclass(found, ControllerBase)
+    return "" if is_controller else "class derived from slidectl.control.Controller"
+
+
+INSTALLED = Registry("slidectl.controllers", "controller type", _shipped, _expected)
+"""The types that installed packages name. They are looked up only when a type is unknown."""
 
 
 class UnknownType(UnknownName):
@@ -75,17 +85,18 @@ class ControllerTypes:
 
     def types(self) -> list[str]:
         """All registered types and those of installed packages, alphabetical."""
-        return sorted({*self._known(), *_entry_points()})
+        return sorted({*self._known(), *INSTALLED.parts()})
 
     def find(self, type_name: str) -> ControllerClass:
         """The class of that type.
 
         Raises:
             UnknownType: no class has this type. BadFile: the code of the installed package that names it fails.
+            PartError: several packages claim it.
         """
         cls = self._known().get(type_name)
         if cls is None:
-            point = _entry_points().get(type_name)
+            point = INSTALLED.find(type_name)
             if point is None:
                 raise UnknownType(type_name, self.types())
             with self._all_or_nothing():
@@ -189,14 +200,6 @@ def compiled_forms() -> dict[ControllerClass, Compiled]:
 def _type_in(module: ModuleType, class_name: str) -> str:
     name = module.__name__
     return f"{Path(name).stem if name.endswith('.py') else name.rpartition('.')[2]}/{class_name}"
-
-
-@cache
-def _entry_points() -> dict[str, EntryPoint]:
-    """Types that installed packages name. Read only when a type is unknown, since reading the metadata takes long."""
-    from importlib.metadata import entry_points
-
-    return {point.name: point for point in entry_points(group=ENTRY_POINTS)}
 
 
 @cache

@@ -8,9 +8,8 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping
 from dataclasses import replace
-from functools import cache
 from itertools import chain
-from typing import TYPE_CHECKING, Any, cast, get_args
+from typing import Any, cast, get_args
 
 from slidectl import names
 from slidectl.description import drives, element_values, interfaces
@@ -19,16 +18,14 @@ from slidectl.description.report import Report
 from slidectl.description.robot import ControlPlugin, Surface, Transmissions
 from slidectl.description.sensors import OF_MODEL, SensorReader, library
 from slidectl.description.xml_tree import Element
+from slidectl.entry_points import Part, Registry
 from slidectl.errors import NotThere, Refused, listing, quoted
-
-if TYPE_CHECKING:
-    from importlib.metadata import EntryPoint
 
 _CONTROL_PLUGIN = "libgazebo_ros_control"
 SIM_TYPES = (ControlPlugin.robot_sim_type, "DefaultRobotHWSim")
 """The names of the default simulated hardware."""
-HARDWARE_ENTRY_POINTS = "slidectl.robot_hw"
-"""The entry point group for simulated hardware of installed packages: a type, and `module:Class`."""
+HARDWARE = Registry("slidectl.robot_hw", "robotSimType", lambda: SIM_TYPES)
+"""Simulated hardware of installed packages: a type, and `module:Class`."""
 TRANSMISSIONS = "gazebo_ros_control/transmissions"
 """The parameter in a robot's namespace that sets how transmissions count, unless the model's plugin sets it."""
 _PARAMETERS = (
@@ -173,12 +170,12 @@ def leave_out_hardware(root: Element, missing: Missing) -> None:
     """
     if missing.forgiven != "all" and (missing.world_decides or (not missing and not missing.keeps_going)):
         return
-    known = (*SIM_TYPES, *installed_hardware())
     for plugin in _control_plugins(root):
         for kind in plugin.find_all("robotSimType"):
-            if _text(kind) in known:
+            if _text(kind) in SIM_TYPES or _text(kind) in installed_hardware():
                 continue
-            text = f"<robotSimType> {_text(kind)!r} is no simulated hardware; there is {listing(known)}"
+            known = listing((*SIM_TYPES, *installed_hardware()))
+            text = f"<robotSimType> {_text(kind)!r} is no simulated hardware; there is {known}"
             error = NotThere(text, kind.file, kind.line, thing=f"robotSimType {_text(kind)}")
             missing.note(error, "the default is taken")
             plugin.content[:] = [node for node in plugin.content if node is not kind]
@@ -208,12 +205,9 @@ def _leave_out_interfaces(root: Element, missing: Missing) -> None:
         missing.note(error, "left out")
 
 
-@cache
-def installed_hardware() -> dict[str, EntryPoint]:
-    """The entry points of simulated hardware in installed packages, by type."""
-    from importlib.metadata import entry_points
-
-    return {point.name: point for point in entry_points(group=HARDWARE_ENTRY_POINTS)}
+def installed_hardware() -> dict[str, Part]:
+    """The simulated hardware in installed packages, by type."""
+    return HARDWARE.parts()
 
 
 def set_transmissions(root: Element, how: Transmissions) -> None:

@@ -12,6 +12,7 @@ from functools import cached_property
 from typing import ClassVar, Literal
 
 from slidectl import names
+from slidectl.description.xml_tree import Element
 from slidectl.errors import Refused
 
 Vector = tuple[float, float, float]
@@ -252,6 +253,15 @@ class Sensor:
     """Standard deviation of the Gaussian noise, in the unit of what is measured."""
     mean: float = 0.0
     """Mean of the noise."""
+
+
+@dataclass(frozen=True)
+class OtherSensor(Sensor):
+    """A sensor of a kind that an installed package adds."""
+
+    kind: str = ""
+    """Its `type`."""
+    tags: Element = field(default_factory=lambda: Element("sensor", {}, "", 0))
 
 
 @dataclass(frozen=True)

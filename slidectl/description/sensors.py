@@ -27,11 +27,13 @@ from slidectl.description.robot import (
     Imu,
     JointStates,
     Laser,
+    OtherSensor,
     Pose,
     Sensor,
     Vector,
 )
 from slidectl.description.xml_tree import Element, below
+from slidectl.entry_points import PartError, Registry
 
 _GAUSSIAN = "gaussian"
 _FORCE_PLUGIN = "libgazebo_ros_ft_sensor"
@@ -45,6 +47,8 @@ _OF_LINK = {
     "camera": ("libgazebo_ros_camera",),
 }
 """Maps the type of a `<sensor>` to the plugins that publish it."""
+INSTALLED = Registry("slidectl.sensors", "sensor", lambda: {*_OF_LINK, "force_torque"})
+"""The kinds of sensors of links that installed packages add. Each is a SensorKind of simulation/sensor_kinds.py."""
 OF_MODEL = (
     "libgazebo_ros_p3d", "libgazebo_ros_imu", "libhector_gazebo_ros_imu", "libgazebo_ros_joint_state_publisher",
     _FORCE_PLUGIN,
@@ -80,7 +84,13 @@ class SensorReader:
         """
         kind = sensor.get("type") or ""
         if kind not in _OF_LINK:
-            known = ", ".join(_OF_LINK)
+            try:
+                part = INSTALLED.find(kind)
+            except PartError as error:
+                return self.report.ignored(sensor, f"has no effect: {error.message}", place)
+            if part is not None:
+                return self._other(link, sensor, kind, place)
+            known = ", ".join([*_OF_LINK, *INSTALLED.parts()])
             return self.report.ignored(sensor, f"has no effect: sensors here are {known}, not {kind!r}", place)
         plugin = next((one for one in sensor.find_all("plugin") if library(one) in _OF_LINK[kind]), None)
         if plugin is None:
@@ -110,6 +120,17 @@ class SensorReader:
             topic = child_text(plugin, "bumperTopicName", "bumper_states")
             self.sensors.append(Bumper(name, link, topic, child_text(plugin, "frameName", "world"), rate, origin, 0.0))
         return None
+
+    def _other(self, link: str, sensor: Element, kind: str, place: str) -> None:
+        """Read what sensors of all installed kinds have. Their own tags are read where they measure."""
+        name, pose = sensor.get("name") or kind, sensor.find("pose")
+        stddev, mean = self._noise(sensor.find("noise"), place)
+        self.sensors.append(
+            OtherSensor(
+                name, link, child_text(sensor, "topic", name), link, child_rate(sensor, "update_rate", 0.0, place),
+                Pose() if pose is None else _pose(pose, place), stddev, mean, kind, sensor,
+            )
+        )  # fmt: skip
 
     def _tell_unknown(self, sensor: Element, place: str) -> None:
         for child in sensor.children:

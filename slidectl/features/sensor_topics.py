@@ -21,13 +21,24 @@ from slidectl.control.controllers.sensor_controllers import (
 )
 from slidectl.control.duration import header_of
 from slidectl.control.node_handle import Message
-from slidectl.description.robot import Bumper, Camera, ForceTorque, GroundTruth, Imu, JointStates, Laser, Sensor
+from slidectl.description.robot import (
+    Bumper,
+    Camera,
+    ForceTorque,
+    GroundTruth,
+    Imu,
+    JointStates,
+    Laser,
+    OtherSensor,
+    Sensor,
+)
 from slidectl.features.gazebo_frames import pose_message, twist_message, vector_message
 from slidectl.physics import rendering, sensing
 from slidectl.rotations import Vector, add, cross, subtract
 from slidectl.simulation.clock import period_ns_of
 from slidectl.simulation.feature import Feature
 from slidectl.simulation.pending import Pending
+from slidectl.simulation.sensor_kinds import OtherSensorTopic
 from slidectl.simulation.spawned_robots import SpawnedRobot
 from slidectl.simulation.topics import PeriodicTopic
 
@@ -323,6 +334,8 @@ class Sensors(Feature):
         robot.kept["sensors"] = [
             CameraTopics(self._simulation, robot, sensor)
             if isinstance(sensor, Camera)
+            else OtherSensorTopic(self._simulation, robot, sensor)
+            if isinstance(sensor, OtherSensor)
             else SensorTopic(self._simulation, robot, sensor)
             for sensor in robot.paper.sensors
             if sensor.topic

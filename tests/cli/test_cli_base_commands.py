@@ -9,10 +9,10 @@ import click
 import pytest
 from command_line import CommandLine
 
-from slidectl.cli.command_table import COMMANDS
+from slidectl.cli.command_table import COMMANDS, load
 from slidectl.cli.commands import Variadic, command, looks_like_number
 from slidectl.cli.context import Context
-from slidectl.cli.main import load, root
+from slidectl.cli.main import root
 
 
 def every_command() -> Iterator[tuple[str, click.Command]]:

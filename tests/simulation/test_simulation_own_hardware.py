@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ from sim_robots import cart, switch
 
 from slidectl.control import hardware_types
 from slidectl.description import gazebo_tags
+from slidectl.entry_points import Part
 from slidectl.errors import SlidectlError
 from slidectl.simulation import Simulation
 from slidectl.simulation.compiled.object_file import is_possible
@@ -91,7 +91,7 @@ def test_hardware_of_an_installed_package_is_found_by_its_entry_point(
     file: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.syspath_prepend(str(Path(file).parent))
-    points = {"odd/Half": EntryPoint("odd/Half", "odd_hw:Half", gazebo_tags.HARDWARE_ENTRY_POINTS)}
+    points = {"odd/Half": Part(gazebo_tags.HARDWARE.group, "odd/Half", "odd_hw:Half", "odd-hardware", "1.0")}
     monkeypatch.setattr(hardware_types, "installed_hardware", lambda: points)
     simulation = Simulation(ground=False)
     simulation.spawn(of("odd/Half"), "cart")

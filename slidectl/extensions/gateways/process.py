@@ -5,7 +5,6 @@ A held lock means that it runs. The lock file holds the process id and the addre
 
 from __future__ import annotations
 
-import importlib
 import json
 import logging
 import os
@@ -14,14 +13,15 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from slidectl import processes
 from slidectl.client.link import command
 from slidectl.errors import EXIT_DONE, Refused, SlidectlError, TimedOut
+from slidectl.extensions.gateways import gateway_kinds
 from slidectl.logfile import LogFile
 from slidectl.operating_system import return_large_blocks
 from slidectl.paths import InstancePaths, instance, make_private
@@ -29,12 +29,6 @@ from slidectl.paths import InstancePaths, instance, make_private
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-KINDS: Mapping[str, tuple[str, str]] = {
-    "ros1": ("slidectl.extensions.gateways.ros1.ros1_gateway", "Ros1Gateway"),
-    "websocket": ("slidectl.extensions.gateways.websocket.websocket_gateway", "WebSocketGateway"),
-    "foxglove": ("slidectl.extensions.gateways.foxglove.foxglove_gateway", "FoxgloveGateway"),
-}
-"""Kind -> module and class. The class has a dataclass `Options`; its constructor takes one."""
 START_LIMIT_S = 30.0
 STOP_LIMIT_S = 10.0
 _LOOK_EVERY_S = 0.02
@@ -55,8 +49,14 @@ def find(paths: InstancePaths, kind: str) -> RunningGateway | None:
 
 
 def find_all(paths: InstancePaths) -> list[RunningGateway]:
-    """All running gateways."""
-    return [found for kind in KINDS if (found := find(paths, kind)) is not None]
+    """All running gateways, those of slidectl first. Their lock files name them: the packages need not be read."""
+    begin, end = _lock_file(paths, "\0").name.split("\0")
+    try:
+        names = [name for name in os.listdir(paths.folder) if name.startswith(begin) and name.endswith(end)]
+    except OSError:  # there is no folder: no daemon has ever run
+        return []
+    others = sorted(name.removeprefix(begin).removesuffix(end) for name in names)
+    return [found for kind in dict.fromkeys([*gateway_kinds.OURS, *others]) if (found := find(paths, kind)) is not None]
 
 
 def log_file(paths: InstancePaths, kind: str) -> Path:
@@ -129,16 +129,10 @@ def run(paths: InstancePaths, kind: str, options: dict[str, Any], opened: Callab
     """Run a gateway in this process until SIGTERM or Ctrl-C; `opened` is called with the address when it listens.
 
     Raises:
-        Refused: a gateway of that kind runs already, a port is taken, or a library is missing. NoDaemon.
+        Refused: a gateway of that kind runs already, a port is taken, or a library is missing. NoDaemon, UnknownName.
+        PartError: an installed package that adds it is broken.
     """
-    module, name = KINDS[kind]
-    try:
-        gateway_class = getattr(importlib.import_module(module), name)
-    except ModuleNotFoundError as error:
-        if (error.name or "").startswith("slidectl"):
-            raise
-        needed = f"the {kind} gateway needs the library {error.name}"
-        raise Refused(needed, f"install it: pip install 'slidectl[{kind}]'") from error
+    gateway_class = gateway_kinds.load(kind)
     import asyncio
 
     from slidectl.extensions.gateways.gateway import serve
@@ -148,7 +142,8 @@ def run(paths: InstancePaths, kind: str, options: dict[str, Any], opened: Callab
         opened(address)
 
     return_large_blocks()
-    with _locked(paths, kind) as tell:
+    part = gateway_kinds.find(kind)
+    with nullcontext() if part is None else gateway_kinds.GATEWAYS.running(part), _locked(paths, kind) as tell:
         asyncio.run(serve(gateway_class(gateway_class.Options(**options)), paths, listens))
 
 

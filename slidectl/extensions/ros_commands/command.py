@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from io import TextIOWrapper
 from shlex import quote
@@ -19,6 +19,7 @@ from slidectl.cli import output
 from slidectl.cli.commands import command
 from slidectl.cli.context import Context
 from slidectl.cli.window_programs import ALONE
+from slidectl.command_steps import CommandStep, StepEffects
 from slidectl.errors import NoDaemon, SlidectlError, UsageError, closest
 from slidectl.operating_system import program_name
 
@@ -44,7 +45,18 @@ def _complete(click_context: click.Context, _param: click.Parameter, incomplete:
     return [] if click_context.params.get("words") else [name for name in NAMES if name.startswith(incomplete)]
 
 
+_NO_STEPS = ("roscore", "roslaunch", "rosrun")
+
+
+def _step_effects(parameters: Mapping[str, Any], has_daemon: bool) -> StepEffects:  # noqa: ARG001
+    tool = parameters["words"][0]
+    if tool in _NO_STEPS:
+        raise UsageError(f"{tool} brings up a world, and a scenario has its own", "spawn what is needed")
+    return StepEffects(may_add_controllers=True)
+
+
 @command(
+    step=CommandStep(effects=_step_effects),
     # All words behind the first one belong to the tool, also options.
     context_settings={"allow_interspersed_args": False},
     examples=[
@@ -103,6 +115,7 @@ _LIKE_BASH = ("sh", "dash", "ash", "ksh", "mksh")
 
 @command(
     "ros-commands",
+    step=None,
     examples=['eval "$(slidectl ros-commands)"', "slidectl ros-commands --shell fish | source"],
 )
 @click.option(

@@ -20,12 +20,12 @@ from typing import Any, NamedTuple
 
 import yaml
 
+from slidectl.command_steps import StepEffects
 from slidectl.description import yaml_tree
 from slidectl.description.models import read_file
 from slidectl.errors import BadFile, SlidectlError, UsageError, closest
 from slidectl.extensions.recording.comparison import tolerances_of
 from slidectl.extensions.scenarios.step_commands import (
-    CheckedWords,
     Commands,
     StepCommand,
     StepOption,
@@ -228,7 +228,7 @@ class _Reader:
         """The mistakes found."""
         self._told = 0
         """The number of mistakes found, including repeated ones."""
-        self._checked: dict[tuple[str, ...], SlidectlError | CheckedWords] = {(): CheckedWords()}
+        self._checked: dict[tuple[str, ...], SlidectlError | StepEffects] = {(): StepEffects()}
 
     def _add_mistake(self, path: KeyPath, message: str, hint: str | None = None) -> None:
         self._told += 1
@@ -384,7 +384,7 @@ class _Reader:
         before = self._told
         self._check_keys(own, STEP_KEYS, path, "step")
         for key in list(commands) if len(commands) > 1 else ():
-            if key.partition(" ")[0] not in self._tops():
+            if not self._commands.has(key.partition(" ")[0]):
                 text = f"no field {key!r} in a step.{self._meant(key, STEP_KEYS)}"
                 self._add_mistake((*path, key), text, self._steps_and_fields())
                 commands.remove(key)
@@ -409,16 +409,12 @@ class _Reader:
             own.get("fails") or False, starts_programs,
         )  # fmt: skip
 
-    def _tops(self) -> list[str]:
-        """The first words of all commands, sorted."""
-        return sorted({command.split()[0] for command in self._commands.known})
-
     def _meant(self, name: str, known: Iterable[str]) -> str:
         near = closest(name, known)
         return f" Did you mean {near!r}?" if near else ""
 
     def _steps_and_fields(self) -> str:
-        return f"steps: {', '.join(self._tops())}; fields: {', '.join(STEP_KEYS)}"
+        return f"steps: {', '.join(self._commands.tops())}; fields: {', '.join(STEP_KEYS)}"
 
     def _has_within(self, words: Sequence[str]) -> bool:
         command = next(
@@ -435,9 +431,11 @@ class _Reader:
         """The words of a step's command. Raises SlidectlError."""
         begin = name.split()
         known = self._commands.known
-        if not begin or begin[0] not in self._tops():
-            meant = self._meant(begin[0] if begin else "", [*self._tops(), *STEP_KEYS])
+        if not begin or not self._commands.has(begin[0]):
+            meant = self._meant(begin[0] if begin else "", [*self._commands.tops(), *STEP_KEYS])
             raise UsageError(f"no step {name!r}.{meant}", self._steps_and_fields())
+        if name in self._commands.kinds:
+            return [name, json.dumps(value)]
         if value is None:
             return begin
         if isinstance(value, dict):
@@ -451,7 +449,7 @@ class _Reader:
             return begin + [as_word(item) for item in value]
         return begin + (value.words if isinstance(value, _Filled) else [as_word(value)])
 
-    def _check_words(self, words: tuple[str, ...]) -> CheckedWords:
+    def _check_words(self, words: tuple[str, ...]) -> StepEffects:
         """Check a command. Raises SlidectlError."""
         if words not in self._checked:
             try:
@@ -482,7 +480,8 @@ class _Reader:
 
         filled: dict[str, Any] = {}
         for key, value in content.items():
-            if isinstance(value, str) and key not in STEP_KEYS:  # split first, so that a value stays one word
+            is_command = key not in STEP_KEYS and key not in self._commands.kinds
+            if isinstance(value, str) and is_command:  # split first, so that a value stays one word
                 filled[key] = _Filled([as_word(fill(word)) for word in split(value)])
             else:
                 filled[key] = walk(value)
@@ -528,7 +527,7 @@ class _EarlierSteps:
     words: tuple[str, ...] = ()
     """The words of steps that may write files."""
 
-    def judge(self, step: ScenarioStep, checked: CheckedWords) -> None:
+    def judge(self, step: ScenarioStep, checked: StepEffects) -> None:
         """Check a step and add its effects. Raises SlidectlError if it can only fail."""
         is_there = TEMPORARY not in " ".join(step.words)
         files = (*self.files, checked.controllers) if checked.controllers else self.files
@@ -644,6 +643,7 @@ def schema(commands: Commands) -> dict[str, Any]:
     table = _object(SCENARIO_KEYS, required=["steps"])
     rows = table["properties"]["cases"]["items"]
     rows["properties"] = _properties(CASE_KEYS)
+    kinds = {name: {"description": kind.help, **kind.schema} for name, kind in commands.kinds.items()}
     tops = {command.split()[0] for command in commands.known}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
@@ -664,6 +664,7 @@ def schema(commands: Commands) -> dict[str, Any]:
                                 for top in sorted(tops)
                             },
                             **{name: _command(command) for name, command in commands.known.items()},
+                            **kinds,
                         },
                         "additionalProperties": False,
                         "minProperties": 1,

@@ -1,4 +1,4 @@
-"""The commands that can be steps: their names, options and arguments, and how to run one.
+"""The steps that there are: commands with their options and arguments, further kinds, and how to run one.
 
 The words of a step are those of a command line: a text is split like a shell does it; a mapping gives values for the
 names of the command's options and arguments.
@@ -11,10 +11,12 @@ import shlex
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
+from slidectl.command_steps import StepEffects
 from slidectl.errors import SlidectlError, UnknownName, UsageError
 
 if TYPE_CHECKING:
     from slidectl.client import Client
+    from slidectl.extensions.scenarios.step_kinds import StepKind
 
 
 class StepOption(NamedTuple):
@@ -58,30 +60,25 @@ class StepOutcome(NamedTuple):
     output: str = ""
 
 
-class CheckedWords(NamedTuple):
-    """The result of checking a command line."""
-
-    starts_programs: bool = False
-    controllers: str = ""
-    """The parameter file of a spawn."""
-    named: tuple[str, ...] = ()
-    """The controllers that must have parameters."""
-    may_add_controllers: bool = False
-    """True when controllers, or their parameters, may come from elsewhere than the files of spawns."""
-    model: str = ""
-    """The model of a spawn."""
-    refusal: SlidectlError | None = None
-    """The error that the command would raise for its words."""
-
-
 class Commands(Protocol):
-    """The commands of the command line."""
+    """The commands of the command line, and further kinds of steps. The words of such a step are its kind and the JSON
+    text of its value."""
 
     @property
     def known(self) -> Mapping[str, StepCommand]:
-        """All commands that can be steps, by name."""
+        """All commands that can be steps, by name. A command is imported when it is asked for."""
 
-    def check(self, words: Sequence[str]) -> CheckedWords:
+    @property
+    def kinds(self) -> Mapping[str, StepKind]:
+        """The kinds of steps that are no commands, by name. As with `known`."""
+
+    def tops(self) -> list[str]:
+        """The first words of all steps, sorted."""
+
+    def has(self, top: str) -> bool:
+        """True when steps begin with this word."""
+
+    def check(self, words: Sequence[str]) -> StepEffects:
         """Check a command line before anything runs. Raises SlidectlError when it cannot be a step."""
 
     def stays(self, words: Sequence[str]) -> bool:

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from slidectl.cli import completion, output
-from slidectl.cli.commands import group
+from slidectl.cli.commands import Group, finite, group
+from slidectl.cli.commands import command as cli_command
 from slidectl.cli.context import Context
 from slidectl.client.link import command
+from slidectl.entry_points import Part, PartError
 from slidectl.errors import NoDaemon, Refused
+from slidectl.extensions.gateways import gateway_kinds
+from slidectl.extensions.gateways.gateway_kinds import GATEWAYS
 
 if TYPE_CHECKING:
     from slidectl.extensions.gateways.process import RunningGateway
@@ -21,8 +26,23 @@ PORTS = {"ros1": 11311, "websocket": 9090, "foxglove": 8765}
 _ACTIONS = ("run", "start", "stop", "status")
 
 
+class _GatewayGroup(Group):
+    """The group of the gateways, with those that installed packages add."""
+
+    def installed(self) -> dict[str, Part]:
+        return GATEWAYS.parts() | super().installed()
+
+    def refused(self) -> list[PartError]:
+        return GATEWAYS.refused() + super().refused()
+
+    def find_installed(self, name: str) -> click.Command | None:
+        part = GATEWAYS.find(name)
+        return super().find_installed(name) if part is None else _command_of(part)
+
+
 @group(
-    examples=["slidectl gateway ros1 start", "slidectl gateway websocket run --port 9090", "slidectl gateway status"]
+    cls=_GatewayGroup,
+    examples=["slidectl gateway ros1 start", "slidectl gateway websocket run --port 9090", "slidectl gateway status"],
 )
 def gateway() -> None:
     """Let ROS 1 nodes, rosbridge clients and Foxglove in.
@@ -126,6 +146,54 @@ def foxglove(ctx: Context, action: str, **options: Any) -> None:
     _act(ctx, "foxglove", action, options)
 
 
+_FORMS: dict[Any, dict[str, Any]] = {
+    int: {"type": int, "metavar": "N"},
+    float: {"type": float, "callback": finite, "metavar": "X"},
+    str: {"type": str, "metavar": "TEXT"},
+    bool: {"is_flag": True},
+    tuple[str, ...]: {"type": str, "multiple": True, "metavar": "TEXT"},
+}
+"""Type of a field of a gateway's options -> how its option of the command line is made."""
+
+
+@cache
+def _command_of(part: Part) -> click.Command:
+    """The command of a gateway of an installed package; its options are the fields of `Options`. Raises PartError."""
+    import dataclasses
+    import inspect
+    from typing import get_type_hints
+
+    from slidectl.extensions.gateways.gateway import GatewayOptions
+
+    gateway_class: Any = gateway_kinds.load(part.name)
+    options: list[click.Parameter] = []
+    with GATEWAYS.running(part):
+        of_all = {field.name for field in dataclasses.fields(GatewayOptions)}
+        types = get_type_hints(gateway_class.Options)
+        for field in dataclasses.fields(gateway_class.Options):
+            if field.name in of_all:
+                continue
+            if types[field.name] not in _FORMS:
+                known = "int, float, str, bool or tuple[str, ...]"
+                raise TypeError(f"{field.name} of Options is of {types[field.name]}, and not of {known}")
+            flag, text = f"--{field.name.replace('_', '-')}", field.metadata.get("help", "")
+            needs = field.default is dataclasses.MISSING
+            given = {"required": True} if needs else {"default": field.default, "show_default": True}
+            options.append(click.Option([flag, field.name], help=text, **given, **_FORMS[types[field.name]]))
+
+    @click.pass_obj
+    def run(ctx: Context, /, action: str, **given: Any) -> None:
+        _act(ctx, part.name, action, given)
+
+    for option in reversed(_TRUST):
+        run = option(run)
+    action = click.Argument(["action"], type=click.Choice(_ACTIONS), default="run")
+    about = inspect.cleandoc(gateway_class.__doc__ or part.owner)
+    text = f"{about}\n\nACTION is run (until Ctrl-C, the default), start (in the background), stop or status."
+    example = f"slidectl gateway {part.name} start"
+    return cli_command(part.name, params=[action, *options], help=text, examples=[example])(run)
+
+
 @gateway.command("status", examples=["slidectl gateway status", "slidectl gateway status --json"])
 @click.pass_obj
 def status(ctx: Context) -> None:
@@ -138,6 +206,12 @@ def status(ctx: Context) -> None:
 
     shown = [_state(ctx, found) for found in process.find_all(ctx.paths)]
     ctx.emit_rows(shown, ["kind", "pid", "address", "connections", "dropped"], "no gateway runs")
+
+
+def known(kind: str) -> str:
+    """The name of a gateway, unchanged. Raises UnknownName, PartError."""
+    gateway_kinds.find(kind)
+    return kind
 
 
 def start(ctx: Context, kind: str, options: dict[str, Any]) -> bool:
@@ -155,8 +229,8 @@ def stop_all(ctx: Context) -> None:
     """Stop the gateways of this daemon. Raises TimedOut."""
     from slidectl.extensions.gateways import process
 
-    for kind in PORTS:
-        process.stop(ctx.paths, kind, ctx.wait_limit(process.STOP_LIMIT_S))
+    for found in process.find_all(ctx.paths):
+        process.stop(ctx.paths, found.kind, ctx.wait_limit(process.STOP_LIMIT_S))
 
 
 def _act(ctx: Context, kind: str, action: str, options: dict[str, Any]) -> None:

@@ -6,6 +6,7 @@ import dataclasses
 import math
 import os
 import traceback
+from collections.abc import Mapping
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +16,7 @@ import click
 from slidectl.cli import completion, robots
 from slidectl.cli.commands import command, simulated_seconds
 from slidectl.cli.context import Context
+from slidectl.command_steps import CommandStep, StepEffects
 from slidectl.errors import Refused, UsageError
 
 if TYPE_CHECKING:
@@ -30,13 +32,20 @@ def _time(_click: click.Context, _param: click.Parameter, value: float | None) -
     return value
 
 
+def _step_effects(parameters: Mapping[str, Any], has_daemon: bool) -> StepEffects:  # noqa: ARG001
+    if parameters["keep"]:
+        raise UsageError("--keep leaves a daemon behind", "a scenario has a world of its own")
+    return StepEffects()
+
+
 @command(
+    step=CommandStep(effects=_step_effects),
     examples=[
         "slidectl replay run.journal",
         "slidectl replay run.journal --check",
         "slidectl replay run.journal --record run.mcap --last 60",
         "slidectl -i look replay run.journal --to 3.2 --keep",
-    ]
+    ],
 )
 @click.argument("file", metavar="FILE", shell_complete=completion.files)
 @click.option("--to", "until", type=float, callback=_time, metavar="T", help="End at this simulated time, s.")

@@ -21,7 +21,8 @@ from slidectl.cli.context import DEFAULT_TIMEOUT_S, Context
 from slidectl.cli.spawn import package_lookup, pairs, tell_own_packages
 from slidectl.client import Client
 from slidectl.client.link import command as to_type
-from slidectl.errors import Refused, TimedOut, UsageError
+from slidectl.command_steps import CommandStep, StepEffects, check_not_detached
+from slidectl.errors import Refused, SlidectlError, TimedOut, UsageError
 from slidectl.names import join
 
 if TYPE_CHECKING:
@@ -48,14 +49,34 @@ def _launch_files(context: click.Context, param: click.Parameter, incomplete: st
     return fitting or completion.files(context, param, incomplete)
 
 
+def _step_effects(parameters: Mapping[str, Any], has_daemon: bool) -> StepEffects:
+    """Check the files of a launch. Raises SlidectlError when nodes are programs, which need a daemon, and none runs."""
+    from slidectl.extensions.launch import execution, node_kinds
+    from slidectl.extensions.launch.nodes.programs import Process
+
+    check_not_detached(parameters, has_daemon)
+    try:
+        plan, lookup, _ = load_plan(parameters["words"], parameters["packages"], parameters)
+        tasks = node_kinds.tasks(plan, lookup, gather=True)
+        execution.look_ahead(plan, tasks, lookup, run_commands=False)
+    except SlidectlError as refusal:
+        return StepEffects(may_add_controllers=True, refusal=refusal)
+    programs = [task for task in tasks if isinstance(task, Process)]
+    if programs and not has_daemon:
+        text = f"{programs[0].node.kind} is a program of its own, which needs a daemon"
+        raise programs[0].error(text, "slidectl test --daemon runs the scenario in a daemon")
+    return StepEffects(starts_programs=bool(programs), may_add_controllers=True)
+
+
 @command(
+    step=CommandStep(stays=True, effects=_step_effects),
     examples=[
         "slidectl launch my_slider slider.launch",
         "slidectl launch rrbot_gazebo rrbot_world.launch paused:=true",
         "slidectl launch slider --detach",
         "slidectl launch slider gui:=true",
         "slidectl launch robot.launch --package my_robot=~/src/my_robot --dry-run",
-    ]
+    ],
 )
 @click.argument("words", nargs=-1, metavar="FILE | PACKAGE FILE | NAME [ARG:=VALUE]...", shell_complete=_launch_files)
 @click.option("--dry-run", is_flag=True, help="Print the steps, and start nothing.")

@@ -17,6 +17,7 @@ from slidectl.cli import completion, output
 from slidectl.cli.commands import command, finite, positive_seconds
 from slidectl.cli.context import Context
 from slidectl.cli.topic_streams import CLOCK, paused, resume_hint
+from slidectl.command_steps import CommandStep, check_not_detached
 from slidectl.errors import MessageRefused, Refused, UsageError
 from slidectl.extensions.recording.commands.bag import open_recording
 from slidectl.msgs.schema import nanoseconds
@@ -36,11 +37,12 @@ _SECONDS: dict[str, Any] = {"type": click.FloatRange(min=0), "callback": finite,
 
 
 @command(
+    step=CommandStep(effects=check_not_detached),
     examples=[
         "slidectl play run.bag",
         "slidectl play run.mcap --topic /slider/joint1_position_controller/command -r 2",
         "slidectl play run.bag --start 2 --until 5 /old/command:=/new/command",
-    ]
+    ],
 )
 @click.argument("words", nargs=-1, required=True, metavar="FILE... [OLD:=NEW]...", shell_complete=completion.files)
 @click.option("--topic", "topics", multiple=True, metavar="TOPIC", help="Only this topic; may repeat.")

@@ -17,6 +17,7 @@ from slidectl.cli import completion, output
 from slidectl.cli.commands import command, finite
 from slidectl.cli.context import Context
 from slidectl.cli.terminal_progress import status_line
+from slidectl.command_steps import CommandStep, check_not_detached
 from slidectl.errors import MessageRefused, NoDaemon, Refused, SlidectlError, UnknownName, UsageError
 from slidectl.msgs.schema import nanoseconds
 
@@ -56,6 +57,7 @@ def _chosen(topics: tuple[str, ...], **given: Any) -> tuple[_Choice, Path]:
 
 
 @command(
+    step=CommandStep(effects=check_not_detached),
     check_words=_chosen,
     examples=[
         "slidectl record -a -O run.mcap",

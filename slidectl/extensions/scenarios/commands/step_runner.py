@@ -3,45 +3,56 @@
 from __future__ import annotations
 
 import io
+import json
 import os
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import redirect_stdout
-from functools import cached_property
+from contextlib import AbstractContextManager, redirect_stdout, suppress
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from slidectl.cli.command_table import COMMANDS
+from slidectl.cli import installed_commands
+from slidectl.cli.command_table import COMMANDS, load
 from slidectl.cli.commands import Command, Variadic, common_options
 from slidectl.cli.context import Context
-from slidectl.cli.main import described, invoke, load, root
+from slidectl.cli.installed_commands import INSTALLED
+from slidectl.cli.main import described, invoke, root
+from slidectl.command_steps import CommandStep, StepEffects
+from slidectl.entry_points import Part, PartError, Registry
 from slidectl.errors import EXIT_DONE, EXIT_INTERRUPTED, SlidectlError, UsageError
-from slidectl.extensions.scenarios.step_commands import CheckedWords, StepArgument, StepCommand, StepOption, StepOutcome
+from slidectl.extensions.scenarios.scenario_file import STEP_KEYS
+from slidectl.extensions.scenarios.step_commands import StepArgument, StepCommand, StepOption, StepOutcome
+from slidectl.extensions.scenarios.step_kinds import StepKind
 
 if TYPE_CHECKING:
     from slidectl.client import Client
 
-_NO_STEPS = (
-    "daemon",
-    "shell",
-    "test",
-    "ros-commands",
-    "completion",
-    "version",
-    "doctor",
-    "gui",
-    "teleop",
-    "top",
-    "view",
-)
-"""Commands that do not act in the world of a scenario, which exists already, or that need a terminal."""
-_MAY_ADD_CONTROLLERS = ("param", "controller config", "service call", "launch", "ros", "sim load")
-"""Commands, and groups, that may add controllers, or parameters of controllers, that no file of a spawn has."""
-_NO_ROS_STEPS = ("roscore", "roslaunch", "rosrun")
 _PLACE = re.compile(r"\[?([A-Z]+)\]?(\.\.\.)?\Z")
 _KEPT_OUTPUT = 20_000
+
+
+class _NamesOfOurs:
+    """The keys of steps that slidectl has."""
+
+    def __contains__(self, name: object) -> bool:
+        return name in COMMANDS or name in STEP_KEYS
+
+
+def _expected(found: Any) -> str:
+    return "" if isinstance(found, type) and issubclass(found, StepKind) else "class derived from StepKind"
+
+
+def _bad_name(name: str) -> str:
+    if not name.replace("_", "").replace("-", "").isalnum():
+        return "a name is of letters, digits, '-' and '_'"
+    return "a command of an installed package has this name" if name in INSTALLED.parts() else ""
+
+
+_NAMES_OF_OURS = _NamesOfOurs()
+STEP_KINDS = Registry("slidectl.steps", "step", lambda: _NAMES_OF_OURS, _expected, _bad_name)
 
 
 class StepRunner:
@@ -49,18 +60,27 @@ class StepRunner:
 
     def __init__(self, live: bool = False) -> None:
         self._live = live
+        self.known: Mapping[str, StepCommand] = _KnownCommands()
+        self.kinds: Mapping[str, StepKind] = _KnownKinds()
 
-    @cached_property
-    def known(self) -> dict[str, StepCommand]:
-        """All commands that can be steps, by name."""
-        found: dict[str, StepCommand] = {}
-        for name, entry in COMMANDS.items():
-            if name not in _NO_STEPS:
-                found |= {shape.name: shape for shape in _shapes(name, load(name, entry))}
-        return found
+    def tops(self) -> list[str]:
+        """The first words of all steps, sorted."""
+        ours = (name for name in COMMANDS if self.has(name))
+        return sorted({*ours, *installed_commands.below(""), *STEP_KINDS.parts()})
 
-    def check(self, words: Sequence[str]) -> CheckedWords:
+    def has(self, top: str) -> bool:
+        """True when steps begin with this word. Raises PartError: several packages claim it."""
+        if top in COMMANDS:
+            return bool(_shapes_of(top))
+        return top not in STEP_KEYS and (INSTALLED.find(top) or STEP_KINDS.find(top)) is not None
+
+    def check(self, words: Sequence[str]) -> StepEffects:
         """Check the words of a step. Raises SlidectlError for words that click refuses, or that no step may have."""
+        if words[0] in self.kinds:
+            kind = self.kinds[words[0]]
+            with _running(words[0]):
+                kind.check(json.loads(words[1]))
+            return StepEffects(may_add_controllers=self._live or kind.may_add_controllers)
         context = Context()
         try:
             with redirect_stdout(io.StringIO()):
@@ -72,33 +92,29 @@ class StepRunner:
             raise UsageError(message, hint) from None
         if context.instance or context.socket:
             raise UsageError("a step acts in the world of its scenario", "leave out --instance and --socket")
-        if values.get("detach"):
-            raise UsageError("--detach leaves a process behind", "to go on meanwhile: background: true")
-        if leaf == "sim fork" or values.get("keep"):
-            what = "--keep" if values.get("keep") else leaf
-            raise UsageError(f"{what} leaves a daemon behind", "a scenario has a world of its own")
-        if leaf == "ros" and (tool := values["words"][0]) in _NO_ROS_STEPS:
-            raise UsageError(f"{tool} brings up a world, and a scenario has its own", "spawn what is needed")
-        if leaf == "launch":
-            return _check_launch(values, self._live)
-        refusal = None
+        step = _declared(command)
+        if step is None:
+            raise UsageError(f"{leaf} cannot be a step: it does not act in the world of a scenario")
+        effects = StepEffects() if step.effects is None else step.effects(values, self._live)
         if isinstance(command, Command) and command.check_words is not None:
             try:
                 command.check_words(**values)
             except SlidectlError as error:
-                refusal = error
-        others = self._live or leaf.startswith(_MAY_ADD_CONTROLLERS)  # a world with a daemon may have them already
-        if leaf == "spawn":
-            return CheckedWords(
-                controllers=values["controllers"] or "", named=tuple(values["start"]), model=values["model"],
-                may_add_controllers=others or values["keep_going"], refusal=refusal,
-            )  # fmt: skip
-        others = others or (leaf == "controller load" and values["source"] is not None)
-        return CheckedWords(named=_named(leaf, values), may_add_controllers=others, refusal=refusal)
+                effects = effects._replace(refusal=error)
+        # A world with a daemon may have controllers already.
+        may_add = self._live or step.may_add_controllers or effects.may_add_controllers
+        return effects._replace(may_add_controllers=may_add)
 
     def stays(self, words: Sequence[str]) -> bool:
-        """True for a launch, the only command that goes on once it is up."""
-        return words[0] == "launch"
+        """True when the command, once it is up, continues in the background until the case ends."""
+        command: click.Command | None = root
+        context = click.Context(root)
+        for word in words:
+            if not isinstance(command, click.Group):
+                break
+            command = command.get_command(context, word)
+        step = None if command is None else _declared(command)
+        return step is not None and step.stays
 
     def run(self, words: Sequence[str], client: Client, up: Callable[[], None] = lambda: None) -> StepOutcome:
         """Run a command line with the connection; results are JSON records, unless the words give a format."""
@@ -111,7 +127,12 @@ class StepRunner:
         begin = _written()
         code, message, hint = EXIT_DONE, "", None
         try:
-            invoke(list(words), own)
+            if words[0] in self.kinds:
+                with _running(words[0]):
+                    record = self.kinds[words[0]].run(json.loads(words[1]), client)
+                own.emit(record or {}, "")
+            else:
+                invoke(list(words), own)
         except click.exceptions.Exit as leaving:
             code = leaving.exit_code
         except (KeyboardInterrupt, click.Abort):
@@ -128,12 +149,80 @@ class StepRunner:
         return StepOutcome(code, message, hint or "", output)
 
 
-def _named(leaf: str, values: Mapping[str, Any]) -> tuple[str, ...]:
-    """The controllers that a manager must know, without their namespaces."""
-    if not leaf.startswith("controller ") or values.get("wait") or not values.get("strict", True):
-        return ()
-    full = [name for key in ("names", "to_start", "to_stop") for name in values.get(key) or ()]
-    return tuple(name.rpartition("/")[2] for name in full)
+def _declared(command: click.Command) -> CommandStep | None:
+    """What a command says of itself as a step. A command that is of click only is a plain one."""
+    step: CommandStep | None = getattr(command, "step", CommandStep())
+    return step
+
+
+def _running(kind: str) -> AbstractContextManager[None]:
+    """The context for the code of an installed kind of steps."""
+    part = STEP_KINDS.find(kind)
+    assert part is not None
+    return STEP_KINDS.running(part)
+
+
+class _KnownCommands(Mapping[str, StepCommand]):
+    """The commands that can be steps. Only a command that is asked for is imported; all are when they are listed, save
+    those of installed packages that cannot be loaded."""
+
+    def __getitem__(self, name: str) -> StepCommand:
+        top, _, verb = name.partition(" ")
+        shapes = _shapes_of(top)
+        if name not in shapes and verb and top in COMMANDS:
+            shapes = _installed_shapes(f"{top}.{verb}", name)
+        return shapes[name]
+
+    def __iter__(self) -> Iterator[str]:
+        for top in (*COMMANDS, *INSTALLED.parts()):
+            with suppress(PartError):
+                yield from _shapes_of(top) if "." not in top else _installed_shapes(top, top.replace(".", " "))
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
+
+
+@cache
+def _shapes_of(top: str) -> dict[str, StepCommand]:
+    """The steps of a top-level command, without the verbs that packages add. Raises PartError."""
+    if top not in COMMANDS:
+        return _installed_shapes(top, top)
+    return {shape.name: shape for shape in _shapes(top, load(top, COMMANDS[top]))}
+
+
+def _installed_shapes(entry_point: str, name: str) -> dict[str, StepCommand]:
+    command = installed_commands.find(entry_point)
+    return {} if command is None else {shape.name: shape for shape in _shapes(name, command)}
+
+
+class _KnownKinds(Mapping[str, StepKind]):
+    """The kinds of steps that installed packages add, as `_KnownCommands`."""
+
+    def __getitem__(self, name: str) -> StepKind:
+        part = STEP_KINDS.find(name) if name in self else None
+        if part is None:
+            raise KeyError(name)
+        return _made(part)
+
+    def __contains__(self, name: object) -> bool:
+        return name not in _NAMES_OF_OURS and STEP_KINDS.find(str(name)) is not None
+
+    def __iter__(self) -> Iterator[str]:
+        for name, part in STEP_KINDS.parts().items():
+            with suppress(PartError):
+                _made(part)
+                yield name
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
+
+
+@cache
+def _made(part: Part) -> StepKind:
+    kind_class = STEP_KINDS.load(part)
+    with STEP_KINDS.running(part):
+        kind: StepKind = kind_class()
+    return kind
 
 
 def _written() -> int:
@@ -174,6 +263,8 @@ def _shapes(name: str, command: click.Command) -> Iterator[StepCommand]:
             if found is not None:
                 yield from _shapes(f"{name} {verb}", found)
         return
+    if _declared(command) is None:
+        return
     own = [param for param in command.params if param not in common_options()]
     arguments = [place for param in own if isinstance(param, click.Argument) for place in _places(param)]
     options = [_option(param) for param in own if isinstance(param, click.Option) and not param.hidden]
@@ -205,22 +296,3 @@ def _option(param: click.Option) -> StepOption:
         word.lstrip("-"), word, off, kind, choices, param.multiple or param.nargs > 1, not isinstance(param, Variadic),
         param.help or "",
     )  # fmt: skip
-
-
-def _check_launch(values: Mapping[str, Any], live: bool) -> CheckedWords:
-    """Check the files of a launch. Raises SlidectlError when nodes are programs, which need a daemon, and none runs."""
-    from slidectl.extensions.launch import execution, node_kinds
-    from slidectl.extensions.launch.commands.launch import load_plan
-    from slidectl.extensions.launch.nodes.programs import Process
-
-    try:
-        plan, lookup, _ = load_plan(values["words"], values["packages"], values)
-        tasks = node_kinds.tasks(plan, lookup, gather=True)
-        execution.look_ahead(plan, tasks, lookup, run_commands=False)
-    except SlidectlError as refusal:
-        return CheckedWords(may_add_controllers=True, refusal=refusal)
-    programs = [task for task in tasks if isinstance(task, Process)]
-    if programs and not live:
-        text = f"{programs[0].node.kind} is a program of its own, which needs a daemon"
-        raise programs[0].error(text, "slidectl test --daemon runs the scenario in a daemon")
-    return CheckedWords(starts_programs=bool(programs), may_add_controllers=True)

@@ -41,13 +41,14 @@ _ALLOWED = (ast.BoolOp, ast.UnaryOp, ast.Name, ast.boolop, ast.Not, ast.expr_con
 
 
 @command(
+    step=None,
     examples=[
         "slidectl test scenarios/",
         "slidectl test scenarios/slide.yaml --junitxml out.xml",
         "slidectl test scenarios/ -k 'slider and not slow' --tag nightly -n 2 --maxfail 1",
         "slidectl test scenarios/slide.yaml::far --keep-failed failed/",
         "slidectl test scenarios/ --check",
-    ]
+    ],
 )
 @click.argument("paths", nargs=-1, metavar="FILE|FOLDER|FILE::CASE...", shell_complete=completion.files)
 @click.option("-n", "--workers", type=click.IntRange(min=1), metavar="N",

@@ -26,7 +26,10 @@ _PUBLISH_EVERY_S = 0.1
 """Short enough for bases that stop without commands (`cmd_vel_timeout`)."""
 
 
-@command(examples=["slidectl teleop", "slidectl teleop /cart/cmd_vel --speed 0.2", "slidectl teleop --joint joint1"])
+@command(
+    step=None,
+    examples=["slidectl teleop", "slidectl teleop /cart/cmd_vel --speed 0.2", "slidectl teleop --joint joint1"],
+)
 @click.argument("topic", required=False, shell_complete=completion.topics)
 @click.option("--joint", metavar="JOINT", help="Move this joint by the arrow keys.")
 @click.option("--speed", type=float, callback=finite, metavar="X",

@@ -18,7 +18,7 @@ from slidectl.extensions.viewing.top_screen import TopScreen
 from slidectl.extensions.viewing.world_monitor import WorldMonitor
 
 
-@command(examples=["slidectl top", "slidectl top rrbot", "slidectl top --once", "slidectl top --json"])
+@command(step=None, examples=["slidectl top", "slidectl top rrbot", "slidectl top --once", "slidectl top --json"])
 @click.argument("text", required=False, default="", shell_complete=completion.robots)
 @click.option("-d", "--delay", type=float, callback=positive_seconds, default=0.5, show_default=True, metavar="S",
               help="Look again after so long, s of wall time.")  # fmt: skip

@@ -12,7 +12,7 @@ from slidectl.cli.context import DEFAULT_TIMEOUT_S, Context
 from slidectl.errors import Refused, UsageError
 
 
-@command(examples=["slidectl view", "slidectl gui", "slidectl view --port 8090 --read-only --no-open"])
+@command(step=None, examples=["slidectl view", "slidectl gui", "slidectl view --port 8090 --read-only --no-open"])
 @click.option("--port", type=click.IntRange(0, 65535), default=8080, show_default=True, metavar="N",
               help="The port, or the next one that is free; 0 takes any.")  # fmt: skip
 @click.option("--host", default="127.0.0.1", show_default=True, metavar="ADDRESS",

@@ -1,0 +1,1 @@
+"""Parts for slidectl: the commands `nudge` and `sim now`, and one each of gateways, sensors and steps."""
