@@ -161,11 +161,20 @@ def test_the_sessions_of_a_page_print_what_it_shows(page: Path, environment: dic
 
 
 PROGRAM = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
+
+
+def _is_typed(program: str, page: Path) -> bool:
+    """True when a session of the page runs the program as a file."""
+    name = re.match(r"# (\S+\.py)\n", program)
+    return name is not None and any(command == f"python {name[1]}" for command, _ in sessions(page))
+
+
 PROGRAMS = [
     pytest.param(program, id=f"{page.name}-{index}")
     for page in ALL
     if page.name not in ("python.md", "extending.md", "pytest.md")  # run by test_python_page.py and their own tests
     for index, program in enumerate(PROGRAM.findall(text_of(page)))
+    if not _is_typed(program, page)
 ]
 SLIDER = (
     "slidectl daemon start --rtf max",
@@ -207,6 +216,8 @@ def test_no_block_of_a_page_stands_there_unrun() -> None:
     assert {name: count for name, count in others.items() if count and name != "commands.md"} == {
         "architecture.md": 1,  # a picture
         "ci.md": 5,  # test_deployment.py, test_pythons.py
+        "index.md": 1,  # pip: test_pythons.py
+        "install.md": 3,  # pip
         "pytest.md": 1,  # what pytest prints
         "ros1.md": 2,  # gateways/ros1/test_ros1_tools.py, test_ros1_rosmaster.py
         "seeing.md": 1,  # gateways/ros1/test_rviz.py
