@@ -82,11 +82,14 @@ def slide() -> None:
 
 
 def animation() -> None:
-    """The slider and RRBot follow sine waves: a video for the site, a .gif for README.md, and a still picture."""
+    """The slider and RRBot follow sine waves: a video for the site, a .gif for README.md, and a still picture.
+
+    The waves begin where both robots are highest, for the view takes in what is there at the first picture.
+    """
     waves = {
         "/slider/joint1_position_controller": "0.8*sin(2*pi*t/6)",
         "/rrbot/joint1_position_controller": "0.7*sin(2*pi*t/6)",
-        "/rrbot/joint2_position_controller": "1.3*cos(2*pi*t/6)",
+        "/rrbot/joint2_position_controller": "1.2*sin(4*pi*t/6)",
     }
     with world("--paused") as environment, tempfile.TemporaryDirectory(prefix="slidectl-") as folder:
         quick = Path(folder) / "quick.yaml"  # the slider's own limit of 0.1 m/s is too slow to look at
