@@ -56,13 +56,12 @@ examples: $(STAMP)  ## run every script and every scenario of examples/
 	@PATH="$(CURDIR)/$(BIN):$$PATH" bash examples/run_all.sh
 	@$(BIN)/slidectl test examples/scenarios
 
-docs: $(STAMP)  ## the documentation as a site, in build/site
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
-	@$(BIN)/mkdocs build --quiet --strict
+docs: $(STAMP)  ## the documentation as a site, in build/site; checks its links and anchors
+	@$(BIN)/python scripts/build_site.py
 
 wheel: $(STAMP)  ## build the wheel and try it in a bare environment
 	@bash scripts/try_wheel.sh
 
 clean:  ## remove what the other targets made
-	rm -rf $(VENV) .venv-3* build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) .venv-3* .cache build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

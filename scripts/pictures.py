@@ -81,12 +81,53 @@ def slide() -> None:
             "--save", file, "-q")  # fmt: skip
 
 
+def animation() -> None:
+    """The slider and RRBot follow sine waves: a video for the site, a .gif for README.md, and a still picture.
+
+    The waves begin where both robots are highest, for the view takes in what is there at the first picture.
+    """
+    waves = {
+        "/slider/joint1_position_controller": "0.8*sin(2*pi*t/6)",
+        "/rrbot/joint1_position_controller": "0.7*sin(2*pi*t/6)",
+        "/rrbot/joint2_position_controller": "1.2*sin(4*pi*t/6)",
+    }
+    with world("--paused") as environment, tempfile.TemporaryDirectory(prefix="slidectl-") as folder:
+        quick = Path(folder) / "quick.yaml"  # the slider's own limit of 0.1 m/s is too slow to look at
+        quick.write_text(
+            (ROOT / "config" / "slider_control.yaml").read_text(encoding="utf-8")
+            + "\n  joint_limits: {joint1: {has_velocity_limits: true, max_velocity: 2.0}}\n",
+            encoding="utf-8",
+        )
+        run(environment, "spawn", "slider", "-q", "--at", "0", "-0.8", "0", "--controllers", str(quick), "--start",
+            "joint1_position_controller")  # fmt: skip
+        run(environment, "spawn", "rrbot", "-q", "--at", "0", "0.8", "0", "--controllers",
+            "config/rrbot_control.yaml", "--start", "joint1_position_controller",
+            "joint2_position_controller")  # fmt: skip
+        publishers = [
+            subprocess.Popen([SLIDECTL, "pub", "-q", "-r", "100", f"{name}/command", wave], env=environment)
+            for name, wave in waves.items()
+        ]
+        try:
+            time.sleep(2)  # until they publish, as time stands still
+            run(environment, "sim", "step", "6s", "-q")  # the swing of the beginning has gone: the last picture of
+            # the next period leads to its first one
+            for file, more in (("slide.mp4", ("--size", "960x540")),
+                               ("slide.gif", ("--size", "480x270", "--fps", "10"))):  # fmt: skip
+                run(environment, "video", str(PICTURES / file), "--for", "6", *more, "-q")
+            run(environment, "render", "-o", str(PICTURES / "slide.png"), "--size", "960x540", "-q")
+        finally:
+            for publisher in publishers:
+                publisher.terminate()
+                publisher.wait()
+
+
 def main() -> int:
     chromium = shutil.which("chromium")
     if chromium is None:
         print("Chromium is not installed (on Debian: apt install chromium)", file=sys.stderr)
         return 1
     PICTURES.mkdir(exist_ok=True)
+    animation()
     slide()
     page(chromium)
     return 0

@@ -22,7 +22,7 @@ SLOW = (
     # foreign programs, browsers, whole pages, attacks, and runs of the tests themselves
     "fuzz/*", "gateways/ros1/*", "gateways/websocket/test_websocket_clients.py", "viewing/test_page*",
     "gateways/websocket/test_websocket_page.py", "test_deployment.py", "test_examples.py", "test_pytest_plugin.py",
-    "test_shown_sessions.py", "test_test_runs.py", "test_portable_ways.py",
+    "test_shown_sessions.py", "test_site.py", "test_test_runs.py", "test_portable_ways.py",
     # commands that start much: launches, shells with the ROS commands, recordings, scenarios, and many daemons
     "cli/test_cli_base_clean.py", "cli/test_cli_base_controllers.py", "cli/test_cli_base_daemon*",
     "cli/test_cli_base_robots.py",

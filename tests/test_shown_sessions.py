@@ -16,6 +16,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import textwrap
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -28,17 +29,22 @@ FILE = re.compile(r"^([^\n]*)\n\n```(?!console)\w+\n(.*?)^```", re.MULTILINE | r
 END = "the-command-has-ended"
 LIMIT_S = 120
 NUMBER = re.compile(r"(?<![A-Za-z_/])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
-PAGES = [
-    page
-    for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
-    if BLOCK.search(page.read_text("utf-8"))
-]
+TAB = re.compile(r'^=== ".*"\n((?:(?: {4}.*)?\n)+)', re.MULTILINE)
+ALL = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
+
+
+def text_of(page: Path) -> str:
+    """The page, with what stands in its tabs moved to the left."""
+    return TAB.sub(lambda tab: textwrap.dedent(tab[1]), page.read_text(encoding="utf-8"))
+
+
+PAGES = [page for page in ALL if BLOCK.search(text_of(page))]
 
 
 def sessions(page: Path) -> list[tuple[str, list[str]]]:
     """Commands and the lines that each is said to print, in the order of the page."""
     steps: list[tuple[str, list[str]]] = []
-    for block in BLOCK.findall(page.read_text(encoding="utf-8")):
+    for block in BLOCK.findall(text_of(page)):
         for line in block.splitlines():
             if line.startswith("$ "):
                 steps.append((line[2:].partition("    #")[0].rstrip(), []))
@@ -51,7 +57,7 @@ def sessions(page: Path) -> list[tuple[str, list[str]]]:
 
 def files(page: Path) -> Iterator[tuple[str, str]]:
     """Those that the page tells to save: a block that begins with `# NAME`, or stands behind "... as `NAME`"."""
-    for before, text in FILE.findall(page.read_text(encoding="utf-8")):
+    for before, text in FILE.findall(text_of(page)):
         if name := re.match(r"# (\S+\.\w+)\n", text) or re.search(r"\bas `(\S+\.\w+)`[^`]*\Z", before):
             yield name[1], text
 
@@ -155,11 +161,20 @@ def test_the_sessions_of_a_page_print_what_it_shows(page: Path, environment: dic
 
 
 PROGRAM = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
+
+
+def _is_typed(program: str, page: Path) -> bool:
+    """True when a session of the page runs the program as a file."""
+    name = re.match(r"# (\S+\.py)\n", program)
+    return name is not None and any(command == f"python {name[1]}" for command, _ in sessions(page))
+
+
 PROGRAMS = [
     pytest.param(program, id=f"{page.name}-{index}")
-    for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
+    for page in ALL
     if page.name not in ("python.md", "extending.md", "pytest.md")  # run by test_python_page.py and their own tests
-    for index, program in enumerate(PROGRAM.findall(page.read_text(encoding="utf-8")))
+    for index, program in enumerate(PROGRAM.findall(text_of(page)))
+    if not _is_typed(program, page)
 ]
 SLIDER = (
     "slidectl daemon start --rtf max",
@@ -193,14 +208,16 @@ def test_numbers_may_differ_but_words_may_not() -> None:
 def test_no_block_of_a_page_stands_there_unrun() -> None:
     """One that is neither a session, nor a program, nor a file to save, is taken from its page by another test."""
     others: dict[str, int] = {}
-    for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))):
-        text = page.read_text(encoding="utf-8")
+    for page in ALL:
+        text = text_of(page)
         kinds = re.findall(r"^```(\w*)\n.*?^```", text, re.MULTILINE | re.DOTALL)
         saved = sum(f"```python\n{file}" not in text for _, file in files(page))
         others[page.name] = len(kinds) - kinds.count("console") - kinds.count("python") - saved
     assert {name: count for name, count in others.items() if count and name != "commands.md"} == {
         "architecture.md": 1,  # a picture
         "ci.md": 5,  # test_deployment.py, test_pythons.py
+        "index.md": 1,  # pip: test_pythons.py
+        "install.md": 3,  # pip
         "pytest.md": 1,  # what pytest prints
         "ros1.md": 2,  # gateways/ros1/test_ros1_tools.py, test_ros1_rosmaster.py
         "seeing.md": 1,  # gateways/ros1/test_rviz.py
