@@ -20,7 +20,8 @@ from slidectl.cli.controller import read_parameters
 from slidectl.cli.param import store
 from slidectl.cli.robots import Robot
 from slidectl.client import spawning
-from slidectl.client.client import SPAWN_LIMIT_S, Manager, configured
+from slidectl.client.manager import Manager, configured
+from slidectl.client.world_client import SPAWN_LIMIT_S
 from slidectl.errors import BadFile, NotThere, Refused, UnknownName, UsageError
 
 if TYPE_CHECKING:
@@ -391,7 +392,7 @@ def _bring_up(manager: Manager, names: list[str], loads: dict[str, str], missing
 
 def _how_to_go_on(ctx: Context, robot: Robot, controllers: str | None, start: Sequence[str]) -> str:
     """What to type after a robot has been spawned whose controllers did not start."""
-    from slidectl.client.link import command
+    from slidectl.paths import command
 
     def typed(words: str) -> str:
         return command(ctx.client.paths, words)

@@ -12,13 +12,12 @@ from collections.abc import Awaitable, Callable, Collection
 from contextlib import suppress
 from typing import Any
 
-from slidectl.client.lines import LONGEST_LINE, BadLine, LineBuffer, decode, encode
-from slidectl.client.link import command
 from slidectl.effects import Effect
 from slidectl.errors import NoDaemon, Refused, SlidectlError, TimedOut
 from slidectl.extensions.gateways.tasks import Tasks
 from slidectl.operating_system import peer
-from slidectl.paths import InstancePaths, check_private
+from slidectl.paths import InstancePaths, check_private, command
+from slidectl.wire.lines import LONGEST_LINE, BadLine, LineBuffer, decode, encode
 
 Message = dict[str, Any]
 Take = Callable[[Message], None]

@@ -10,8 +10,8 @@ import click
 from slidectl.cli import completion, output
 from slidectl.cli.commands import group
 from slidectl.cli.context import Context
-from slidectl.client.link import command
 from slidectl.errors import NoDaemon, Refused
+from slidectl.paths import command
 
 if TYPE_CHECKING:
     from slidectl.extensions.gateways.process import RunningGateway

@@ -20,7 +20,6 @@ from typing import Any, ClassVar
 from websockets.typing import Subprotocol
 
 from slidectl import msgs, names
-from slidectl.client.lines import encode, numbers_of_json
 from slidectl.effects import Effect
 from slidectl.errors import BadMessage, NoDaemon, Refused, SlidectlError, TimedOut, quoted
 from slidectl.extensions.gateways.daemon_connection import GRAPH_CHANGES, PARAMETER_CHANGES, DaemonConnection
@@ -54,10 +53,11 @@ from slidectl.extensions.gateways.foxglove.robot_assets import RobotAssets
 from slidectl.extensions.gateways.gateway import Gateway, is_offered
 from slidectl.extensions.gateways.ros1.ros1_types import Ros1Type, ros1_type
 from slidectl.extensions.gateways.websocket_listener import ListenerOptions, WebSocketListener
-from slidectl.held_bytes import HeldBytes
 from slidectl.msgs.schema import SCALAR, TIMES, nanoseconds
 from slidectl.paths import InstancePaths
 from slidectl.web_access import check_effects
+from slidectl.wire.bounds import HeldBytes
+from slidectl.wire.lines import encode, numbers_of_json
 
 Message = dict[str, Any]
 
