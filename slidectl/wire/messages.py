@@ -117,10 +117,10 @@ def number(message: Message, key: str) -> float:
 def time_ns(message: Message, key: str) -> int:
     """The time {secs, nsecs} under a key, in ns. Raises UsageError."""
     time = message.get(key)
-    parts = [time.get(part) for part in ("secs", "nsecs")] if isinstance(time, dict) else []
+    parts: list[Any] = [time.get(part) for part in ("secs", "nsecs")] if isinstance(time, dict) else []
     if not parts or not all(isinstance(part, int) and 0 <= part < 2**32 for part in parts):
         raise UsageError(f"{key!r} is a time, {{secs, nsecs}}, not {shortened(time)}")
-    return int(parts[0]) * 10**9 + int(parts[1])
+    return int(parts[0] * 10**9 + parts[1])
 
 
 def subscription_id(message: Message) -> str | None:
