@@ -178,6 +178,13 @@ def is_named_by_instance(paths: InstancePaths) -> bool:
     return not paths.prefix and _is_ours_to_name(paths.folder_text)
 
 
+def check_socket(paths: InstancePaths) -> None:
+    """Check, before connecting, that nobody else may have put the socket there. Raises Refused, OSError."""
+    if paths.prefix:
+        os.lstat(paths.socket_text)  # a missing socket is an OSError, whatever the folder's permissions are
+    check_private(paths.folder_text)
+
+
 def command(paths: InstancePaths, words: str) -> str:
     """The shell command that runs `words` on this instance."""
     if not is_named_by_instance(paths):

@@ -14,7 +14,7 @@ from typing import Self
 
 from slidectl import names, paths
 from slidectl.client.link import ClientLink, SocketLink
-from slidectl.errors import MessageRefused, NoDaemon, Refused, TimedOut, UnknownName, Unused, listing
+from slidectl.errors import NoDaemon, Refused, TimedOut, UnknownName, Unused, listing
 from slidectl.paths import command
 from slidectl.wire.messages import SYNCHRONIZE, Message, reasons_of, resolved, values_of
 from slidectl.wire.peers import ClientPeer, Inbox, typed
@@ -47,8 +47,6 @@ class GraphClient:
         self.errors: list[str] = []
         self._published = False
         self._full_names: dict[tuple[str, str], str] = {}
-        self._sent: dict[str, int] = {}
-        """Topic -> number of messages published without latch."""
         self._handlers: dict[str, Callable[[Message], Message]] = {}
         """Service -> handler, of the services that this client provides."""
 
@@ -162,12 +160,8 @@ class GraphClient:
 
     def publish(self, topic: str, message: Message, type: str | None = None, latch: bool = False) -> None:
         """Send one message. An existing topic needs no type; `flush` raises if the message was refused."""
-        topic = self._full("topic", topic, "subscribers", type)
-        if latch:  # a latched message is kept for later subscribers
-            self._publish(topic, message, type, latch)
-        else:
-            self._publish(topic, message, type, latch, unheard=True)
-            self._sent[topic] = self._sent.get(topic, 0) + 1
+        # A latched message is kept for later subscribers.
+        self._publish(topic, message, type, latch, **({} if latch else {"unheard": True}))
         self._published = True
 
     def _publish(self, topic: str, message: Message, type: str | None, latch: bool, **options: object) -> str:
@@ -401,11 +395,7 @@ class GraphClient:
         try:
             if kind is None and self._published:
                 self.flush()
-                for topic, unheard in self._peer.unheard.items():
-                    if unheard == self._sent.get(topic):
-                        raise MessageRefused(
-                            f"nobody subscribes to {topic}: {unheard} published, none of them received"
-                        )
+                self._peer.check_heard()
         finally:
             self.close()
 

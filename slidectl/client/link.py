@@ -5,7 +5,6 @@ It knows lines and the clock, not operations. Every wait watches the socket, so 
 
 from __future__ import annotations
 
-import os
 import select
 import time
 from collections.abc import Callable
@@ -14,7 +13,7 @@ from typing import Any, Protocol
 
 from slidectl.errors import NoDaemon, TimedOut
 from slidectl.operating_system import peer
-from slidectl.paths import InstancePaths, check_private, command
+from slidectl.paths import InstancePaths, check_socket, command
 from slidectl.wire.lines import LineBuffer, decode
 from slidectl.wire.peers import check_daemon_user, nobody_answers, went_away
 
@@ -93,9 +92,7 @@ class SocketLink:
     def _connect(self, deadline: float) -> socket:
         connection = socket(AF_UNIX)
         try:
-            if self.paths.prefix:
-                os.lstat(self.paths.socket_text)  # a missing socket is NoDaemon, whatever the folder's permissions are
-            check_private(self.paths.folder_text)
+            check_socket(self.paths)
             # The kernel makes a connect wait while the daemon's backlog is full, but only that of a blocking socket.
             # One with a timeout is non-blocking underneath: then a full backlog is EAGAIN, and the connect is repeated.
             connection.settimeout(max(0.001, min(deadline - time.monotonic(), _LONGEST_WAIT_S)))

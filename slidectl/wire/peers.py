@@ -111,8 +111,6 @@ class ClientPeer:
         """Id -> error, of operations that were refused; the first 1000 that nobody has asked for."""
         self.inboxes: dict[str, list[Inbox]] = {}
         """Topic -> its subscriptions."""
-        self.unheard: dict[str, int] = {}
-        """Topic -> number of messages, published with `unheard`, that no subscriber received."""
         self.last_status = ""
         """The text of a status that belongs to no request, if it came last. When the daemon ends, it says why."""
         self.on_call: Callable[[Message], None] = lambda _request: None
@@ -121,6 +119,10 @@ class ClientPeer:
         """Called once with the daemon's version if it differs from the client's; empty if the daemon sends none."""
         self._advertised: dict[tuple[str, str | None, bool], str] = {}
         self._first_call: str | None = None
+        self._sent: dict[str, int] = {}
+        """Topic -> number of messages published with `unheard`."""
+        self._unheard: dict[str, int] = {}
+        """Topic -> number of those messages that no subscriber received."""
         self._serial = 0
 
     # --- what the client sends ----------------------------------------------------------------------------------
@@ -146,6 +148,11 @@ class ClientPeer:
         self.awaited.add(call_id)
         return call_id, line
 
+    def cancel(self, call_id: str) -> bytes:
+        """The line that cancels a call: it gets no answer."""
+        self.forget(call_id)
+        return encode_bounded({"op": "cancel_call", "id": call_id})
+
     def advertise(self, topic: str, type: str | None, latch: bool) -> bytes:
         """The line that makes the client a publisher; empty when it is one of this kind already."""
         if (topic, type, latch) in self._advertised:
@@ -160,11 +167,12 @@ class ClientPeer:
         return encode_bounded({"op": "unadvertise", "topic": topic})
 
     def publish(self, topic: str, message: Message, **options: Any) -> tuple[str, bytes]:
-        """The id and the line of a message."""
+        """The id and the line of a message. With the option `unheard` it counts for `check_heard`."""
         publish_id = self.next_id("publish")
-        return publish_id, encode_bounded(
-            {"op": "publish", "id": publish_id, "topic": topic, "msg": message, **options}
-        )
+        line = encode_bounded({"op": "publish", "id": publish_id, "topic": topic, "msg": message, **options})
+        if "unheard" in options:
+            self._sent[topic] = self._sent.get(topic, 0) + 1
+        return publish_id, line
 
     def subscribe(
         self, inbox: Inbox, throttle_rate: int, queue_length: int, type: str | None, is_stamped: bool
@@ -191,7 +199,7 @@ class ClientPeer:
     def check_subscribed(self, inbox: Inbox) -> None:
         """Raise the refusal of a subscription, and forget it, if it was refused."""
         if inbox.id in self.refusals:
-            self.inboxes[inbox.topic].remove(inbox)
+            self.unsubscribe(inbox)
             self.check_refused(inbox.id)
 
     def respond(self, request: Message, values: Message | str) -> bytes:
@@ -235,7 +243,7 @@ class ClientPeer:
         for inbox in self.inboxes.get(topic, ()):
             inbox.dropped += int(status.get("dropped", 0))
         if status.get("unheard"):
-            self.unheard[topic] = self.unheard.get(topic, 0) + 1
+            self._unheard[topic] = self._unheard.get(topic, 0) + 1
         if "id" not in status and "dropped" not in status:
             self.last_status = str(status.get("msg", ""))
 
@@ -260,6 +268,12 @@ class ClientPeer:
         self.refusals.clear()
         if refusals:
             raise refusals[0]
+
+    def check_heard(self) -> None:
+        """Raise MessageRefused for a topic none of whose counted messages reached a subscriber."""
+        for topic, unheard in self._unheard.items():
+            if unheard == self._sent.get(topic):
+                raise MessageRefused(f"nobody subscribes to {topic}: {unheard} published, none of them received")
 
 
 def typed(type: str | None) -> Message:
