@@ -82,10 +82,9 @@ class AsyncClient:
         loop = asyncio.get_running_loop()
         try:
             paths.check_socket(self.paths)
-            made = loop.create_unix_connection(
-                lambda: _Lines(self._received, self._may_send, self._lost), self.paths.socket_text
-            )
-            transport, _ = await asyncio.wait_for(made, _limit(self.timeout))
+            lines = _Lines(self._received, self._may_send, self._lost)
+            async with asyncio.timeout(_limit(self.timeout)):
+                transport, _ = await loop.create_unix_connection(lambda: lines, self.paths.socket_text)
         except OSError as error:
             raise nobody_answers(self.paths, error) from None
         if transport.is_closing():
@@ -190,7 +189,8 @@ class AsyncClient:
         self.send_line(line)
         seconds = self.timeout if timeout is None else timeout
         try:
-            answer = await asyncio.wait_for(answered, _limit(seconds))
+            async with asyncio.timeout(_limit(seconds)):
+                answer = await answered
         except TimeoutError:
             raise TimedOut(f"{what} did not answer within {seconds:g} s") from None
         finally:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from slidectl import names
-from slidectl.errors import UnknownName
+from slidectl.errors import UnknownName, UsageError
 
 if TYPE_CHECKING:
     from slidectl.client.connection import GraphClient
@@ -40,10 +40,28 @@ class Params:
             full = names.join("/", name)
         self.set_all({full: value})
 
-    def set_all(self, values: Mapping[str, Any]) -> None:
-        """Set several by full name, all or none. Raises Refused: a loaded controller cannot take a value."""
-        texts = [json.dumps(value, allow_nan=False) for value in values.values()]
-        self._client.call("/slidectl/set_params", {"names": list(values), "values": texts})
+    def set_all(self, values: Mapping[str, Any], known_only: bool = False) -> list[str]:
+        """Set several by full name, all or none; other parameters stay. The client's `reasons` have warnings.
+
+        Args:
+            known_only: a name below a loaded controller that it does not read is an error.
+
+        Returns:
+            The names that were not set before, without those below a loaded controller, which has checked them.
+
+        Raises:
+            Refused: a loaded controller cannot take a value. UsageError: JSON cannot carry a value.
+        """
+        texts = []
+        for name, value in values.items():
+            try:
+                texts.append(json.dumps(value, allow_nan=False))
+            except ValueError:
+                reason = f"parameter {name} cannot be set to {value}: parameters hold finite numbers"
+                raise UsageError(reason) from None
+        request = {"names": list(values), "values": texts, "known_only": known_only}
+        answer = self._client.call("/slidectl/set_params", request)
+        return [name for name in answer["created"] if name not in answer["guarded"]]
 
     def __delitem__(self, name: str) -> None:
         full = self._client.resolve("parameter", name)["name"]

@@ -12,11 +12,8 @@ from typing import Any
 from slidectl import names
 from slidectl.client.connection import GraphClient
 from slidectl.client.manager import Manager
-from slidectl.client.parameter_client import Params
-from slidectl.errors import NoDaemon, Refused, SlidectlError, UnknownName, UsageError
+from slidectl.errors import NoDaemon, Refused, UsageError
 from slidectl.wire.messages import Message
-
-SPAWN_LIMIT_S = 30.0
 
 
 class WorldClient(GraphClient):
@@ -56,108 +53,28 @@ class WorldClient(GraphClient):
             import warnings
 
             warnings.warn(remark, stacklevel=2)
-        pose = spawning.pose(at)
+        place = spawning.pose(at)
         if spawning.is_scene(model):
             spawning.check_scene_options(xacro_arguments, controllers, start, joints or {}, transmissions)
-            models = spawning.scene(model).named(name)
-            requests = [spawning.request(one, at) for one in models]
-            self.spawn_models(requests)
-            return dict(self.call("/slidectl/list_robots", {"name": requests[0]["model_name"]})["robots"][0])
-        document = spawning.document(model, xacro_arguments, name)
-        given = {f"{argument}:=" for argument in xacro_arguments}
-        for notice in document.report:
-            if notice.subject in given:
-                raise UsageError(f"{model}: {notice.subject} {notice.text}")
-        xml = spawning.with_transmissions(document, transmissions)
-        chosen, namespace, _ = spawning.identity(xml, document, name, joints=joints or {})
-        spawning.check_free(self.robots(), chosen, namespace)
-        if controllers is not None:
-            Params(self).set_all(spawning.controller_parameters(controllers, namespace))
-        manager = Manager(self, namespace)
-        known = manager.configured() if start else []
-        for wanted in start:
-            if wanted not in known:
-                raise UnknownName("controller", wanted, known, f"in the parameters of {namespace}")
-        self.spawn_urdf(chosen, xml, pose, joints)
-        if start:
-            manager.bring_up(start, states={})  # the robot is new: it has none yet
-        return dict(self.call("/slidectl/list_robots", {"name": chosen})["robots"][0])
-
-    def spawn_urdf(
-        self,
-        name: str,
-        xml: str,
-        pose: Message,
-        joints: Mapping[str, float] | None = None,
-        *,
-        timeout: float = SPAWN_LIMIT_S,
-    ) -> list[str]:
-        """Spawn a URDF at a geometry_msgs/Pose, with start positions of joints (rad or m).
-
-        Returns the world's remarks. Raises Refused.
-        """
-        request = {"model_name": name, "model_xml": xml, "initial_pose": pose}
-        if not joints:
-            return self._spawn("urdf", request, timeout)
-        with self._spawning() as spawned:  # the world is paused: no cycle runs between the two calls
-            self._spawn("urdf", request, timeout)
-            spawned.append(name)
-            return self.start_joints(name, joints)  # replaces the spawn's remarks, which are about joints at 0
-
-    def start_joints(self, robot: str, positions: Mapping[str, float]) -> list[str]:
-        """Move joints of a robot to these positions (rad or m) at rest, and make them the positions after a reset.
-
-        Returns the world's remarks on the robot in its new state. Raises Refused.
-        """
-        names, values = list(positions), list(positions.values())
-        answer = self.call("/slidectl/start_joints", {"robot": robot, "joint_names": names, "joint_positions": values})
-        if not answer["success"]:
-            raise Refused(answer["message"])
-        return list(answer["message"].split("\n")[1:])
-
-    def spawn_models(self, models: Sequence[Message], *, timeout: float = SPAWN_LIMIT_S) -> list[str]:
-        """Spawn models, all or none; the world is paused meanwhile. Returns the world's remarks.
-
-        Each of `models` is a gazebo_msgs/SpawnModel request, with SDF or a URDF made from it.
-
-        Raises:
-            Refused: a name is taken, or the world cannot take a model.
-        """
-        taken = {robot["name"] for robot in self.robots()} & {model["model_name"] for model in models}
-        if taken:
-            there = ", ".join(repr(name) for name in sorted(taken))
-            raise Refused(f"there is already: {there}", f"slidectl delete {' '.join(sorted(taken))}")
-        remarks: list[str] = []
-        with self._spawning() as spawned:
-            for model in models:
-                remarks += self._spawn("sdf", model, timeout)
-                spawned.append(model["model_name"])  # after the call: a refused name may be another model's
-        return remarks
-
-    @contextmanager
-    def _spawning(self) -> Iterator[list[str]]:
-        """Pause the world inside the context. On an exception, delete the models in the list that it gives."""
-        was_running = not self.call("/slidectl/status")["paused"]
-        spawned: list[str] = []
-        if was_running:
-            self.call("/gazebo/pause_physics")
-        try:
-            yield spawned
-        except BaseException:
-            for name in reversed(spawned):
-                with suppress(SlidectlError):
-                    self.call("/gazebo/delete_model", {"model_name": name})
-            raise
-        finally:
-            if was_running:
-                with suppress(NoDaemon):
-                    self.call("/gazebo/unpause_physics")
-
-    def _spawn(self, kind: str, request: Message, timeout: float) -> list[str]:
-        answer = self.call(f"/gazebo/spawn_{kind}_model", request, timeout=timeout)
-        if not answer["success"]:
-            raise Refused(f"cannot spawn {request['model_name']}: {answer['status_message']}")
-        return list(answer["status_message"].split("\n")[1:])
+            plan = spawning.scene_plan(spawning.scene(model).named(name), place)
+        else:
+            document = spawning.document(model, xacro_arguments, name)
+            given = {f"{argument}:=" for argument in xacro_arguments}
+            for notice in document.report:
+                if notice.subject in given:
+                    raise UsageError(f"{model}: {notice.subject} {notice.text}")
+            plan = spawning.robot_plan(document, place, name, joints=joints, transmissions=transmissions)
+            plan.controllers = list(start)
+            if controllers is not None:
+                plan.parameters = spawning.controller_parameters(controllers, plan.namespace)
+        spawn = spawning.Spawn(self, plan)
+        spawn.check()
+        for unknown in spawn.unknown_controllers():
+            raise unknown
+        spawn.put()
+        manager = Manager(self, plan.namespace)
+        spawn.bring_up(manager, spawn.ask_to_load(manager))
+        return spawn.robot()
 
     def delete(self, name: str) -> None:
         """Delete a robot from the world. Raises UnknownName, Refused."""
