@@ -113,7 +113,8 @@ def _many_topics(folder: Path) -> list[Row]:
         for number in range(max(TOPICS)):
             name = f"robot{number}"
             xml = f"<robot name='{name}'><link name='world'/>{hinge('joint')}</robot>"
-            client.spawn_urdf(name, xml, {"position": {"x": float(number), "y": 0.0, "z": 0.0}})
+            model = {"model_name": name, "model_xml": xml, "initial_pose": {"position": {"x": float(number)}}}
+            assert client.call("/gazebo/spawn_urdf_model", model)["success"]
             client.params.set_all({f"/{name}/states": {"type": STATES, "publish_rate": 1000}})
             client.controllers(f"/{name}").bring_up(["states"])
         for count in TOPICS:

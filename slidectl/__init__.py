@@ -1,6 +1,7 @@
 """slidectl: the ros_control and Gazebo tutorials without ROS and without Gazebo.
 
-The package exports `Client` and `Simulation`. They are imported on first use, so that importing the package is fast.
+The package exports `Client`, `AsyncClient` and `Simulation`. They are imported on first use, so that importing the
+package is fast.
 Not even typing is imported, so that a Ctrl-C in the first milliseconds of a command reaches the command's handler.
 """
 
@@ -11,7 +12,7 @@ if TYPE_CHECKING:
     from typing import Any
 
 __version__ = "0.1.0"
-__all__ = ["Client", "Simulation", "__version__"]
+__all__ = ["AsyncClient", "Client", "Simulation", "__version__"]
 
 
 def __getattr__(name: str) -> Any:
@@ -19,6 +20,10 @@ def __getattr__(name: str) -> Any:
         from slidectl.client import Client
 
         return Client
+    if name == "AsyncClient":
+        from slidectl.client.async_client import AsyncClient
+
+        return AsyncClient
     if name == "Simulation":
         from slidectl.simulation.simulation import Simulation
 

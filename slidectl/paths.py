@@ -178,6 +178,21 @@ def is_named_by_instance(paths: InstancePaths) -> bool:
     return not paths.prefix and _is_ours_to_name(paths.folder_text)
 
 
+def check_socket(paths: InstancePaths) -> None:
+    """Check, before connecting, that nobody else may have put the socket there. Raises Refused, OSError."""
+    if paths.prefix:
+        os.lstat(paths.socket_text)  # a missing socket is an OSError, whatever the folder's permissions are
+    check_private(paths.folder_text)
+
+
+def command(paths: InstancePaths, words: str) -> str:
+    """The shell command that runs `words` on this instance."""
+    if not is_named_by_instance(paths):
+        return f"slidectl --socket {paths.socket_text} {words}"
+    name = paths.name
+    return f"slidectl {words}" if name == DEFAULT_INSTANCE else f"slidectl -i {name} {words}"
+
+
 def _is_ours_to_name(folder: str | Path) -> bool:
     """True for the folder of an instance. The user is responsible for the folder of a named socket."""
     return os.path.dirname(os.fspath(folder)) == runtime_folder()

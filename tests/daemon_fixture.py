@@ -27,8 +27,14 @@ from slidectl.daemon import lifecycle
 from slidectl.daemon.options import DaemonOptions
 from slidectl.operating_system import LINUX, PORTABLE
 from slidectl.processes import holder
+from slidectl.wire.lines import encode
 
 ROOT = Path(__file__).parent.parent
+
+
+def send(client: Client, **operation: Any) -> None:
+    """Send an operation as it is given, for what no method of the client sends."""
+    client._send_line(encode(operation))
 
 
 def shown(page: str, text: str) -> list[list[str]]:

@@ -26,3 +26,4 @@ def test_every_example_of_the_python_page_runs(
     printed = capsys.readouterr().out
     assert "/slider ['joint_state_controller', 'joint1_position_controller']" in printed
     assert "nobody subscribes to /nobody/listens: 1 published, none of them received" in printed
+    assert "received 1\nreceived 2\n" in printed

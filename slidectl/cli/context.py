@@ -15,7 +15,7 @@ from slidectl.errors import UsageError
 
 if TYPE_CHECKING:
     from slidectl.client import Client
-    from slidectl.client.client import Manager
+    from slidectl.client.manager import Manager
     from slidectl.paths import InstancePaths
 
 DEFAULT_TIMEOUT_S = 10.0
@@ -80,7 +80,7 @@ class Context:
     def _say_other_version(self, theirs: str) -> None:
         """Warn that the daemon was started by another version of this program; the two may be incompatible."""
         from slidectl import __version__
-        from slidectl.client.link import command
+        from slidectl.paths import command
 
         version = f"version {theirs}" if theirs else "another version"
         restart = command(self.client.paths, "daemon restart")
@@ -114,7 +114,7 @@ class Context:
 
     def manager(self, namespace: str) -> Manager:
         """The controller manager of a namespace; its warnings go to stderr."""
-        from slidectl.client.client import Manager
+        from slidectl.client.manager import Manager
 
         return Manager(self.client, namespace, self.warn, timeout_s=self.timeout or 0.0)
 

@@ -20,7 +20,7 @@ from slidectl.cli.commands import Variadic, finite, group, simulated_seconds, wa
 from slidectl.cli.context import Context
 from slidectl.cli.param import store
 from slidectl.cli.topic_streams import paused, resume_hint
-from slidectl.client.client import BEST_EFFORT, STARTED, STRICT, UNLOADED, Manager, claimed_text, configured, each
+from slidectl.client.manager import BEST_EFFORT, STARTED, STRICT, UNLOADED, Manager, claimed_text, configured, each
 from slidectl.command_steps import CommandStep, StepEffects
 from slidectl.errors import AmbiguousName, NoDaemon, Refused, TimedOut, UnknownName, UsageError, listing
 from slidectl.names import join, parent, resolve
@@ -658,7 +658,7 @@ def _steps(context: Context, node: str) -> list[str]:
 def _known(managers: Sequence[Manager]) -> tuple[dict[str, dict[str, str]], dict[str, set[str]]]:
     """Two by namespace, in the time of one call: the states of the loaded controllers, and all that could be loaded."""
     asked = {manager: manager.ask_for_controllers() for manager in managers}
-    parameters = managers[0].client.params.names() if managers else []
+    parameters = managers[0].parameter_names() if managers else []
     states = {manager.namespace: manager.states(call_id) for manager, call_id in asked.items()}
     return states, {space: {*loaded, *configured(parameters, space)} for space, loaded in states.items()}
 

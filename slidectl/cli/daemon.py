@@ -366,8 +366,8 @@ def clean(ctx: Context, dry_run: bool, everything: bool) -> None:
     JSON keys: path, what, bytes, removed.
     """
     from slidectl.cli.shell import history_file
-    from slidectl.client.link import command
     from slidectl.daemon import cleaning
+    from slidectl.paths import command
 
     found = cleaning.of_all(Path(history_file()), ctx.paths) if everything else cleaning.of_instance(ctx.paths)
     stop_it = "slidectl daemon list" if everything else command(ctx.paths, "daemon stop")

@@ -75,7 +75,7 @@ class Background:
 
     def _follow(self, child: int) -> NoReturn:
         from slidectl.cli import leave
-        from slidectl.client.link import command
+        from slidectl.paths import command
 
         if os.read(self._read, 1):
             leave(EXIT_DONE)

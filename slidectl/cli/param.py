@@ -327,15 +327,7 @@ def store(ctx: Context, parameters: Tree, known_only: bool = False) -> list[str]
     Raises:
         Refused: a loaded controller cannot take a value. UsageError: JSON cannot carry a value.
     """
-    texts = []
-    for name, value in parameters.items():
-        try:
-            texts.append(json.dumps(value, allow_nan=False))
-        except ValueError:
-            reason = f"parameter {name} cannot be set to {value}: parameters hold finite numbers"
-            raise UsageError(reason) from None
-    request = {"names": list(parameters), "values": texts, "known_only": known_only}
-    answer = ctx.call("/slidectl/set_params", request)
+    created = ctx.client.params.set_all(parameters, known_only)
     for reason in ctx.client.reasons:
         ctx.warn(reason)
-    return [name for name in answer["created"] if name not in answer["guarded"]]
+    return created

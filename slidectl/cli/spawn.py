@@ -17,12 +17,10 @@ from slidectl.cli import completion, output, robots
 from slidectl.cli.commands import Variadic, command, looks_like_number
 from slidectl.cli.context import Context
 from slidectl.cli.controller import read_parameters
-from slidectl.cli.param import store
 from slidectl.cli.robots import Robot
 from slidectl.client import spawning
-from slidectl.client.client import SPAWN_LIMIT_S, Manager, configured
 from slidectl.command_steps import CommandStep, StepEffects
-from slidectl.errors import BadFile, NotThere, Refused, UnknownName, UsageError
+from slidectl.errors import BadFile, NotThere, Refused, SlidectlError, UsageError
 
 if TYPE_CHECKING:
     from slidectl.description import Document, Packages
@@ -129,35 +127,44 @@ def spawn(
         _tell_left_out(ctx, missing)
         return
     document = _document(ctx, source, given, name, places, missing)
-    xml = spawning.with_transmissions(document, transmissions, _rooted(document.xml, document.file, fixed))
-    pose = spawning.pose(at, "--at")
-    wanted, namespace, model_on_paper = spawning.identity(xml, document, name, strict, positions)
-    if remark := names.remark_on_robot(model_on_paper.name if name is None else name):
+    plan = spawning.robot_plan(
+        document,
+        spawning.pose(at, "--at"),
+        name,
+        fixed=fixed,
+        joints=positions,
+        transmissions=transmissions,
+        strict=strict,
+    )
+    assert plan.robot is not None
+    if remark := names.remark_on_robot(plan.robot.name if name is None else name):
         ctx.warn(remark)
-    asked = ctx.client.call_async("/rosapi/get_param_names")  # answered in the time of the next call
-    present = robots.all_robots(ctx)
-    parameters = set(ctx.client.answer(asked)["names"])
-    spawning.check_free(present, wanted, namespace)
+    plan.controllers = list(start)
+    spawn = spawning.Spawn(ctx.client, plan, ctx.warn, ctx.wait_limit(spawning.LIMIT_S))
+    spawn.check()
     if controllers is not None:
         try:
-            tree = read_parameters(ctx, controllers, [namespace], tells_moves=name is None)
-            store(ctx, tree)
-            parameters |= tree.keys()
+            plan.parameters = read_parameters(ctx, controllers, [plan.namespace], tells_moves=name is None)
         except NotThere as error:
             missing.note(error, "the parameters of controllers are left out")
             missing.refuse()
-    there = _configured(namespace, sorted(parameters), start, missing)
-    warnings = ctx.client.spawn_urdf(wanted, xml, pose, positions, timeout=ctx.wait_limit(SPAWN_LIMIT_S))
-    manager = ctx.manager(namespace)
-    loads = manager.ask_to_load(there)  # the robot is new, so none is loaded yet
-    robot = robots.find(robots.all_robots(ctx), wanted)
+    for unknown in spawn.unknown_controllers():
+        if not missing.keeps_going:
+            raise unknown
+        _leave_out(missing, unknown.name, unknown)
+        plan.controllers.remove(unknown.name)
+    warnings = spawn.put()
+    manager = ctx.manager(plan.namespace)
+    loads = spawn.ask_to_load(manager)
+    robot = spawn.robot()  # in the same round trip
     _tell_report(ctx, robot, document, positions)
-    for slip in slips.of_robot(model_on_paper):
+    for slip in slips.of_robot(plan.robot):
         ctx.warn(slip)
     for warning in warnings:
         ctx.warn(warning)
+    left_out = (lambda name, error: _leave_out(missing, name, error)) if missing.keeps_going else None
     try:
-        there = _bring_up(manager, there, loads, missing)
+        there = spawn.bring_up(manager, loads, left_out)
     except Refused as error:
         _tell(ctx, robot)
         next_step = _how_to_go_on(ctx, robot, controllers, start)
@@ -165,7 +172,7 @@ def spawn(
     _tell(ctx, robot)
     _tell_left_out(ctx, missing)
     if start and not there:
-        raise Refused(f"nothing is left to drive {wanted}: none of its controllers is there")
+        raise Refused(f"nothing is left to drive {robot['name']}: none of its controllers is there")
 
 
 @command(
@@ -328,31 +335,18 @@ def parameter_text(text: str) -> str:
     return value if isinstance(value, str) and value.lstrip().startswith("<") else text
 
 
-def _rooted(xml: str, file: str, fixed: bool | None) -> str:
-    from slidectl import description
-
-    if fixed is None:
-        return xml
-    return description.with_root_fixed(xml, file) if fixed else description.with_root_free(xml, file)
-
-
 def _spawn_scene(
     ctx: Context, scene: Scene, name: str | None, at: Sequence[float], fixed: bool | None, strict: bool
 ) -> None:
     """Spawn all models of a file, or none."""
-    from slidectl import description
-
     if name is not None and (remark := names.remark_on_robot(name)):
         ctx.warn(remark)
-    requests = []
-    for model in scene.named(name):
-        xml = _rooted(model.xml, model.file, fixed)
-        if strict:
-            description.parse(xml, model.file, strict=True)
-        requests.append({**spawning.request(model, at, "--at"), "model_xml": xml})
-    warnings = ctx.client.spawn_models(requests, timeout=ctx.wait_limit(SPAWN_LIMIT_S))
+    plan = spawning.scene_plan(scene.named(name), spawning.pose(at, "--at"), fixed=fixed, strict=strict)
+    spawn = spawning.Spawn(ctx.client, plan, ctx.warn, ctx.wait_limit(spawning.LIMIT_S))
+    spawn.check()
+    warnings = spawn.put()
     present = {robot["name"]: robot for robot in robots.all_robots(ctx)}
-    spawned = [present[request["model_name"]] for request in requests]
+    spawned = [present[model] for model in spawn.names]
     told = [vars(notice) for notice in scene.notices] + [notice for robot in spawned for notice in robot["report"]]
     _tell_notices(ctx, told)
     for warning in warnings:
@@ -366,41 +360,13 @@ def _tell_left_out(ctx: Context, missing: Missing) -> None:
         ctx.warn("\n".join(["left out:", *lines]))
 
 
-def _configured(namespace: str, parameters: Sequence[str], start: Sequence[str], missing: Missing) -> list[str]:
-    """The controllers that have parameters. Raises UnknownName for one without, unless `missing` keeps going."""
-    known = configured(parameters, namespace)
-    for name in start:
-        if name not in known:
-            error = UnknownName("controller", name, known, f"in the parameters of {namespace}")
-            if not missing.keeps_going:
-                raise error
-            missing.note(NotThere(error.message, hint=error.hint), f"the controller {name} is left out")
-    return [name for name in start if name in known]
-
-
-def _bring_up(manager: Manager, names: list[str], loads: dict[str, str], missing: Missing) -> list[str]:
-    """Start the controllers, whose `loads` are pending. With `--keep-going`, load and start each one that can be.
-
-    Returns their names.
-    """
-    if not missing.keeps_going:
-        if names:
-            manager.bring_up(names, states={}, loads=loads)
-        return names
-    there = []
-    for name, load in loads.items():
-        try:
-            manager.bring_up([name], states={}, loads={name: load})
-        except Refused as error:
-            missing.note(NotThere(error.message, hint=error.hint), f"the controller {name} is left out")
-        else:
-            there.append(name)
-    return there
+def _leave_out(missing: Missing, controller: str, error: SlidectlError) -> None:
+    missing.note(NotThere(error.message, hint=error.hint), f"the controller {controller} is left out")
 
 
 def _how_to_go_on(ctx: Context, robot: Robot, controllers: str | None, start: Sequence[str]) -> str:
     """What to type after a robot has been spawned whose controllers did not start."""
-    from slidectl.client.link import command
+    from slidectl.paths import command
 
     def typed(words: str) -> str:
         return command(ctx.client.paths, words)

@@ -5,17 +5,17 @@ It knows lines and the clock, not operations. Every wait watches the socket, so 
 
 from __future__ import annotations
 
-import os
 import select
 import time
 from collections.abc import Callable
 from socket import AF_UNIX, socket
 from typing import Any, Protocol
 
-from slidectl.client.lines import LineBuffer, decode
-from slidectl.errors import NoDaemon, Refused, TimedOut
+from slidectl.errors import NoDaemon, TimedOut
 from slidectl.operating_system import peer
-from slidectl.paths import DEFAULT_INSTANCE, InstancePaths, check_private, is_named_by_instance
+from slidectl.paths import InstancePaths, check_socket, command
+from slidectl.wire.lines import LineBuffer, decode
+from slidectl.wire.peers import check_daemon_user, nobody_answers, went_away
 
 _CHUNK = 64 * 1024
 """Bytes per receive call. Python allocates this many each time; above 128 KiB malloc would map and unmap memory."""
@@ -23,14 +23,6 @@ _GRACE_S = 0.25
 """Seconds after a deadline in which arrived data is still read. Bounds the wait under constant traffic."""
 _LONGEST_WAIT_S = 1e6
 """`select` and `settimeout` accept no longer wait, in s."""
-
-
-def command(paths: InstancePaths, words: str) -> str:
-    """The shell command that runs `words` on this instance."""
-    if not is_named_by_instance(paths):
-        return f"slidectl --socket {paths.socket_text} {words}"
-    name = paths.name
-    return f"slidectl {words}" if name == DEFAULT_INSTANCE else f"slidectl -i {name} {words}"
 
 
 class ClientLink(Protocol):
@@ -76,9 +68,11 @@ class SocketLink:
         self._to_wait = (self._socket.fileno(),)
         pid, uid = peer(self._socket)
         self.daemon_pid = None if uid is None else pid
-        if uid not in (None, os.geteuid()):
+        try:
+            check_daemon_user(uid, paths)
+        except BaseException:
             self.close()
-            raise Refused(f"the daemon on {paths.socket_text} belongs to another user (uid {uid})")
+            raise
 
     def another(self, deadline: float) -> SocketLink:
         """Open a further connection to the same daemon. Raises as the constructor."""
@@ -98,9 +92,7 @@ class SocketLink:
     def _connect(self, deadline: float) -> socket:
         connection = socket(AF_UNIX)
         try:
-            if self.paths.prefix:
-                os.lstat(self.paths.socket_text)  # a missing socket is NoDaemon, whatever the folder's permissions are
-            check_private(self.paths.folder_text)
+            check_socket(self.paths)
             # The kernel makes a connect wait while the daemon's backlog is full, but only that of a blocking socket.
             # One with a timeout is non-blocking underneath: then a full backlog is EAGAIN, and the connect is repeated.
             connection.settimeout(max(0.001, min(deadline - time.monotonic(), _LONGEST_WAIT_S)))
@@ -114,23 +106,12 @@ class SocketLink:
                     time.sleep(0.005)
         except OSError as error:
             connection.close()
-            raise self._nobody(error) from None
+            raise nobody_answers(self.paths, error) from None
         except BaseException:
             connection.close()
             raise
         connection.setblocking(False)
         return connection
-
-    def _nobody(self, error: OSError) -> NoDaemon:
-        hint = "start it with: " + command(self.paths, "daemon start")
-        if isinstance(error, FileNotFoundError | ConnectionRefusedError):
-            return NoDaemon(f"no daemon answers on {self.paths.socket_text}", hint)
-        if isinstance(error, BlockingIOError | TimeoutError):
-            return NoDaemon(
-                f"the daemon on {self.paths.socket_text} takes no connection: it hangs, is stopped, or has too many",
-                f"see: {command(self.paths, 'daemon logs')}\nend it with: {command(self.paths, 'daemon stop')}",
-            )
-        return NoDaemon(f"no daemon answers on {self.paths.socket_text}: {error.strerror or error}", hint)
 
     def send(self, line: bytes, deadline: float) -> None:
         """Send a line; lines that arrive meanwhile are kept. Raises TimedOut, NoDaemon."""
@@ -182,8 +163,7 @@ class SocketLink:
         return not self._closed
 
     def _gone(self) -> NoDaemon:
-        why = f": {self.last_status}" if self.last_status else ""
-        return NoDaemon(f"the daemon went away{why}", "start it with: " + command(self.paths, "daemon start"))
+        return went_away(self.last_status, "start it with: " + command(self.paths, "daemon start"))
 
     def close(self) -> None:
         self._closed = True

@@ -1,28 +1,37 @@
-"""Reading a robot's files for a spawn: the model, its name and pose, and its controllers' parameters.
+"""A spawn: what is read from a robot's files, the plan that follows from it, and how a client carries it out.
 
-It knows no connection. The description package is imported inside the functions: a script that spawns nothing, and
-every other command, starts without it.
+A plan says everything before anything is changed: parameters, models, positions of joints, controllers. `Spawn` sends
+its requests in that order and takes back what a refusal has made void. The description package is imported inside the
+functions: a script that spawns nothing, and every other command, starts without it.
 """
 
 from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from slidectl import names, rotations
-from slidectl.errors import NotThere, Refused, UnknownName, UsageError
+from slidectl.client.manager import Manager, configured
+from slidectl.client.parameter_client import Params
+from slidectl.errors import NoDaemon, NotThere, Refused, SlidectlError, UnknownName, UsageError
 
 if TYPE_CHECKING:
+    from slidectl.client.connection import GraphClient
     from slidectl.description import Document, Packages
     from slidectl.description.missing import Missing
     from slidectl.description.robot import Robot
     from slidectl.description.sdf import Scene, SdfModel
 
 Tree = dict[str, Any]
+Message = dict[str, Any]
 
+LIMIT_S = 30.0
+"""Limit of the spawn of one model, in wall seconds: meshes are read and shapes built."""
 FARTHEST = 1e6
 """The largest coordinate, in m or rad. The physics fails at 1e10, and models become unstable long before."""
 
@@ -47,45 +56,13 @@ def document(
     return description.load(source, dict(arguments), places, title=title, missing=missing)
 
 
-def with_transmissions(model: Document, how: str | None, xml: str | None = None) -> str:
-    """The URDF `xml`, by default the model's, with transmissions of the kind `how`; None leaves them unchanged."""
+def rooted(xml: str, file: str, fixed: bool | None) -> str:
+    """The URDF with its root fixed to the world, or free; unchanged for None."""
     from slidectl import description
 
-    xml = model.xml if xml is None else xml
-    return xml if how is None else description.with_transmissions(xml, how, model.file)
-
-
-def identity(
-    xml: str, model: Document, name: str | None, strict: bool = False, joints: Mapping[str, float] | None = None
-) -> tuple[str, str, Robot]:
-    """The robot's name, made legal, its namespace, and the robot. `joints` holds start positions of joints, rad or m.
-
-    Raises:
-        BadFile: the model is broken. BadName. UnknownName: no such moving joint. Refused: a position out of range.
-    """
-    from slidectl import description
-    from slidectl.description.robot import MOVING, check_position
-
-    robot = description.parse(xml, model.file, strict=strict)
-    chosen = names.legal_robot(robot.name if name is None else name)
-    moving = {one.name: one for one in robot.joints.values() if one.type in MOVING}
-    for joint, position in (joints or {}).items():
-        if joint not in moving:
-            raise UnknownName("moving joint", joint, list(moving), f"on robot {chosen!r}")
-        check_position(moving[joint], position)
-    return chosen, description.namespace_of(robot, chosen), robot
-
-
-def check_free(robots: Sequence[Mapping[str, Any]], name: str, namespace: str) -> None:
-    """Raise Refused when the name or the namespace is taken, before any parameter is touched."""
-    for robot in robots:
-        if robot["name"] == name:
-            raise Refused(
-                f"a robot {name!r} is there already", f"give another name with -n, or: slidectl delete {name}"
-            )
-        if robot["namespace"] == namespace and robot["kind"] == "robot":
-            hint = "a model with an xacro argument `namespace` gets its own with -n NAME"
-            raise Refused(f"the namespace {namespace} is that of the robot {robot['name']!r}", hint)
+    if fixed is None:
+        return xml
+    return description.with_root_fixed(xml, file) if fixed else description.with_root_free(xml, file)
 
 
 def is_scene(source: str) -> bool:
@@ -127,22 +104,8 @@ def scene(source: str, places: Packages | None = None, missing: Missing | None =
     return found
 
 
-def request(model: SdfModel, at: Sequence[float] = (), what: str = "at") -> dict[str, Any]:
-    """A gazebo_msgs/SpawnModel request: the model's own pose moved by X Y Z (m) R P Y (rad)."""
-    place = rotations.compose(_pose(at, what), model.pose)
-    return {"model_name": names.legal_robot(model.name), "model_xml": model.xml, "initial_pose": _message(place)}
-
-
-def pose(at: Sequence[float], what: str = "at") -> dict[str, Any]:
-    """geometry_msgs/Pose of X Y Z (m), or X Y Z R P Y (rad). Raises UsageError; `what` names the option in the text."""
-    return _message(_pose(at, what))
-
-
-def _message(pose: rotations.Pose) -> dict[str, Any]:
-    return {"position": dict(zip("xyz", pose[0], strict=True)), "orientation": rotations.message(pose[1])}
-
-
-def _pose(at: Sequence[float], what: str) -> rotations.Pose:
+def pose(at: Sequence[float], what: str = "at") -> rotations.Pose:
+    """The pose of X Y Z (m), or X Y Z R P Y (rad). Raises UsageError; `what` names the option in the text."""
     given = " ".join(f"{value:g}" for value in at)
     if len(at) not in (0, 3, 6):
         raise UsageError(f"{what} takes X Y Z or X Y Z R P Y, not {given}")
@@ -152,6 +115,272 @@ def _pose(at: Sequence[float], what: str) -> rotations.Pose:
         raise UsageError(f"{what} takes numbers up to ±{FARTHEST:g} (m, rad), not {given}")
     x, y, z, roll, pitch, yaw = (*at, *[0.0] * (6 - len(at)))
     return (x, y, z), rotations.from_rpy((roll, pitch, yaw))
+
+
+def request(name: str, xml: str, at: rotations.Pose, **options: str) -> Message:
+    """A gazebo_msgs/SpawnModel request."""
+    place = {"position": dict(zip("xyz", at[0], strict=True)), "orientation": rotations.message(at[1])}
+    return {"model_name": name, "model_xml": xml, "initial_pose": place, **options}
+
+
+# --- the plan ---------------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class SpawnPlan:
+    """What a spawn does, in this order: parameters, models, positions of joints, controllers."""
+
+    models: list[Message]
+    """gazebo_msgs/SpawnModel requests: a robot of a URDF, or the models of a scene, which are spawned all or none."""
+    is_scene: bool = False
+    namespace: str = ""
+    """That of the robot's controller manager; empty for a scene."""
+    robot: Robot | None = None
+    """The robot of a URDF, as far as it was read for the plan."""
+    joints: Mapping[str, float] = field(default_factory=dict)
+    """Start positions of joints, in rad or m."""
+    parameters: Tree = field(default_factory=dict)
+    """By full name. They are set before the robot is there, because its hardware reads some."""
+    controllers: list[str] = field(default_factory=list)
+    """Those to load, and to start in one cycle."""
+
+
+def robot_plan(
+    model: Document,
+    at: rotations.Pose,
+    name: str | None = None,
+    *,
+    fixed: bool | None = None,
+    joints: Mapping[str, float] | None = None,
+    transmissions: str | None = None,
+    strict: bool = False,
+) -> SpawnPlan:
+    """The plan of a robot of a URDF.
+
+    Args:
+        name: any text; what is no graph name becomes one. By default the model's.
+        fixed: fix its root to the world, or free it; None leaves the model as it is.
+        joints: start positions of joints, rad or m.
+        transmissions: `gazebo` or `real`; overrides the model.
+        strict: refuse impossible masses, inertias and shapes.
+
+    Raises:
+        BadFile: the model is broken. BadName. UnknownName: no such moving joint. Refused: a position out of range.
+    """
+    from slidectl import description
+    from slidectl.description.robot import MOVING, check_position
+
+    xml = rooted(model.xml, model.file, fixed)
+    if transmissions is not None:
+        xml = description.with_transmissions(xml, transmissions, model.file)
+    robot = description.parse(xml, model.file, strict=strict)
+    chosen = names.legal_robot(robot.name if name is None else name)
+    moving = {one.name: one for one in robot.joints.values() if one.type in MOVING}
+    for joint, position in (joints or {}).items():
+        if joint not in moving:
+            raise UnknownName("moving joint", joint, list(moving), f"on robot {chosen!r}")
+        check_position(moving[joint], position)
+    namespace = description.namespace_of(robot, chosen)
+    return SpawnPlan([request(chosen, xml, at)], namespace=namespace, robot=robot, joints=joints or {})
+
+
+def scene_plan(
+    models: Sequence[SdfModel],
+    at: rotations.Pose = rotations.ORIGIN,
+    *,
+    fixed: bool | None = None,
+    strict: bool = False,
+    **options: str,
+) -> SpawnPlan:
+    """The plan of models of SDF, each at its own pose moved by `at`; `fixed` and `strict` as in `robot_plan`.
+
+    `options` are further fields of the gazebo_msgs/SpawnModel requests.
+    """
+    requests = []
+    for model in models:
+        xml = rooted(model.xml, model.file, fixed)
+        if strict:
+            from slidectl import description
+
+            description.parse(xml, model.file, strict=True)
+        place = rotations.compose(at, model.pose)
+        requests.append(request(names.legal_robot(model.name), xml, place, **options))
+    return SpawnPlan(requests, is_scene=True)
+
+
+# --- carrying it out --------------------------------------------------------------------------------------------------
+
+
+class SpawnRefused(Refused):
+    """The world did not take a model. `status` is what it said: the reason, and lines with remarks."""
+
+    def __init__(self, model: str, status: str) -> None:
+        super().__init__(f"cannot spawn {model}: {status}")
+        self.status = status
+
+
+class Spawn:
+    """Carries out a plan on a client's world: `check`, then `put`, then `bring_up`.
+
+    Without a scene, joints and missing parameters these are eight requests for two controllers, in six round trips.
+
+    Args:
+        warn: called with the warnings of parameters and controllers.
+        limit_s: limit of the spawn of one model, in wall seconds.
+        fit: makes the positions of joints from the robot in the world (slidectl/RobotInfo), with remarks on those that
+            are left out; by default they are the plan's.
+    """
+
+    def __init__(
+        self,
+        client: GraphClient,
+        plan: SpawnPlan,
+        warn: Callable[[str], None] = lambda _text: None,
+        limit_s: float = LIMIT_S,
+        fit: Callable[[Message], tuple[Mapping[str, float], list[str]]] | None = None,
+    ) -> None:
+        self.client = client
+        self.plan = plan
+        self._warn = warn
+        self._limit_s = limit_s
+        self._fit = fit
+
+    @property
+    def names(self) -> list[str]:
+        """The names of the models."""
+        return [str(model["model_name"]) for model in self.plan.models]
+
+    def check(self) -> None:
+        """Check that names and the namespace are free. Raises Refused. Nothing has been changed."""
+        plan = self.plan
+        robots = self.client.call("/slidectl/list_robots")["robots"]
+        if plan.is_scene:
+            _check_all_free(robots, self.names)
+        else:
+            check_free(robots, self.names[0], plan.namespace)
+
+    def unknown_controllers(self) -> list[UnknownName]:
+        """An error for each of the plan's controllers that no parameter describes, there or in the plan."""
+        plan = self.plan
+        known = configured(list(plan.parameters), plan.namespace)
+        if set(plan.controllers) <= set(known):
+            return []
+        there = self.client.call("/rosapi/get_param_names")["names"]
+        known = configured(sorted({*there, *plan.parameters}), plan.namespace)
+        where = f"in the parameters of {plan.namespace}"
+        return [UnknownName("controller", name, known, where) for name in plan.controllers if name not in known]
+
+    def put(self) -> list[str]:
+        """Set the parameters, spawn the models and put the joints. Returns the world's remarks.
+
+        For a scene and for joints the world is paused meanwhile, so that no cycle runs between the requests.
+
+        Raises:
+            Refused: no model is left in the world; parameters stay.
+        """
+        plan = self.plan
+        if plan.parameters:
+            Params(self.client).set_all(plan.parameters)
+            for reason in self.client.reasons:
+                self._warn(reason)
+        if not plan.is_scene and not plan.joints:
+            return self._put(plan.models[0])
+        remarks: list[str] = []
+        with self._taken_back() as there:
+            for model in plan.models:
+                remarks += self._put(model)
+                there.append(model["model_name"])  # after the call: a refused name may be another model's
+            # Replaces the spawn's remarks, which are about joints at 0.
+            return self._start_joints() if plan.joints else remarks
+
+    def _put(self, model: Message) -> list[str]:
+        kind = "sdf" if self.plan.is_scene else "urdf"
+        answer = self.client.call(f"/gazebo/spawn_{kind}_model", model, timeout=self._limit_s)
+        if not answer["success"]:
+            raise SpawnRefused(model["model_name"], answer["status_message"])
+        return list(answer["status_message"].split("\n")[1:])
+
+    def _start_joints(self) -> list[str]:
+        """Move joints to their start, at rest; it is theirs after a reset too. Returns the world's remarks."""
+        positions, remarks = self._fit(self.robot()) if self._fit is not None else (self.plan.joints, [])
+        if not positions:
+            return remarks
+        fields = {"joint_names": list(positions), "joint_positions": list(positions.values())}
+        answer = self.client.call("/slidectl/start_joints", {"robot": self.names[0], **fields})
+        if not answer["success"]:
+            raise Refused(answer["message"])
+        return [*remarks, *answer["message"].split("\n")[1:]]
+
+    @contextmanager
+    def _taken_back(self) -> Iterator[list[str]]:
+        """Pause the world inside the context. On an exception, delete the models in the list that it gives."""
+        was_running = not self.client.call("/slidectl/status")["paused"]
+        there: list[str] = []
+        if was_running:
+            self.client.call("/gazebo/pause_physics")
+        try:
+            yield there
+        except BaseException:
+            for name in reversed(there):
+                with suppress(SlidectlError):
+                    self.client.call("/gazebo/delete_model", {"model_name": name})
+            raise
+        finally:
+            if was_running:
+                with suppress(NoDaemon):
+                    self.client.call("/gazebo/unpause_physics")
+
+    def robot(self) -> Message:
+        """The first model as it is in the world (slidectl/RobotInfo)."""
+        return dict(self.client.call("/slidectl/list_robots", {"name": self.names[0]})["robots"][0])
+
+    def ask_to_load(self, manager: Manager) -> dict[str, str]:
+        """Send the requests to load the controllers, for `bring_up`. The robot is new, so none is loaded yet."""
+        return manager.ask_to_load(self.plan.controllers)
+
+    def bring_up(
+        self,
+        manager: Manager,
+        loads: dict[str, str],
+        left_out: Callable[[str, Refused], None] | None = None,
+    ) -> list[str]:
+        """Start the controllers, whose loads are under way, in one cycle. Returns their names.
+
+        With `left_out` each is started that can be, and it gets the others with their errors. Raises Refused.
+        """
+        wanted = self.plan.controllers
+        if left_out is None:
+            if wanted:
+                manager.bring_up(wanted, states={}, loads=loads)
+            return wanted
+        there = []
+        for name, load in loads.items():
+            try:
+                manager.bring_up([name], states={}, loads={name: load})
+            except Refused as error:
+                left_out(name, error)
+            else:
+                there.append(name)
+        return there
+
+
+def check_free(robots: Sequence[Mapping[str, Any]], name: str, namespace: str) -> None:
+    """Raise Refused when the name or the namespace is taken, before any parameter is touched."""
+    for robot in robots:
+        if robot["name"] == name:
+            raise Refused(
+                f"a robot {name!r} is there already", f"give another name with -n, or: slidectl delete {name}"
+            )
+        if robot["namespace"] == namespace and robot["kind"] == "robot":
+            hint = "a model with an xacro argument `namespace` gets its own with -n NAME"
+            raise Refused(f"the namespace {namespace} is that of the robot {robot['name']!r}", hint)
+
+
+def _check_all_free(robots: Sequence[Mapping[str, Any]], names: Sequence[str]) -> None:
+    taken = sorted({robot["name"] for robot in robots} & set(names))
+    if taken:
+        there = ", ".join(repr(name) for name in taken)
+        raise Refused(f"there is already: {there}", f"slidectl delete {' '.join(taken)}")
 
 
 # --- files of controllers ---------------------------------------------------------------------------------------------

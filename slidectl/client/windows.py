@@ -9,8 +9,7 @@ import re
 from collections.abc import Sequence
 from shlex import quote
 
-from slidectl.client.link import command
-from slidectl.paths import InstancePaths
+from slidectl.paths import InstancePaths, command
 
 _PAGE = "http://localhost:8080/"
 """Where the page opens unless that port is taken."""

@@ -21,11 +21,10 @@ from typing import NamedTuple
 
 from slidectl import __version__, paths
 from slidectl.client import Client
-from slidectl.client.link import command
 from slidectl.daemon import lifecycle
 from slidectl.errors import SlidectlError
 from slidectl.operating_system import set_timer_slack
-from slidectl.paths import InstancePaths
+from slidectl.paths import InstancePaths, command
 
 OK, LOOK, BROKEN = "ok", "look here", "broken"
 _PYTHON = (3, 11)

@@ -14,13 +14,14 @@ from typing import Any
 
 from slidectl import paths
 from slidectl.client import Client
-from slidectl.client.lines import LineBuffer, decode
 from slidectl.control.node_handle import Message
 from slidectl.daemon.outbox import Channel, Outbox, Publications
 from slidectl.daemon.session import Session
 from slidectl.errors import NoDaemon, Refused, TimedOut
 from slidectl.names import OWN_NODE
 from slidectl.simulation.simulation import Simulation
+from slidectl.wire.lines import LineBuffer, decode
+from slidectl.wire.peers import went_away
 
 _CHUNK = 64 * 1024
 _LONGEST_SLICE = 10_000
@@ -299,8 +300,7 @@ class InProcessLink:
         return None if line is None else decode(line)
 
     def _gone(self) -> NoDaemon:
-        why = f": {self.last_status}" if self.last_status else ""
-        return NoDaemon(f"the daemon went away{why}")
+        return went_away(self.last_status)
 
     def close(self) -> None:
         """Close the connection; what it advertised and subscribed ends with it."""

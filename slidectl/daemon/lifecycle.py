@@ -19,11 +19,10 @@ from typing import IO, NoReturn
 
 from slidectl import processes
 from slidectl.client import Client
-from slidectl.client.link import command
 from slidectl.daemon.options import DaemonOptions, Start
 from slidectl.errors import NoDaemon, Refused, SlidectlError, TimedOut
 from slidectl.operating_system import ProcessEnd, command_line
-from slidectl.paths import InstancePaths, make_private, with_package
+from slidectl.paths import InstancePaths, command, make_private, with_package
 
 _MODULE = "slidectl.daemon"
 _PAUSE_S = 0.01

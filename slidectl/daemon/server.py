@@ -15,7 +15,6 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
-from slidectl.client.lines import BadLine, LineBuffer, encode
 from slidectl.daemon.outbox import Outbox, Publications, Reader
 from slidectl.daemon.session import Session
 from slidectl.event_loop import HANG_UP, ONCE, PEER_CLOSED, READ, WRITE, EventLoop
@@ -23,6 +22,8 @@ from slidectl.names import OWN_NODE
 from slidectl.operating_system import peer
 from slidectl.simulation.graph import Graph
 from slidectl.simulation.loop import RunState
+from slidectl.wire.lines import BadLine, LineBuffer, encode
+from slidectl.wire.peers import why_not_client
 
 if TYPE_CHECKING:
     from slidectl.simulation.host import InputRecorder
@@ -186,11 +187,11 @@ class Server:
     def _admit(self, connection: socket.socket) -> None:
         pid, uid = peer(connection)
         connection.setblocking(False)
-        if uid in (None, os.geteuid()):
+        reason = why_not_client(uid)
+        if not reason:
             self._serial += 1
             self.connections[Connection(connection, self, pid, self._serial)] = None
             return
-        reason = f"this daemon belongs to uid {os.geteuid()}; processes of uid {uid} may not use it"
         self.graph.log("warn", OWN_NODE, f"refused a connection of process {pid}: {reason}")
         with connection, suppress(OSError):
             connection.send(encode({"op": "status", "level": "error", "msg": reason}))

@@ -6,39 +6,27 @@ It exchanges lines with its connection and calls the graph. Nothing that a clien
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-import slidectl
-from slidectl import msgs, names
-from slidectl.client.lines import LONGEST_LINE, BadLine, check_size, decode, encode
+from slidectl import msgs
 from slidectl.control.node_handle import Reasons
 from slidectl.daemon.outbox import Publications, Reader, TopicFeed
 from slidectl.effects import EVERYTHING, Effect, NotPermitted
-from slidectl.errors import AmbiguousName, NoDescriptors, Refused, SlidectlError, UsageError, listing
-from slidectl.msgs.schema import nanoseconds
+from slidectl.errors import NoDescriptors, Refused, SlidectlError, UsageError, listing
 from slidectl.simulation.clock import Timer
 from slidectl.simulation.graph import Graph
 from slidectl.simulation.pending import Pending
 from slidectl.simulation.services import Service
 from slidectl.simulation.topics import TopicPublisher
+from slidectl.wire import messages
+from slidectl.wire.lines import LONGEST_LINE, encode
+from slidectl.wire.messages import LEVELS, Message, shortened
 
 if TYPE_CHECKING:
     from slidectl.simulation.host import InputRecorder
 
-LEVELS = {"info": 0, "warning": 1, "error": 2, "none": 3}
-Message = dict[str, Any]
-
-_OPERATIONS = (
-    "advertise", "unadvertise", "publish", "subscribe", "unsubscribe", "call_service", "advertise_service",
-    "unadvertise_service", "service_response", "set_level", "set_node", "restrict",
-    "cancel_call",
-)  # fmt: skip
-"""Each operation is a method of the session, with an underscore before its name."""
-_READING = ("subscribe", "unsubscribe", "call_service", "cancel_call", "set_level", "set_node", "restrict")
-"""The operations that change nothing of the world; of services that depends on the service."""
 _MOST_OPEN_CALLS = 1000
 _MOST_TIMED, _MOST_TIMED_BYTES = 10_000, 64 * 1024 * 1024
 """The most messages of a connection with a later time, and the most bytes of their lines."""
@@ -47,14 +35,8 @@ _LONGEST_LATE, _MOST_LATE = 4096, 8 * 1024 * 1024
 
 Immediate answers have another bound: a connection with so many unread bytes is not served.
 """
-_LONGEST_ENVELOPE = 4096
-_ENVELOPE = re.compile(r'"(op|id|service)"\s*:\s*("(?:[^"\\\x00-\x1f]|\\["\\/bfnrt])*"|-?\d{1,18}(?=\s*[,}]))')
-_LONGEST_ID = 1000
 _GIVEN_NODE = re.compile(r"/slidectl(_\d+)+")
 """The name of a connection that does not name its node."""
-_DEEPEST_ID = 200
-"""The most characters of an id that is a list or a mapping: enough for numbers, too few to nest deeply."""
-_LARGEST_NUMBER = 1e9
 
 
 class Session:
@@ -104,26 +86,14 @@ class Session:
 
     def take(self, line: bytes) -> None:
         """Handle one line; the client gets a status about any error."""
-        message: Message = {}
         self._line_bytes = len(line)
-        try:
-            try:
-                check_size(line)
-            except BadLine:
-                message = _envelope(line)
-                raise
-            message = decode(line)
-            _check_id(message)
-            op = message.get("op")
-            if op not in _OPERATIONS:
-                what = "a message without an op" if op is None else f"unknown op {_shortened(op)}"
-                raise UsageError(what, f"ops: {listing(_OPERATIONS, len(_OPERATIONS))}")
-        except SlidectlError as error:
+        message, error = messages.read_operation(line)
+        if error is not None:
             self.send_error(error, message)
-        else:
-            if self._recorder is not None:
-                self._recorder.take(self, line, message)
-            self._carry_out(getattr(self, f"_{op}"), message)
+            return
+        if self._recorder is not None:
+            self._recorder.take(self, line, message)
+        self._carry_out(getattr(self, f"_{message['op']}"), message)
 
     def _carry_out(self, action: Callable[[Message], None], message: Message) -> None:
         """Call the operation of a message; the client gets a status about any error."""
@@ -133,7 +103,7 @@ class Session:
         self._graph.calling_node = self.node
         self._graph.services.permitted = self._permitted
         try:
-            if message["op"] not in _READING and Effect.WRITES not in self._permitted:
+            if message["op"] not in messages.READING and Effect.WRITES not in self._permitted:
                 raise NotPermitted(f"the op {message['op']!r}", Effect.WRITES, self._permitted)
             action(message)
         except SlidectlError as error:
@@ -154,13 +124,12 @@ class Session:
         """The line about dropped messages; empty when the client's level excludes it."""
         if self._level > LEVELS["warning"]:
             return b""
-        text = f"{dropped} messages on {topic} were dropped: read too slowly"
-        return encode({"op": "status", "level": "warning", "topic": topic, "dropped": dropped, "msg": text})
+        return encode(messages.dropped_status(topic, dropped))
 
     def warn(self, text: str) -> None:
         """Send a status line that belongs to no request."""
         if self._level <= LEVELS["warning"]:
-            self._connection.send(encode({"op": "status", "level": "warning", "msg": text}))
+            self._connection.send(encode(messages.warning_status(text)))
 
     def closed(self) -> None:
         """Remove all that the client had, and cancel its open requests, after it has disconnected."""
@@ -182,21 +151,19 @@ class Session:
     def send_error(self, error: SlidectlError, message: Message) -> None:
         """Send the error of a message to the client; a service call gets it as its answer."""
         if message.get("op") == "call_service" and isinstance(message.get("service"), str):
-            asked = {"op": "service_response", "service": message["service"][: names.LONGEST]}
-            self._connection.send(encode(asked | _returned(message) | _failure(error) | self._reasons()))
+            self._connection.send(encode(messages.refused_call(error, message, self._reasons())))
         elif self._level <= LEVELS["error"] or message.get("ack"):
-            status = {"op": "status", "level": "error", "msg": str(error), "exit_code": error.exit_code}
-            self._connection.send(encode(status | _given_id(message) | self._reasons()))
+            self._connection.send(encode(messages.error_status(error, message, self._reasons())))
 
     def _reasons(self) -> Message:
         """The warnings and errors so far of the line that is being handled, as a part of its answer."""
-        return _with_levels(self._graph.log.reasons)
+        return messages.with_levels(self._graph.log.reasons)
 
     # --- topics -------------------------------------------------------------------------------------------------
 
     def _advertise(self, message: Message) -> None:
-        topic = _name(message, "topic")
-        kind = _text(message, "type", "") or self._graph.topics.type_of(topic)
+        topic = messages.name(message, "topic")
+        kind = messages.text(message, "type", "") or self._graph.topics.type_of(topic)
         latch = bool(message.get("latch", False))
         known = self._publishers.get(topic)
         if known is not None and known.latch == latch:
@@ -207,18 +174,17 @@ class Session:
             known.close()
 
     def _unadvertise(self, message: Message) -> None:
-        topic = _name(message, "topic")
+        topic = messages.name(message, "topic")
         _owned(self._publishers, topic, "advertised")
         self._publishers.pop(topic).close()
 
     def _publish(self, message: Message) -> None:
         """Publish at once, or with `at` at the end of the first cycle at or after that time."""
-        at = message.get("at")
-        if at is None:
+        if message.get("at") is None:
             self._publish_now(message)
             return
-        topic = _name(message, "topic")
-        due_ns, now_ns = _checked_nanoseconds(at), self._graph.clock.time_ns
+        topic = messages.name(message, "topic")
+        due_ns, now_ns = messages.time_ns(message, "at"), self._graph.clock.time_ns
         if due_ns <= now_ns:
             self._publish_now(message, is_late=due_ns < now_ns)
             return
@@ -226,7 +192,7 @@ class Session:
         if len(self._timed) >= _MOST_TIMED or sum(self._timed.values()) + size > _MOST_TIMED_BYTES:
             most = f"{_MOST_TIMED} messages, or {_MOST_TIMED_BYTES >> 20} MiB,"
             raise Refused(f"{most} of this connection wait for their time", "send later ones later")
-        kind = _text(message, "type", "") or self._graph.topics.type_of(topic)
+        kind = messages.text(message, "type", "") or self._graph.topics.type_of(topic)
         message["msg"] = msgs.check(kind, message.get("msg", {}))  # raises now, not when it is due
 
         def publish() -> None:
@@ -238,54 +204,51 @@ class Session:
         self._timed[timer] = size
 
     def _publish_now(self, message: Message, is_late: bool = False) -> None:
-        topic = _name(message, "topic")
+        topic = messages.name(message, "topic")
         content = message.get("msg", {})
         publisher = self._publishers.get(topic)
         if publisher is None:
-            self._graph.topics.publish(topic, _text(message, "type", "") or None, content, self.node)
+            self._graph.topics.publish(topic, messages.text(message, "type", "") or None, content, self.node)
         else:
             publisher.publish(msgs.check(self._graph.topics.type_of(topic), content))
         if message.get("unheard") and not self._graph.topics.subscribers(topic):
-            status = {"op": "status", "level": "info", **_given_id(message), "topic": topic, "unheard": True}
-            self._connection.send(encode({**status, "msg": f"nobody subscribes to {topic}"}))
+            self._connection.send(encode(messages.unheard_status(message, topic)))
         if message.get("ack"):
-            status = {"op": "status", "level": "info", **_given_id(message), "msg": "delivered"}
-            late = {"late": True} if is_late else {}
-            self._connection.send(encode(status | late | self._reasons()))
+            self._connection.send(encode(messages.delivered_status(message, is_late, self._reasons())))
 
     def _subscribe(self, message: Message) -> None:
-        topic = _name(message, "topic")
-        throttle, queue = _number(message, "throttle_rate"), _number(message, "queue_length")
-        if _text(message, "compression", "none") != "none":
-            raise UsageError(f"compression {_shortened(message['compression'])} is not offered", "compression: none")
-        kind, stamped = _text(message, "type", "") or None, bool(message.get("stamped", False))
+        topic = messages.name(message, "topic")
+        throttle, queue = messages.number(message, "throttle_rate"), messages.number(message, "queue_length")
+        if messages.text(message, "compression", "none") != "none":
+            raise UsageError(f"compression {shortened(message['compression'])} is not offered", "compression: none")
+        kind, stamped = messages.text(message, "type", "") or None, bool(message.get("stamped", False))
         feed = self._feeds.get(topic)
         if feed is None:
             feed = TopicFeed(topic, self._connection, self._publications, self._graph.clock.stamp)
-            feed.want(_subscription_id(message), throttle, int(queue), stamped)
+            feed.want(messages.subscription_id(message), throttle, int(queue), stamped)
             feed.begin(self._graph.topics, kind, self.node)
             self._feeds[topic] = feed
             return
         if kind is not None:  # raises when the type is another one
             self._graph.topics.subscribe(topic, kind, self.node, lambda _: None).close()
-        feed.want(_subscription_id(message), throttle, int(queue), stamped)
+        feed.want(messages.subscription_id(message), throttle, int(queue), stamped)
 
     def _unsubscribe(self, message: Message) -> None:
-        topic = _name(message, "topic")
-        if _owned(self._feeds, topic, "subscribed").unwant(_subscription_id(message)):
+        topic = messages.name(message, "topic")
+        if _owned(self._feeds, topic, "subscribed").unwant(messages.subscription_id(message)):
             self._feeds.pop(topic).close()
 
     # --- services -----------------------------------------------------------------------------------------------
 
     def _call_service(self, message: Message) -> None:
-        service = _name(message, "service")
+        service = messages.name(message, "service")
         if len(self._calls) >= _MOST_OPEN_CALLS:
             raise Refused(f"{_MOST_OPEN_CALLS} calls of this connection wait for their answers", "take these first")
         request = self._by_name(service, message.get("args") or {})
         pending = self._graph.services.call(service, request)
         if not pending.done:
             self._calls[pending] = message.get("id")
-        call_id, reasons = _returned(message), self._graph.log.reasons
+        call_id, reasons = messages.returned(message), self._graph.log.reasons
         pending.then(lambda answered: self._answer(answered, service, call_id, reasons))
 
     def _cancel_call(self, message: Message) -> None:
@@ -307,36 +270,39 @@ class Session:
 
     def _answer(self, pending: Pending, service: str, call_id: Message, reasons: Reasons | None) -> None:
         self._calls.pop(pending, None)
-        response: Message = {"op": "service_response", **call_id, "service": service}
-        response |= _with_levels(reasons)
+        response = messages.response(service, call_id, messages.with_levels(reasons))
         if pending.error is None:
             response |= {"values": pending.result(), "result": True}
         else:
-            response |= _failure(pending.error)
+            response |= messages.failure(pending.error)
         try:
             line = encode(response)
             if len(line) > LONGEST_LINE:
                 what = f"its answer has {len(line)} bytes, and a line has at most {LONGEST_LINE}"
-                line = encode(response | _failure(Refused(f"{service}: {what}", "ask for less")))
+                line = encode(response | messages.failure(Refused(f"{service}: {what}", "ask for less")))
             if len(line) > _LONGEST_LATE and self._connection.unread > _MOST_LATE:
                 what = f"its answer of {len(line)} bytes was given up: this connection does not read its answers"
-                line = encode(response | _failure(Refused(f"{service}: {what}")))
+                line = encode(response | messages.failure(Refused(f"{service}: {what}")))
         except Exception as error:  # this may be called from within a control cycle, which must not fail
             self.unexpected(f"the answer of {service} to {self.node}")
-            line = encode(response | _failure(Refused(f"internal error: {error!r}; the daemon's log has more")))
+            line = encode(response | messages.failure(Refused(f"internal error: {error!r}; the daemon's log has more")))
         self._connection.send(line)
 
     def _advertise_service(self, message: Message) -> None:
-        service = _name(message, "service")
-        effect = _text(message, "effect", Effect.WRITES)
+        service = messages.name(message, "service")
+        effect = messages.text(message, "effect", Effect.WRITES)
         if effect not in (Effect.READS, Effect.WRITES):
-            raise UsageError(f"unknown effect {_shortened(effect)}", f"effects: {Effect.READS}, {Effect.WRITES}")
+            raise UsageError(f"unknown effect {shortened(effect)}", f"effects: {Effect.READS}, {Effect.WRITES}")
         self._services[service] = self._graph.services.advertise(
-            service, _text(message, "type"), self.node, lambda request: self._ask(service, request), Effect(effect)
+            service,
+            messages.text(message, "type"),
+            self.node,
+            lambda request: self._ask(service, request),
+            Effect(effect),
         )
 
     def _unadvertise_service(self, message: Message) -> None:
-        service = _name(message, "service")
+        service = messages.name(message, "service")
         _owned(self._services, service, "provided")
         self._services.pop(service).close()
 
@@ -358,7 +324,7 @@ class Session:
     def _service_response(self, message: Message) -> None:
         pending = self._asked.pop(str(message.get("id")), None)
         if pending is None:
-            raise Refused(f"nobody waits for the service response {_shortened(message.get('id'))}")
+            raise Refused(f"nobody waits for the service response {shortened(message.get('id'))}")
         values = message.get("values", {})
         if message.get("result", True):
             pending.resolve(values)
@@ -369,7 +335,7 @@ class Session:
         """Rename the node. Raises Refused: the connection has topics, services or calls under its present name."""
         if self._publishers or self._feeds or self._services or self._calls or self._graph.knows_node(self.node):
             raise Refused(f"this connection is the node {self.node} already", "set_node is its first op")
-        name = _name(message, "node")
+        name = messages.name(message, "node")
         if _GIVEN_NODE.fullmatch(name):
             raise Refused(f"{name} is a name that the daemon gives", "choose another one")
         self._graph.claim_node(name)
@@ -384,22 +350,10 @@ class Session:
         self._permitted = self._permitted & {Effect(each) for each in permitted}
 
     def _set_level(self, message: Message) -> None:
-        level = _text(message, "level")
+        level = messages.text(message, "level")
         if level not in LEVELS:
-            raise UsageError(f"unknown level {_shortened(level)}", f"levels: {', '.join(LEVELS)}")
+            raise UsageError(f"unknown level {shortened(level)}", f"levels: {', '.join(LEVELS)}")
         self._level = LEVELS[level]
-
-
-def _returned(call: Message) -> Message:
-    """Fields for the answer to a call: the id, and our version for a client that has sent its own."""
-    return _given_id(call) | ({"version": slidectl.__version__} if "version" in call else {})
-
-
-def _failure(error: SlidectlError) -> Message:
-    failure = {"values": str(error), "result": False, "exit_code": error.exit_code, "cause": type(error).__name__}
-    if isinstance(error, AmbiguousName):
-        failure["matches"] = error.matches  # all of them: the text may leave some out
-    return failure
 
 
 def _owned(owned: dict[str, Any], name: str, how: str) -> Any:
@@ -407,77 +361,3 @@ def _owned(owned: dict[str, Any], name: str, how: str) -> Any:
     if name not in owned:
         raise Refused(f"{name} is not {how} on this connection", f"{how}: {listing(owned)}")
     return owned[name]
-
-
-def _text(message: Message, key: str, default: str | None = None) -> str:
-    """The text under a key. Raises UsageError."""
-    value = message.get(key, default)
-    if not isinstance(value, str):
-        raise UsageError(f"op {message['op']!r} needs {key!r}, a text")
-    return value
-
-
-def _name(message: Message, key: str) -> str:
-    """An absolute name; relative ones are resolved in the root. Raises UsageError: BadName when it is too long."""
-    given = _text(message, key)
-    if len(given) > names.LONGEST:
-        raise names.TooLong(given)
-    return names.join("/", given)
-
-
-def _envelope(line: bytes) -> Message:
-    """The op, id and service before the first list of a line that is too large to parse, as far as given."""
-    beginning = line[:_LONGEST_ENVELOPE].decode("utf-8", "replace")
-    fields = {match[1]: json.loads(match[2]) for match in _ENVELOPE.finditer(beginning.partition("[")[0])}
-    return {key: fields[key] for key in ("op", "id", "service") if key in fields}
-
-
-def _check_id(message: Message) -> None:
-    """Raise UsageError, and remove the id, when it is too long to be returned."""
-    given = message.get("id")
-    most = _LONGEST_ID if isinstance(given, str) else _DEEPEST_ID
-    try:
-        fits = len(given if isinstance(given, str) else repr(given)) <= most
-    except RecursionError:
-        fits = False
-    if not fits:
-        del message["id"]
-        raise UsageError(f"an id of more than {most} characters")
-
-
-def _with_levels(reasons: Reasons | None) -> Message:
-    """The part of an answer that has the reasons; empty when there are none."""
-    return {"reasons": reasons, "levels": [reason.level for reason in reasons]} if reasons else {}
-
-
-def _given_id(message: Message) -> Message:
-    """The id for the answer: as it was given, if it was."""
-    return {"id": message["id"]} if "id" in message else {}
-
-
-def _subscription_id(message: Message) -> str | None:
-    """The id that distinguishes a subscription from others of the same connection."""
-    given = message.get("id")
-    return None if given is None else str(given)
-
-
-def _number(message: Message, key: str) -> float:
-    """The number under a key, 0 when it is not given. Raises UsageError."""
-    value = message.get(key) or 0
-    if not isinstance(value, int | float) or not 0 <= value <= _LARGEST_NUMBER:
-        raise UsageError(f"{key!r} is a number from 0 to {_LARGEST_NUMBER:g}, not {_shortened(value)}")
-    return value
-
-
-def _checked_nanoseconds(time: Any) -> int:
-    """A message time in ns. Raises UsageError."""
-    parts = [time.get(part) for part in ("secs", "nsecs")] if isinstance(time, dict) else [None]
-    if not all(isinstance(part, int) and 0 <= part < 2**32 for part in parts):
-        raise UsageError(f"'at' is a time, {{secs, nsecs}}, not {_shortened(time)}")
-    return nanoseconds(time)
-
-
-def _shortened(value: Any) -> str:
-    """The value as quoted in an error."""
-    text = repr(value[:60] if isinstance(value, str) else value)
-    return text if len(text) <= 60 else text[:57] + "..."

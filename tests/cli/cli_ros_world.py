@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from command_line import ROOT, CommandLine, Done
-from daemon_fixture import Runtime, running_daemon
+from daemon_fixture import Runtime, running_daemon, send
 
 from slidectl.client import Client
 
@@ -108,7 +108,7 @@ class SlideNode:
         self._client.publish("/slide/description", {"data": DESCRIPTION}, "std_msgs/String", latch=True)
         self._client.subscribe("/slide/command", "std_msgs/Float64")
         for service, (kind, _) in SERVICES.items():
-            self._client._send(op="advertise_service", service=service, type=kind)
+            send(self._client, op="advertise_service", service=service, type=kind)
         (self.name,) = set(self._client.call("/rosapi/nodes")["nodes"]) - before
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
@@ -134,7 +134,7 @@ class SlideNode:
                     answer["values"] = SERVICES[wire["service"]][1](wire["args"])
                 except ServiceError as error:
                     answer = {"result": False, "values": str(error)}
-                self._client._send(op="service_response", id=wire["id"], service=wire["service"], **answer)
+                send(self._client, op="service_response", id=wire["id"], service=wire["service"], **answer)
 
 
 class SlideWorld:

@@ -1,4 +1,4 @@
-"""How many round trips a command takes: how often it sends something after it has waited for an answer."""
+"""What a command costs: round trips (how often it sends something after an answer), requests, calls of functions."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ import slidectl.cli
 from slidectl.client.link import SocketLink
 from slidectl.client.client import Client
 target = sys.argv.pop(1)
-trips, waited = 0, True
+trips, requests, waited = 0, 0, True
 def send(link, line, deadline, real=SocketLink.send):
-    global trips, waited
-    trips, waited = trips + waited, False
+    global trips, requests, waited
+    trips, requests, waited = trips + waited, requests + 1, False
     real(link, line, deadline)
 def answer(client, call_id, timeout, real=Client._answer):
     global waited
@@ -27,27 +27,60 @@ def answer(client, call_id, timeout, real=Client._answer):
 SocketLink.send, Client._answer = send, answer
 def leave(code):
     with open(target, "w") as file:
-        file.write(f"{code} {trips}")
+        file.write(f"{code} {trips} {requests}")
     os._exit(0)
 slidectl.cli.leave = leave
 slidectl.cli.entry()
 """
+WALK = """
+import os, sys
+import slidectl.cli
+target = sys.argv.pop(1)
+root = os.path.dirname(slidectl.__file__) + os.sep
+calls, files, importing = 0, set(), 0
+def note(frame, event, _):
+    global calls, importing
+    code = frame.f_code
+    if not code.co_filename.startswith(root):
+        return
+    if code.co_name == "<module>":
+        importing += {"call": 1, "return": -1}.get(event, 0)
+    elif event == "call" and not importing and (code.co_name == "<lambda>" or code.co_name[0] != "<"):
+        calls += 1
+        files.add(code.co_filename)
+def leave(code):
+    sys.setprofile(None)
+    with open(target, "w") as file:
+        file.write(f"{code} {calls} {len(files)}")
+    os._exit(0)
+slidectl.cli.leave = leave
+sys.setprofile(note)
+slidectl.cli.entry()
+"""
+"""Counts the calls of functions of slidectl, and the files that they are in, without what runs when one is imported."""
+
+
+def counted(code: str, world: CommandLine, tmp_path: Path, *words: str) -> tuple[int, int]:
+    """The two numbers that the code counts while the command runs."""
+    target = tmp_path / "counted"
+    command = [sys.executable, "-c", code, str(target), *words]
+    done = subprocess.run(command, env=world.environment, capture_output=True, text=True, timeout=60, check=False)
+    left, first, second = map(int, target.read_text(encoding="utf-8").split())
+    assert left == 0, done.stderr
+    return first, second
 
 
 def trips(world: CommandLine, tmp_path: Path, *words: str) -> int:
-    target = tmp_path / "trips"
-    command = [sys.executable, "-c", COUNT, str(target), *words]
-    done = subprocess.run(command, env=world.environment, capture_output=True, text=True, timeout=60, check=False)
-    code, count = map(int, target.read_text(encoding="utf-8").split())
-    assert code == 0, done.stderr
-    return count
+    return counted(COUNT, world, tmp_path, *words)[0]
 
 
 @pytest.fixture(scope="module")
 def slider(world: CommandLine, tmp_path_factory: pytest.TempPathFactory) -> CommandLine:
     controllers = ("joint_state_controller", "joint1_position_controller")
     words = ("spawn", "slider", "--controllers", "config/slider_control.yaml", "--start", *controllers)
-    assert trips(world, tmp_path_factory.mktemp("spawn"), *words) <= 6
+    round_trips, requests = counted(COUNT, world, tmp_path_factory.mktemp("spawn"), *words)
+    assert round_trips <= 6
+    assert requests <= 8
     return world
 
 
@@ -76,3 +109,9 @@ def test_a_command_takes_few_round_trips(
     slider: CommandLine, tmp_path: Path, most: int, words: tuple[str, ...]
 ) -> None:
     assert trips(slider, tmp_path, *words) <= most
+
+
+def test_pub_walks_through_few_functions_in_few_files(slider: CommandLine, tmp_path: Path) -> None:
+    calls, files = counted(WALK, slider, tmp_path, "pub", "command", "1.0")
+    assert calls <= 200
+    assert files <= 18

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 
 import pytest
 from cli_graph_world import World, slider_world
+from daemon_fixture import send
 
 MANAGER = "/slider/controller_manager"
 
@@ -160,20 +161,20 @@ def take_call(world: World) -> None:
 
 
 def test_ctrl_c_ends_a_waiting_call_with_exit_code_130(world: World) -> None:
-    world.client._send(op="advertise_service", service="/mine/slow", type="std_srvs/Empty")
+    send(world.client, op="advertise_service", service="/mine/slow", type="std_srvs/Empty")
     world.client.flush()
     with world.running("service", "call", "/mine/slow") as process:
         take_call(world)
         process.send_signal(signal.SIGINT)
         process.communicate(timeout=20)
     assert process.returncode == 130
-    world.client._send(op="unadvertise_service", service="/mine/slow")
+    send(world.client, op="unadvertise_service", service="/mine/slow")
     world.client.flush()
 
 
 def test_a_daemon_that_dies_during_a_call_is_exit_code_3() -> None:
     with slider_world() as world:
-        world.client._send(op="advertise_service", service="/mine/slow", type="std_srvs/Empty")
+        send(world.client, op="advertise_service", service="/mine/slow", type="std_srvs/Empty")
         world.client.flush()
         with world.running("service", "call", "/mine/slow") as process:
             take_call(world)

@@ -14,7 +14,7 @@ from launch_runs import Launched, kill_all
 from waiting import eventually
 
 from slidectl import Client
-from slidectl.client.client import Subscription
+from slidectl.client.connection import Subscription
 from slidectl.errors import Refused, TimedOut
 
 TWIST_MUX = """<node pkg="twist_mux" type="twist_mux" name="mux"><remap from="cmd_vel_out" to="/cart/cmd_vel"/>

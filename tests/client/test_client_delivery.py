@@ -8,8 +8,8 @@ import pytest
 from daemon_fixture import Runtime
 
 from slidectl.client import Client
-from slidectl.client.client import MessagesDropped
 from slidectl.errors import MessageRefused, Refused, UsageError
+from slidectl.wire.peers import MessagesDropped
 
 
 def test_a_message_is_delivered_or_refused_in_one_go(daemon: Runtime, client: Client) -> None:

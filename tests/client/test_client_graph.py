@@ -10,6 +10,7 @@ import pytest
 from daemon_fixture import Runtime
 
 from slidectl.client import Client
+from slidectl.client.spawning import Spawn, SpawnPlan
 from slidectl.errors import AmbiguousName, MessageRefused, Refused, TimedOut, UnknownName, Unused
 
 BALL = """<sdf version="1.6"><model name="{}"><link name="body">
@@ -227,15 +228,14 @@ def test_a_service_of_a_client_answers_its_callers_whatever_happens(daemon: Runt
         assert client.answer(calls[1])["message"] == "first"
 
 
-def test_a_model_that_cannot_be_spawned_does_not_take_another_ones_with_it(
-    daemon: Runtime, client: Client, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_model_that_cannot_be_spawned_does_not_take_another_ones_with_it(daemon: Runtime, client: Client) -> None:
     pose = {"position": {"x": 0.0, "y": 0.0, "z": 2.0}}
     models = [{"model_name": name, "model_xml": BALL.format(name), "initial_pose": pose} for name in ("a", "theirs")]
+    spawn = Spawn(client, SpawnPlan(models, is_scene=True))
+    spawn.check()
     with daemon.client() as other:
-        other.spawn_models(models[1:])
-        monkeypatch.setattr(client, "robots", list)  # it looked before the other one spawned
+        Spawn(other, SpawnPlan(models[1:], is_scene=True)).put()  # after the check
         with pytest.raises(Refused, match="theirs"):
-            client.spawn_models(models)
+            spawn.put()
         assert [robot["name"] for robot in other.robots()] == ["theirs"]
         other.delete("theirs")

@@ -21,8 +21,8 @@ from daemon_fixture import Runtime, knows_peers
 from rosbridge_wire import Wire
 
 from slidectl import Client, description
-from slidectl.client.lines import LONGEST_LINE
 from slidectl.errors import SlidectlError
+from slidectl.wire.lines import LONGEST_LINE
 
 Connect = Callable[[], Wire]
 NESTED = b"[" * 600 + b"NaN" + b"]" * 600

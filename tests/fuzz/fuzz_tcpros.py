@@ -12,10 +12,10 @@ from fuzz_target import Fault, Target
 from random_messages import all_types, random_message
 
 from slidectl import msgs
-from slidectl.client.lines import LONGEST_LINE, encode
 from slidectl.errors import BadMessage, SlidectlError
 from slidectl.extensions.gateways.ros1.ros1_types import ros1_type
 from slidectl.extensions.gateways.ros1.tcpros import Fields, TcprosConnection, encode_header, frame
+from slidectl.wire.lines import LONGEST_LINE, encode
 
 STREAMS = 100
 """Of one case."""

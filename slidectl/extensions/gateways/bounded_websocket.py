@@ -18,7 +18,7 @@ from websockets.frames import DATA_OPCODES, Frame
 from websockets.http11 import Request, Response
 from websockets.protocol import OPEN, Event
 
-from slidectl.held_bytes import HeldBytes
+from slidectl.wire.bounds import HeldBytes
 
 HANDSHAKE_S = 10.0
 """How long a client may take for its handshake, and before that for the one of TLS."""

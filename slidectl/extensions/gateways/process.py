@@ -19,12 +19,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from slidectl import processes
-from slidectl.client.link import command
 from slidectl.errors import EXIT_DONE, Refused, SlidectlError, TimedOut
 from slidectl.extensions.gateways import gateway_kinds
 from slidectl.logfile import LogFile
 from slidectl.operating_system import return_large_blocks
-from slidectl.paths import InstancePaths, instance, make_private
+from slidectl.paths import InstancePaths, command, instance, make_private
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

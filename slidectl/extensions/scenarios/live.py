@@ -17,7 +17,6 @@ from typing import Any, ClassVar
 
 from slidectl import paths
 from slidectl.client import Client
-from slidectl.client.lines import encode
 from slidectl.client.link import SocketLink
 from slidectl.errors import NoDaemon, Refused, SlidectlError, TimedOut
 from slidectl.extensions.scenarios.background import BackgroundStep
@@ -25,6 +24,7 @@ from slidectl.extensions.scenarios.case_run import Stage
 from slidectl.extensions.scenarios.scenario_file import Case
 from slidectl.extensions.scenarios.stages import LOG_LINES
 from slidectl.extensions.scenarios.step_commands import Commands
+from slidectl.wire.lines import encode
 
 _ANSWER_S = 60.0
 """Wall seconds for an answer that needs no simulated time."""

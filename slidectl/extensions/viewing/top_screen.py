@@ -8,7 +8,7 @@ from typing import Any
 
 from rich.text import Text
 
-from slidectl.client.client import STARTED
+from slidectl.client.manager import STARTED
 from slidectl.errors import SlidectlError
 from slidectl.extensions.viewing.world_monitor import Record, WorldMonitor
 

@@ -10,7 +10,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from slidectl import msgs, names
-from slidectl.client.client import Manager
+from slidectl.client.manager import Manager
 from slidectl.client.rate_meter import RateMeter
 from slidectl.errors import Refused
 from slidectl.extensions.viewing.graph_drawing import read_graph

@@ -19,7 +19,7 @@ from rosbags.rosbag1 import Reader
 from waiting import eventually
 
 from slidectl.client import Client
-from slidectl.client.client import Message
+from slidectl.wire.messages import Message
 
 COMMAND = "/slider/joint1_position_controller/command"
 STATES = "/slider/joint_states"

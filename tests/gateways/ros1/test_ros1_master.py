@@ -25,7 +25,7 @@ from waiting import eventually
 from slidectl.errors import Refused
 from slidectl.extensions.gateways import process
 from slidectl.extensions.gateways.ros1 import xmlrpc
-from slidectl.held_bytes import HeldBytes
+from slidectl.wire.bounds import HeldBytes
 
 FLOAT = "std_msgs/Float64"
 COMMAND = "/slider/joint1_position_controller/command"

@@ -225,7 +225,7 @@ def test_tokens_are_compared_in_constant_time() -> None:
     package = Path(web_access.__file__).parent
     assert "hmac.compare_digest(" in inspect.getsource(web_access.is_secret)
     compared = []
-    for path in ("gateways/websocket_listener.py", "viewing/page/guarded_server.py"):
+    for path in ("extensions/gateways/websocket_listener.py", "extensions/viewing/page/guarded_server.py"):
         for node in ast.walk(ast.parse((package / path).read_text("utf-8"))):
             if isinstance(node, ast.Compare):
                 names = {ast.unparse(part).rpartition(".")[2] for part in (node.left, *node.comparators)}

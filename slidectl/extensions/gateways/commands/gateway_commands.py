@@ -12,11 +12,11 @@ from slidectl.cli import completion, output
 from slidectl.cli.commands import Group, finite, group
 from slidectl.cli.commands import command as cli_command
 from slidectl.cli.context import Context
-from slidectl.client.link import command
 from slidectl.entry_points import Part, PartError
 from slidectl.errors import NoDaemon, Refused
 from slidectl.extensions.gateways import gateway_kinds
 from slidectl.extensions.gateways.gateway_kinds import GATEWAYS
+from slidectl.paths import command
 
 if TYPE_CHECKING:
     from slidectl.extensions.gateways.process import RunningGateway

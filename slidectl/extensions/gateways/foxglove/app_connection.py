@@ -18,7 +18,7 @@ from slidectl.extensions.gateways.foxglove.foxglove_frames import ERROR, BadFram
 from slidectl.extensions.gateways.ros1.ros1_types import Ros1Type
 from slidectl.extensions.gateways.tasks import Tasks
 from slidectl.extensions.gateways.websocket_listener import ListenerConnection
-from slidectl.held_bytes import HeldBytes
+from slidectl.wire.bounds import HeldBytes
 
 _MOST_MESSAGES, _MOST_MESSAGE_BYTES = 10_000, 16 * 1024 * 1024
 """Limits of the messages that wait for one app."""

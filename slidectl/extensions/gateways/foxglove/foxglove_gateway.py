@@ -20,7 +20,6 @@ from typing import Any, ClassVar
 from websockets.typing import Subprotocol
 
 from slidectl import msgs, names
-from slidectl.client.lines import encode, numbers_of_json
 from slidectl.effects import Effect
 from slidectl.errors import BadMessage, NoDaemon, Refused, SlidectlError, TimedOut, quoted
 from slidectl.extensions.gateways.daemon_connection import GRAPH_CHANGES, PARAMETER_CHANGES, DaemonConnection
@@ -54,10 +53,11 @@ from slidectl.extensions.gateways.foxglove.robot_assets import RobotAssets
 from slidectl.extensions.gateways.gateway import Gateway, is_offered
 from slidectl.extensions.gateways.ros1.ros1_types import Ros1Type, ros1_type
 from slidectl.extensions.gateways.websocket_listener import ListenerOptions, WebSocketListener
-from slidectl.held_bytes import HeldBytes
 from slidectl.msgs.schema import SCALAR, TIMES, nanoseconds
 from slidectl.paths import InstancePaths
 from slidectl.web_access import check_effects
+from slidectl.wire.bounds import HeldBytes
+from slidectl.wire.lines import encode, numbers_of_json
 
 Message = dict[str, Any]
 
@@ -160,8 +160,8 @@ class FoxgloveGateway(Gateway):
         for app in self._apps:
             app.send(self._server_info())
             app.send(text_frame("removeStatus", statusIds=[_NO_DAEMON]))
-        await watch.subscribe(GRAPH_CHANGES, "std_msgs/Empty", lambda _: self._graph_changed.set())
-        await watch.subscribe(PARAMETER_CHANGES, "slidectl/ParameterChanges", self._take_parameter_changes)
+        await watch.subscribe(GRAPH_CHANGES, "std_msgs/Empty", take=lambda _: self._graph_changed.set())
+        await watch.subscribe(PARAMETER_CHANGES, "slidectl/ParameterChanges", take=self._take_parameter_changes)
         for topic, kind in self._publishers:
             daemon.advertise(topic, kind)
         await self._update_graph(daemon)
@@ -247,7 +247,7 @@ class FoxgloveGateway(Gateway):
         if self._watch is not None and not self._has_clock:
             self._has_clock = True
             with suppress(SlidectlError):
-                await self._watch.subscribe("/clock", "rosgraph_msgs/Clock", self._take_clock, 1, _CLOCK_EVERY_MS)
+                await self._watch.subscribe("/clock", "rosgraph_msgs/Clock", 1, _CLOCK_EVERY_MS, self._take_clock)
 
     def _take_clock(self, published: Message) -> None:
         frame = time_frame(nanoseconds(published["msg"]["clock"]))
@@ -357,7 +357,7 @@ class FoxgloveGateway(Gateway):
         daemon = self._there()
         try:
             if is_first:
-                await daemon.subscribe(channel.topic, channel.kind, partial(self._take, channel), _QUEUE)
+                await daemon.subscribe(channel.topic, channel.kind, _QUEUE, take=partial(self._take, channel))
             else:
                 await self._bring_latched(channel)
         except SlidectlError:
@@ -368,7 +368,7 @@ class FoxgloveGateway(Gateway):
         assert self._paths is not None
         reader = await DaemonConnection.open(self._paths, (Effect.READS,))
         try:
-            await reader.subscribe(channel.topic, channel.kind, partial(self._take_latched, channel))
+            await reader.subscribe(channel.topic, channel.kind, take=partial(self._take_latched, channel))
         finally:
             reader.close()
 
@@ -483,7 +483,7 @@ class FoxgloveGateway(Gateway):
 
     async def _answer(self, service: AdvertisedService, request: AppRequest) -> bytes:
         given = _decoded(request.payload, request.encoding, ros1_type(service.request))
-        answer = await self._there().call(service.name, given, CALL_LIMIT_S)
+        answer = await self._there().call(service.name, given, timeout=CALL_LIMIT_S)
         return _pack(ros1_type(service.response), answer) if request.encoding == "ros1" else encode(answer).rstrip()
 
     # --- parameters ---------------------------------------------------------------------------------------------

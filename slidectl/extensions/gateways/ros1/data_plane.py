@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from slidectl import msgs
 from slidectl.errors import NoDaemon, Refused, SlidectlError, TimedOut
-from slidectl.extensions.gateways.daemon_connection import DaemonConnection, Message
+from slidectl.extensions.gateways.daemon_connection import DaemonConnection
 from slidectl.extensions.gateways.ros1.ros1_types import ros1_type
 from slidectl.extensions.gateways.ros1.service_bridge import ServiceServer, call_service, service_type
 from slidectl.extensions.gateways.ros1.tcpros import Fields, TcprosConnection
@@ -22,6 +22,7 @@ from slidectl.extensions.gateways.ros1.topic_bridge import ANY_TYPE, Follower, T
 from slidectl.extensions.gateways.strangers import Strangers
 from slidectl.extensions.gateways.tasks import Tasks
 from slidectl.web_access import in_uri
+from slidectl.wire.messages import Message
 
 _log = logging.getLogger(__name__)
 
@@ -348,7 +349,7 @@ class DataPlane:
         for topic, kind in subscribed.items():
             if topic not in node.subscribed:
                 with self._told(name):
-                    await daemon.subscribe(topic, kind, lambda _: None, throttle_rate_ms=_LISTED_ONLY_MS)
+                    await daemon.subscribe(topic, kind, throttle_rate=_LISTED_ONLY_MS, take=lambda _: None)
                     node.subscribed[topic] = kind
         for service, kind in services.items():
             if service not in node.services:

@@ -102,8 +102,8 @@ class Ros1Gateway(Gateway):
         self._paths = paths
         self._main = main = await self._connect(OWN_NODE)
         self._parameters.attach(main)
-        await main.subscribe(GRAPH_CHANGES, "std_msgs/Empty", lambda _: self._graph_changed.set())
-        await main.subscribe(PARAMETER_CHANGES, "slidectl/ParameterChanges", self._take_changes)
+        await main.subscribe(GRAPH_CHANGES, "std_msgs/Empty", take=lambda _: self._graph_changed.set())
+        await main.subscribe(PARAMETER_CHANGES, "slidectl/ParameterChanges", take=self._take_changes)
         await self._data.attach(self._connect_proxy, main)
         if self._master is not None:
             await self._set_own_parameters()
@@ -264,7 +264,7 @@ class Ros1Gateway(Gateway):
         def take(published: dict[str, Any]) -> None:
             connection.publish("/rosout_agg", published["msg"])
 
-        await connection.subscribe("/rosout", "rosgraph_msgs/Log", take)
+        await connection.subscribe("/rosout", "rosgraph_msgs/Log", take=take)
         await connection.advertise_service(f"{_ROSOUT}/get_loggers", "roscpp/GetLoggers", loggers, Effect.READS)
         await connection.advertise_service(f"{_ROSOUT}/set_logger_level", "roscpp/SetLoggerLevel", set_level)
 

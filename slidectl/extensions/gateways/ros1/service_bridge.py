@@ -13,7 +13,7 @@ from urllib.parse import urlsplit
 
 from slidectl import msgs
 from slidectl.errors import BadMessage, NoDaemon, Refused, SlidectlError
-from slidectl.extensions.gateways.daemon_connection import DaemonConnection, Message
+from slidectl.extensions.gateways.daemon_connection import DaemonConnection
 from slidectl.extensions.gateways.ros1.ros1_types import Ros1Type, ros1_type
 from slidectl.extensions.gateways.ros1.tcpros import (
     LONGEST_MESSAGE,
@@ -22,6 +22,7 @@ from slidectl.extensions.gateways.ros1.tcpros import (
     TcprosConnection,
     frame,
 )
+from slidectl.wire.messages import Message
 
 ANY_MD5 = "*"
 _TRUE = ("1", "true")
@@ -83,7 +84,7 @@ class ServiceServer:
         """Call a native service. Raises SlidectlError."""
         if self._daemon is None:
             raise NoDaemon("the daemon has gone")
-        return await self._daemon.call(service, request, timeout_s=math.inf)
+        return await self._daemon.call(service, request, timeout=math.inf)
 
 
 class ServiceClientLink:

@@ -14,11 +14,11 @@ from itertools import count
 from struct import Struct
 from typing import Any, TypeVar
 
-from slidectl.client.lines import LONGEST_LINE
 from slidectl.errors import Refused, SlidectlError, TimedOut, UsageError
 from slidectl.extensions.gateways.strangers import Strangers
-from slidectl.held_bytes import HeldBytes
 from slidectl.operating_system import keepalive
+from slidectl.wire.bounds import HeldBytes
+from slidectl.wire.lines import LONGEST_LINE
 
 T = TypeVar("T")
 Fields = dict[str, str]

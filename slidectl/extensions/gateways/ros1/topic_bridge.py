@@ -13,11 +13,12 @@ from collections.abc import Callable
 from typing import Any
 
 from slidectl.errors import BadMessage, Refused, SlidectlError, listing
-from slidectl.extensions.gateways.daemon_connection import DaemonConnection, Message
+from slidectl.extensions.gateways.daemon_connection import DaemonConnection
 from slidectl.extensions.gateways.ros1 import xmlrpc
 from slidectl.extensions.gateways.ros1.ros1_types import Ros1Type, ros1_type
 from slidectl.extensions.gateways.ros1.tcpros import Fields, OutgoingConnection, TcprosConnection, frame
 from slidectl.extensions.gateways.tasks import Tasks
+from slidectl.wire.messages import Message
 
 _log = logging.getLogger(__name__)
 
@@ -124,7 +125,7 @@ class TopicServer:
         for stream in list(self._streams.values()):
             stream.takes_latched = True
             try:
-                await connection.subscribe(stream.name, stream.type.name, stream.take, queue_length=_READ_AHEAD)
+                await connection.subscribe(stream.name, stream.type.name, _READ_AHEAD, take=stream.take)
             except Refused as error:  # the topic has another type now
                 for link in list(stream.links):
                     link.connection.close()
@@ -190,7 +191,7 @@ class TopicServer:
         connection.on_closed = lambda: self._leave(stream, link)
         try:
             if is_new and self._connection is not None:
-                await self._connection.subscribe(name, kind.name, stream.take, queue_length=_READ_AHEAD)
+                await self._connection.subscribe(name, kind.name, _READ_AHEAD, take=stream.take)
             latched = await self._latched(name, kind)
         except SlidectlError as error:
             for one in list(stream.links) if is_new else [link]:
@@ -229,7 +230,7 @@ class TopicServer:
 
         async with self._asking:
             if (asker := self._asker) is not None:
-                await asker.subscribe(name, kind.name, take)
+                await asker.subscribe(name, kind.name, take=take)
                 asker.unsubscribe(name)
         return found
 

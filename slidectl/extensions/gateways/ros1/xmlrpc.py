@@ -18,7 +18,7 @@ from xml.parsers import expat
 
 from slidectl.errors import Refused, SlidectlError, TimedOut, cut
 from slidectl.extensions.gateways.strangers import Strangers, forbid
-from slidectl.held_bytes import HeldBytes, HeldShare
+from slidectl.wire.bounds import HeldBytes, HeldShare
 
 LONGEST_BODY = 16 * 1024 * 1024
 DEEPEST = 64

@@ -69,8 +69,9 @@ class ActionGoals:
         content = msgs.check(f"{stem}Goal", message.get("args") or {})
         if action not in self._goals:
             take = partial(self._take_feedback, action)
-            await self._daemon.subscribe(f"{action}/feedback", f"{stem}ActionFeedback", take)
-            await self._daemon.subscribe(f"{action}/result", f"{stem}ActionResult", partial(self._take_result, action))
+            await self._daemon.subscribe(f"{action}/feedback", f"{stem}ActionFeedback", take=take)
+            take = partial(self._take_result, action)
+            await self._daemon.subscribe(f"{action}/result", f"{stem}ActionResult", take=take)
             self._goals[action] = {}
         name = f"{self._daemon.node}-{next(self._serial)}"
         self._goals[action][name] = goal

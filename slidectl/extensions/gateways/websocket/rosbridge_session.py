@@ -11,7 +11,6 @@ from itertools import count
 from typing import Any
 
 from slidectl import names
-from slidectl.client.lines import BadLine, check_size, decode, encode
 from slidectl.errors import SlidectlError, UsageError, listing
 from slidectl.extensions.gateways.daemon_connection import DaemonConnection
 from slidectl.extensions.gateways.websocket.action_goals import ActionGoals
@@ -23,6 +22,7 @@ from slidectl.extensions.gateways.websocket.encodings import (
     encoder,
     fragments,
 )
+from slidectl.wire.lines import BadLine, check_size, decode, encode
 
 Message = dict[str, Any]
 

@@ -15,7 +15,6 @@ from typing import Any, ClassVar
 
 from websockets.asyncio.server import ServerConnection, broadcast
 
-from slidectl.client.lines import LONGEST_LINE
 from slidectl.effects import Effect
 from slidectl.errors import NoDaemon, SlidectlError
 from slidectl.extensions.gateways.bounded_websocket import TRY_LATER, cut_reason
@@ -26,6 +25,7 @@ from slidectl.extensions.gateways.websocket.rosbridge_session import RosbridgeSe
 from slidectl.extensions.gateways.websocket_listener import ListenerConnection, ListenerOptions, WebSocketListener
 from slidectl.paths import InstancePaths
 from slidectl.web_access import check_effects
+from slidectl.wire.lines import LONGEST_LINE
 
 _NODE = "/rosbridge_websocket"
 _UNREAD = 256 * 1024

@@ -20,10 +20,10 @@ from slidectl.cli.commands import command, positive_seconds
 from slidectl.cli.context import DEFAULT_TIMEOUT_S, Context
 from slidectl.cli.spawn import package_lookup, pairs, tell_own_packages
 from slidectl.client import Client
-from slidectl.client.link import command as to_type
 from slidectl.command_steps import CommandStep, StepEffects, check_not_detached
 from slidectl.errors import Refused, SlidectlError, TimedOut, UsageError
 from slidectl.names import join
+from slidectl.paths import command as to_type
 
 if TYPE_CHECKING:
     from slidectl.cli.detached import Background

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from slidectl import names
-from slidectl.client.client import BEST_EFFORT, STARTED, Manager
+from slidectl.client.manager import BEST_EFFORT, STARTED, Manager
 from slidectl.description.packages import Packages, is_file
 from slidectl.errors import NoDaemon, Refused, SlidectlError, UnknownName
 from slidectl.extensions.launch.plan import LaunchPlan, Leaf, Node, leaves

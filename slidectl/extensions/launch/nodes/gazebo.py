@@ -23,7 +23,7 @@ from slidectl.description.robot import Notice
 from slidectl.description.xml_tree import Element
 from slidectl.errors import BadFile, NotThere
 from slidectl.extensions.launch.plan import LaunchPlan, Leaf, Node
-from slidectl.extensions.launch.task import HOOK_LIMIT_S, SPAWN_LIMIT_S, Run, Task, parse
+from slidectl.extensions.launch.task import HOOK_LIMIT_S, Run, Task, parse
 from slidectl.rotations import Vector
 
 _OPTIONS = {
@@ -129,7 +129,9 @@ class Gazebo(Task):
         there = run.call("/slidectl/status")["robots"]
         named = [model.name for model in models]
         run.spawned += [name for name in named if name not in there]  # an interrupted call may have spawned them
-        for warning in run.client.spawn_models(list(map(spawning.request, models)), timeout=SPAWN_LIMIT_S):
+        spawn = spawning.Spawn(run.client, spawning.scene_plan(models))
+        spawn.check()
+        for warning in spawn.put():
             self.warn(run, warning.partition(" (--at")[0])
         few = ", ".join(named[:_MOST_NAMED]) + (f" and {len(named) - _MOST_NAMED} more" if named[_MOST_NAMED:] else "")
         plural = "" if len(named) == 1 else "s"

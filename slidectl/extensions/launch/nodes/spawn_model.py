@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from slidectl import description, names, rotations
+from slidectl.client import spawning
 from slidectl.description import sdf, source_note
 from slidectl.description.packages import Packages, is_file, shown
 from slidectl.description.parser import is_put_inside
@@ -168,18 +169,20 @@ class SpawnModel(Task):
         awaited = self.words.one("-wait")
         if awaited and awaited not in run.call("/slidectl/status")["robots"]:
             return f"the model {awaited}"
-        requests = self._sdf_requests(run) if self.is_sdf else [self._urdf_request(run)]
-        if not requests:
+        plan = self._scene_plan(run) if self.is_sdf else self._robot_plan(run)
+        if not plan.models:
             self.settled(run, f"{self._source} is a ground plane, which is the world's own")
             return None
-        self.parts = [request["model_name"] for request in requests]
+        plan.joints = self.joints
+        spawn = spawning.Spawn(run.client, plan, lambda text: self.warn(run, text), SPAWN_LIMIT_S, self._fit)
+        self.parts = spawn.names
         if remark := names.remark_on_robot(self.asked_name):
             self.warn(run, remark)
         there = run.call("/slidectl/status")["robots"]
         added = [name for name in self.parts if name not in there]
         run.spawned += added  # before the call: an interrupted call may have spawned them
         try:
-            self._spawn(run, requests)
+            self._spawn(run, spawn)
         except Refused:
             run.spawned[:] = [name for name in run.spawned if name not in added]
             raise
@@ -188,8 +191,8 @@ class SpawnModel(Task):
         self._tell(run)
         return None
 
-    def _sdf_requests(self, run: Run) -> list[dict[str, Any]]:
-        """The requests for the parts of the model; their poses in the file are relative to the requested pose."""
+    def _scene_plan(self, run: Run) -> spawning.SpawnPlan:
+        """The plan of the parts of the model; their poses in the file are relative to the requested pose."""
         source: Path | str | None = None
         if self.words.has("-file"):
             source = self._file()
@@ -202,29 +205,17 @@ class SpawnModel(Task):
         for notice in scene.notices:
             if notice.verdict == "wrong" or run.console.verbose:
                 run.console.warn(str(notice))
-        requests = []
-        for part in parts:
-            if run.options.strict:
-                description.parse(part.xml, part.file, strict=True)
-            requests.append(self._request(part.name, part.xml, rotations.compose(self.pose, part.pose)))
-        return requests
+        frame = self.words.one("-reference_frame")
+        return spawning.scene_plan(parts, self.pose, strict=run.options.strict, reference_frame=frame)
 
-    def _urdf_request(self, run: Run) -> dict[str, Any]:
-        document = self._document(run)
-        if run.options.strict:
-            description.parse(document.xml, document.file, strict=True)
-        namespace = self.home(description.parse(document.xml), run.tasks)
-        return {**self._request(self.model, document.xml, self.pose), "robot_namespace": namespace}
-
-    def _request(self, name: str, xml: str, pose: rotations.Pose) -> dict[str, Any]:
-        """Make a gazebo_msgs/SpawnModel request."""
-        position, turn = dict(zip("xyz", pose[0], strict=True)), rotations.message(pose[1])
-        return {
-            "model_name": name,
-            "model_xml": xml,
-            "initial_pose": {"position": position, "orientation": turn},
-            "reference_frame": self.words.one("-reference_frame"),
-        }
+    def _robot_plan(self, run: Run) -> spawning.SpawnPlan:
+        """The plan of the robot, in the namespace that the launch file expects."""
+        plan = spawning.robot_plan(self._document(run), self.pose, self.model, strict=run.options.strict)
+        assert plan.robot is not None
+        plan.namespace = self.home(plan.robot, run.tasks)
+        options = {"reference_frame": self.words.one("-reference_frame"), "robot_namespace": plan.namespace}
+        plan.models = [{**model, **options} for model in plan.models]
+        return plan
 
     def _file(self) -> Path:
         path = Path(self.words.one("-file"))
@@ -261,29 +252,21 @@ class SpawnModel(Task):
             raise Refused(f"the parameter {name} holds no XML")
         return xml, own is not None
 
-    def _spawn(self, run: Run, requests: Sequence[dict[str, Any]]) -> None:
-        halt = bool(self.joints) and not run.call("/slidectl/status")["paused"]
-        if halt:  # no simulated time may pass between spawning and setting joints
-            run.call("/gazebo/pause_physics")
+    def _spawn(self, run: Run, spawn: spawning.Spawn) -> None:
+        if self.is_sdf:
+            spawn.check()
         try:
+            warnings = spawn.put()
+        except spawning.SpawnRefused as refused:
             if self.is_sdf:
-                warnings = run.client.spawn_models(requests, timeout=SPAWN_LIMIT_S)
-            else:
-                answer = run.call("/gazebo/spawn_urdf_model", requests[0], SPAWN_LIMIT_S)
-                first, *warnings = answer["status_message"].splitlines() or [""]
-                if not answer["success"]:
-                    raise Refused(first, "\n".join(warnings).replace("(-n)", "(-model)") or None)
-            if self.joints:
-                warnings = self._set_joints(run)  # replaces the warnings: joints may end a collision
-            for warning in warnings:
-                self.warn(run, warning.replace("(--at X Y Z)", "(-x, -y, -z)"))
-        finally:
-            if halt:
-                run.call("/gazebo/unpause_physics")
+                raise
+            first, *rest = refused.status.splitlines() or [""]
+            raise Refused(first, "\n".join(rest).replace("(-n)", "(-model)") or None) from None
+        for warning in warnings:
+            self.warn(run, warning.replace("(--at X Y Z)", "(-x, -y, -z)"))
 
-    def _set_joints(self, run: Run) -> list[str]:
-        """Move the joints of -J. As in Gazebo, a limit holds a position, and a joint that is not there is skipped."""
-        [robot] = run.call("/slidectl/list_robots", {"name": self.model})["robots"]
+    def _fit(self, robot: Mapping[str, Any]) -> tuple[dict[str, float], list[str]]:
+        """The positions of -J and remarks. As in Gazebo, a limit holds a position, and unknown joints are skipped."""
         moving = {joint["name"]: joint for joint in robot["joints"] if joint["type"] != "fixed"}
         remarks, positions = [], {}
         for name, asked in self.joints.items():
@@ -297,14 +280,7 @@ class SpawnModel(Task):
             if position != asked:
                 bounds = f"{joint['lower']:.10g} to {joint['upper']:.10g}"
                 remarks.append(f"-J {name} {asked:.10g} is beyond its limits, {bounds}: it starts at {position:.10g}")
-        if not positions:
-            return remarks
-        try:
-            return [*remarks, *run.client.start_joints(self.model, positions)]
-        except Refused:
-            for name in self.parts:
-                run.call("/gazebo/delete_model", {"model_name": name})
-            raise
+        return positions, remarks
 
     def _tell(self, run: Run) -> None:
         """Report the namespace and joints, important notices in full, and the number of others unless `-v`."""

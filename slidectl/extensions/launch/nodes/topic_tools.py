@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from slidectl import names
 from slidectl.client import Client
-from slidectl.client.client import Subscription
+from slidectl.client.connection import Subscription
 from slidectl.errors import Refused, TimedOut, UnknownName
 from slidectl.extensions.launch.plan import LaunchPlan, Node
 from slidectl.extensions.launch.task import Run, Task, number, parse

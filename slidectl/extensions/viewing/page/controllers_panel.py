@@ -8,7 +8,7 @@ from typing import Any
 
 from viser import GuiButtonGroupHandle, GuiHtmlHandle
 
-from slidectl.client.client import STARTED, UNLOADED, Manager, claimed_text, configured
+from slidectl.client.manager import STARTED, UNLOADED, Manager, claimed_text, configured
 from slidectl.errors import UsageError
 from slidectl.extensions.viewing.page.page import Message, Page, Panel, WorldState, html_table, offer
 

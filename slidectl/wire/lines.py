@@ -44,6 +44,14 @@ def encode(message: dict[str, Any]) -> bytes:
     return (text + "\n").encode("ascii")
 
 
+def encode_bounded(message: dict[str, Any]) -> bytes:
+    """The object as one line. Raises BadLine: it is longer than the other end takes."""
+    line = encode(message)
+    if len(line) > LONGEST_LINE:
+        raise BadLine(f"a message of {len(line)} bytes is more than the {LONGEST_LINE} that fit a line")
+    return line
+
+
 def numbers_of_json(text: str) -> str:
     """Replace Python's NaN and Infinity by JSON: null, and 1e999, which readers parse as infinity."""
     return _TEXTS_AND_NUMBERS.sub(lambda match: _IN_JSON.get(match[0], match[0]), text)
