@@ -137,6 +137,7 @@ def test_an_everyday_command_imports_only_what_is_allowed(
         "operating_system",
         "paths",
         "values",
+        "wire",
         "writing",
     }
     assert rooms <= known
