@@ -59,6 +59,7 @@ class InProcessWorld:
         self._still_s = 0.0
         self._serial = 0
         self._waiting: list[InProcessConnection] = []
+        self.simulation.features.log_broken()
         services = self.simulation.graph.services
         services.advertise("/slidectl/shutdown", "slidectl/Shutdown", OWN_NODE, self._shut_down)
 

@@ -67,6 +67,7 @@ class Daemon:
         self.simulation.chosen.update(_PROPERTIES[name] for name in options.chosen if name in _PROPERTIES)
         self._host.reports.append(self._status)
         graph = self.simulation.graph
+        self.simulation.features.log_broken()
         graph.services.advertise("/slidectl/shutdown", "slidectl/Shutdown", OWN_NODE, self._shut_down)
         self._pacer = Pacer(self.simulation.loop, clients_wait=self._loop.is_ready)
         self._server = Server(listener, self._loop, graph, self._unexpected, self.simulation.run)

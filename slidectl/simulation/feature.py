@@ -58,7 +58,8 @@ class Feature:
     """The attributes that a snapshot saves, for a feature that does not override `save_state` and `load_state`. See
     control/saved_classes.py."""
     name: str = ""
-    """The name under which the simulation knows it."""
+    """The name under which the simulation knows it: that of the table or of the entry point. For a class that is given
+    to `Simulation` it is this attribute of the class, else the name of the class."""
     node: GraphNode
     """A node handle in the namespace of the same name, below that of the node `/slidectl`. What is advertised through
     it ends when `attach` fails."""
@@ -233,6 +234,11 @@ class Features:
             except SlidectlError as error:
                 package = point.dist.name if point.dist is not None else "that names it"
                 self.broken.append(BrokenFeature(point.name, package, error))
+
+    def log_broken(self) -> None:
+        """Log what is left out. A driver calls it when the log has a sink."""
+        for trouble in self.broken:
+            self._simulation.graph.log("error", OWN_NODE, trouble.message)
 
     def attach_these(self, chosen: Sequence[str | type[Feature]]) -> None:
         """Attach features given by name or class, in this order. Raises UnknownFeature, and as `attach`."""
