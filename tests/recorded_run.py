@@ -33,6 +33,7 @@ from slidectl.control.hardware_interface import (
     VelocityJointInterface,
 )
 from slidectl.errors import SlidectlError
+from slidectl.features.action_server import ActionServer
 from slidectl.simulation.graph import Graph
 
 Case = dict[str, Any]
@@ -135,6 +136,7 @@ class Replay:
         self.dt_ns = from_seconds(case["dt"])
         self.plants = {joint["name"]: Plant(joint, case["dt"]) for joint in case["joints"]}
         self.graph = Graph()
+        self.graph.serve_actions(ActionServer)
         self.graph.clock.time_ns = START_NS
         self.logged: list[tuple[int, str]] = []
         self.graph.log.sink = lambda severity, *_: self.logged.append((self.cycle, severity))

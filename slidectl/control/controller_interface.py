@@ -22,9 +22,11 @@ from slidectl.control.laws import Columns, LawTables
 from slidectl.control.node_handle import NodeHandle, Publisher
 from slidectl.control.params import Parameter
 from slidectl.control.pid import Pid
+from slidectl.control.saved_classes import recreated
 from slidectl.errors import Refused, listing
 
 
+@recreated
 class State(StrEnum):
     """The states of a controller."""
 

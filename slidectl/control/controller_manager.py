@@ -11,7 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from time import perf_counter_ns
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 from slidectl import names
 from slidectl.control import registry
@@ -52,6 +52,8 @@ _LONGEST_BUDGET_S = 1e9
 
 class UpdateTimes:
     """Wall time, in ns, of the updates of one controller in the interpreter since its last start."""
+
+    saved_attributes: ClassVar[None] = None
 
     __slots__ = (
         "_name",

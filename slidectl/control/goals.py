@@ -14,6 +14,7 @@ from slidectl.control.duration import BadDuration, from_seconds
 from slidectl.control.hardware_interface import I
 from slidectl.control.node_handle import GoalHandle, GoalStatus, Message, NodeHandle
 from slidectl.control.params import NUMBER, Parameter
+from slidectl.control.saved_classes import recreated
 from slidectl.errors import Refused
 
 MONITOR_RATE = Parameter(
@@ -41,6 +42,7 @@ def checked_period(node: NodeHandle, name: str, rate: float) -> int:
     return period_ns
 
 
+@recreated
 class MonitoredGoal:
     """One goal. An update decides its outcome at most once; `tick` sends the outcome."""
 

@@ -113,6 +113,8 @@ D = TypeVar("D")
 class SensorHandle(Generic[D]):
     """A sensor of the robot. `measure` returns the measurement of this cycle; it is computed only when called."""
 
+    saved_attributes: ClassVar[None] = None
+
     def __init__(self, name: str, frame_id: str, measure: Callable[[], D]) -> None:
         self.name = name
         self.frame_id = frame_id
@@ -142,6 +144,8 @@ class ClaimedResources:
 
 class ResourceManager(Generic[H]):
     """Handles of one interface by name. Subclasses define the type name and whether `get_handle` claims."""
+
+    saved_attributes: ClassVar[None] = None
 
     type_name: ClassVar[str] = ""
     kind: ClassVar[str] = "joint"

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 from math import inf, nan
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 from slidectl.control import params
 from slidectl.control.hardware_interface import JointCommands, JointHandle
@@ -332,6 +332,8 @@ class BadLimits(Refused):
 
 class LimitHandle:
     """Enforces one kind of limit on the command of one joint, once per step, in place."""
+
+    saved_attributes: ClassVar[tuple[str, ...]] = ("previous",)
 
     __slots__ = (
         "enforce",

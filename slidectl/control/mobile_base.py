@@ -20,6 +20,7 @@ from slidectl.control.hardware_interface import JointHandle
 from slidectl.control.laws import law
 from slidectl.control.node_handle import Message, NodeHandle, Publisher, publish_if_wanted
 from slidectl.control.params import BOOLEAN, INTEGER, NUMBER, TEXT, Kind, Parameter, within
+from slidectl.control.saved_classes import recreated
 from slidectl.description.robot import Cylinder, Joint, Robot, Sphere
 from slidectl.errors import MessageRefused, Refused
 from slidectl.rotations import Vector
@@ -236,6 +237,7 @@ def rolling_mean(mean: float, value: float, past: Any, first: int, window: int, 
     return mean + ((value - oldest) / window if count >= window else (value - mean) / (count + 1))
 
 
+@recreated
 class RollingMean:
     """The mean of the last values, at most `size`."""
 

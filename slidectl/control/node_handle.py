@@ -11,6 +11,7 @@ from contextlib import AbstractContextManager
 from enum import IntEnum
 from typing import Any, NamedTuple, Protocol
 
+from slidectl.control.saved_classes import recreated
 from slidectl.effects import Effect
 from slidectl.errors import Reason
 
@@ -68,6 +69,7 @@ def publish_if_wanted(publisher: Publisher, make: Callable[[], Message]) -> None
         publisher.sequence += 1
 
 
+@recreated
 class GoalStatus(IntEnum):
     """The states of a goal, with the numbers of actionlib_msgs/GoalStatus."""
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from math import isfinite, isnan
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 from slidectl.control import params
 from slidectl.control.duration import from_seconds, header_of, to_stamp
@@ -206,6 +206,8 @@ GAINS = (
 
 class ReconfigurablePid:
     """A PID, `pid`, whose gains stay equal to the parameters in the namespace of `node`."""
+
+    saved_attributes: ClassVar[None] = None
 
     def __init__(self, node: NodeHandle) -> None:
         """Read the gains, write them back, and advertise the reconfigure service.

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from math import isnan
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 from slidectl.control.node_handle import Message, NodeHandle
 from slidectl.errors import Refused, UnknownName
@@ -34,6 +34,8 @@ class Option(NamedTuple):
 
 class ReconfigureServer:
     """Serves values in the namespace of a node handle."""
+
+    saved_attributes: ClassVar[None] = None
 
     def __init__(
         self,

@@ -125,13 +125,12 @@ class InProcessWorld:
     def _stand_still(self, deadline: float) -> None:
         """Jump to the deadline, since no cycle can come, or until a lock-step member times out."""
         run = self.simulation.run
-        lockstep = run.lockstep if run.requests or not run.paused else None
-        awaited = [] if lockstep is None else lockstep.awaited()
-        for member in awaited:
-            if lockstep is not None and self._still_s >= member.timeout_s:
-                lockstep.let_go(member)
+        awaited = run.awaited() if run.requests or not run.paused else []
+        for gate, member in awaited:
+            if self._still_s >= member.timeout_s:
+                gate.let_go(member)
                 return
-        left_s = min([max(0.0, deadline - self._wall_s), *(member.timeout_s - self._still_s for member in awaited)])
+        left_s = min([max(0.0, deadline - self._wall_s), *(member.timeout_s - self._still_s for _, member in awaited)])
         if self._still_s + left_s > _LONGEST_STILL_S:
             trouble = run.trouble
             why = f" ({trouble})" if trouble else ""

@@ -13,7 +13,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from slidectl.simulation.lockstep import LockStepService
 from slidectl.simulation.loop import Loop
 
 FREE_SLICE_S = 0.0005
@@ -74,23 +73,24 @@ class Pacer:
             self._mode = None
             self._marks.clear()
             return None
-        if run.lockstep is not None and not run.allowed(1):
-            return self._wait_for_members(run.lockstep)
+        if run.gates and not run.allowed(1):
+            return self._wait_for_members()
         self._held_since_s = math.inf
         mode = (math.inf if run.paused or run.holders else run.speed, simulation.step_ns)
         if mode != self._mode:
             self._begin(mode)
         return self._run_freely() if self._is_free else self._run_paced()
 
-    def _wait_for_members(self, lockstep: LockStepService) -> float:
+    def _wait_for_members(self) -> float:
         """Remove lock-step members that have timed out. Returns the wall seconds until the next may time out."""
+        run = self._simulation.run
         now = self._clock()
         self._held_since_s = min(self._held_since_s, now)
         held_s = now - self._held_since_s
-        for member in lockstep.awaited():
+        for gate, member in run.awaited():
             if held_s >= member.timeout_s:
-                lockstep.let_go(member)
-        return min((member.timeout_s - held_s for member in lockstep.awaited()), default=0.0)
+                gate.let_go(member)
+        return min((member.timeout_s - held_s for _, member in run.awaited()), default=0.0)
 
     def _begin(self, mode: tuple[float, int]) -> None:
         self._mode = mode

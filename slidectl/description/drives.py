@@ -1,7 +1,7 @@
 """Reads Gazebo plugins that move a model: gazebo_ros' drives of bases, and mimic joints.
 
 Tags and defaults are those of gazebo_ros_pkgs (noetic) and roboticsgroup_gazebo_plugins. The drives are simulated in
-simulation/base_drives.py; the world treats a joint with a mimic plugin like one with a `<mimic>`.
+features/base_drives.py; the world treats a joint with a mimic plugin like one with a `<mimic>`.
 """
 
 from __future__ import annotations

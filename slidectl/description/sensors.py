@@ -1,6 +1,6 @@
 """Reads the sensors of a model: `<sensor>` tags of links and joints, and sensor plugins of gazebo_ros.
 
-Defaults are those of the plugins. simulation/sensor_topics.py publishes the measurements.
+Defaults are those of the plugins. features/sensor_topics.py publishes the measurements.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import mujoco
 import numpy as np
@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 
 class StuckJoint:
     """Holds a joint at its position by a motor without bound, which overrides its drive."""
+
+    saved_attributes: ClassVar[tuple[str, ...]] = ("_dynamics",)
+    saved_or_none: ClassVar[tuple[str, ...]] = ("_position", "_lasting")
 
     def __init__(self, world: World, body: Body, hardware: MujocoRobotHW, joint: str) -> None:
         self._world = world
@@ -80,6 +83,8 @@ class StuckJoint:
 class JointFriction:
     """Replaces the dry friction (N or N·m), the damping (N·s/m or N·m·s/rad), or both, of a joint; None: unchanged."""
 
+    saved_or_none: ClassVar[tuple[str, ...]] = ("_before",)
+
     def __init__(self, world: World, body: Body, joint: str, friction: float | None, damping: float | None) -> None:
         self._world = world
         self._body = body
@@ -128,6 +133,8 @@ _OF_MASS = ("body_mass", "body_ipos", "body_iquat", "body_inertia", "body_gravco
 
 class Payload:
     """Adds a point mass (kg) at a point of a link (m, in the link's frame)."""
+
+    saved_or_none: ClassVar[tuple[str, ...]] = ("_before",)
 
     def __init__(self, world: World, body: Body, link: str, mass: float, at: Vector) -> None:
         self._world = world

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, ClassVar, NamedTuple, TypeVar
 
 from slidectl.control.angular_distance import distance_with_limits, shortest_angular_distance, unwrapped
 from slidectl.control.hardware_interface import (
@@ -81,6 +81,9 @@ class MissingJoint(BadTransmission):
 
 class HardwareJoint:
     """A driven joint: its handle, the interface for its commands, and its bounds."""
+
+    saved_attributes: ClassVar[tuple[str, ...]] = ("handle",)
+    saved_or_none: ClassVar[tuple[str, ...]] = ("limit",)
 
     __slots__ = ("handle", "interface", "joint", "limit", "lower", "most_effort", "name", "quantity", "upper")
 
@@ -212,6 +215,8 @@ def motor_velocity(drive: Drive, joint: JointHandle, position: float, step_s: fl
 
 class Drive:
     """Drives one joint by its command, once per step, after the limits are enforced."""
+
+    saved_or_none: ClassVar[tuple[str, ...]] = ("pid",)
 
     columns = Columns(fixed="kind lower upper limit fastest", places="pid joint", whole="kind pid joint")
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import mujoco
 import numpy as np
@@ -116,6 +116,8 @@ class Overlap:
 
 class World:
     """A world with a ground, a light, gravity, and robots."""
+
+    saved_attributes: ClassVar[None] = None
 
     step: Callable[[], None]
     """Advance by one time step. Replaced when the model is rebuilt or forces come or go: see `on_rebuild`."""

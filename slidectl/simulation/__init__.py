@@ -3,9 +3,10 @@
 It knows simulated time only: no sockets, no wall time, no threads.
 """
 
+from slidectl.simulation.feature import Feature
 from slidectl.simulation.graph import Graph
 from slidectl.simulation.pending import Pending
 from slidectl.simulation.simulation import Simulation
 from slidectl.simulation.spawned_robots import SpawnedRobot
 
-__all__ = ["Graph", "Pending", "Simulation", "SpawnedRobot"]
+__all__ = ["Feature", "Graph", "Pending", "Simulation", "SpawnedRobot"]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 from slidectl.control.duration import NANOSECONDS, to_stamp
 from slidectl.control.node_handle import Publisher
@@ -93,6 +93,8 @@ class Timer:
 
 class Timers:
     """Timers in the order of their due times; timers of the same time fire in the order in which they were set."""
+
+    saved_attributes: ClassVar[None] = None
 
     __slots__ = ("_heap", "_made", "_most", "next_ns", "now_ns")
 
@@ -190,6 +192,8 @@ def _next_multiple(now_ns: int, period_ns: int) -> int:
 
 class RepeatedCall:
     """Calls back once in each period from now on, at the end of the first cycle at or after that time."""
+
+    saved_attributes: ClassVar[tuple[str, ...]] = ("_timer",)
 
     def __init__(
         self, timers: Timers, period_ns: int, callback: Callable[[], None], running: list[RepeatedCall]

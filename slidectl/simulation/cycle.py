@@ -8,7 +8,7 @@ times are integer nanoseconds.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 from slidectl.control.duration import to_seconds
 from slidectl.control.laws import law
@@ -61,7 +61,11 @@ def is_sane(velocities: memoryview[float]) -> bool:
     return True
 
 
-class HardwareFailed(SlidectlError):
+class CycleFailed(SlidectlError):
+    """Code of a user's class has failed in a cycle, which cannot go on without it."""
+
+
+class HardwareFailed(CycleFailed):
     """Hardware of a user's class has failed in a cycle."""
 
 
@@ -95,6 +99,18 @@ class ControlCycle:
 
     Controllers run when `control_period_ns` has passed since their last run; the hardware is written in every cycle.
     """
+
+    saved_attributes: ClassVar[tuple[str, ...]] = (
+        "control_period_ns",
+        "emergency_stop",
+        "_was_stopped",
+        "last_update_ns",
+        "last_write_ns",
+        "period_ns",
+        "period_s",
+        "write_period_ns",
+        "write_period_s",
+    )
 
     __slots__ = (
         "_read",
@@ -202,7 +218,7 @@ class PlainRunner(Runner):
         self._cycles: tuple[Callable[[int], None], ...] = ()
 
     def take_robots(self, robots: Sequence[SpawnedRobot]) -> None:
-        self._cycles = tuple(robot.parts.cycle.run for robot in robots)
+        self._cycles = (*self._loop.before_cycle, *(robot.parts.cycle.run for robot in robots))
 
     def run(self, count: int) -> int:
         loop, world, robots = self._loop, self._loop.world, self._cycles

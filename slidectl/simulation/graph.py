@@ -5,24 +5,25 @@ It contains no physics and no control; the simulation connects those to it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, ClassVar, ParamSpec, Protocol, TypeVar
 
 from slidectl import names
 from slidectl.control.duration import header_of
 from slidectl.control.node_handle import (
     MISSING,
     GoalCallback,
+    GoalHandle,
     Message,
     MessageCallback,
+    NodeHandle,
     ParameterJudge,
     Publisher,
     Reasons,
 )
 from slidectl.effects import Effect
 from slidectl.errors import Reason, Refused, SlidectlError, cut
-from slidectl.simulation.action_server import ActionServer
 from slidectl.simulation.clock import Clock, ClockTopic, RepeatedCall, Timers
 from slidectl.simulation.parameters import Parameters
 from slidectl.simulation.services import Handler, Services
@@ -43,8 +44,23 @@ Sink = Callable[[str, str, str, int], None]
 """Takes severity, node, text, time in ns."""
 
 
+class ServedAction(Protocol):
+    """The server of one action."""
+
+    @property
+    def open_goals(self) -> Sequence[GoalHandle]:
+        """Goals without a result that have not been released."""
+
+
+ActionMaker = Callable[[NodeHandle, str, GoalCallback, GoalCallback], ServedAction]
+"""Creates the server of an action: takes a node handle in its namespace, its type, and what is called with a new goal
+and with one that a client cancels."""
+
+
 class Graph:
     """All that a client can see or do. `clock_topic` publishes /clock."""
+
+    saved_attributes: ClassVar[None] = None
 
     def __init__(self) -> None:
         self.clock = Clock()
@@ -59,6 +75,7 @@ class Graph:
         self.on_node_closed: list[Callable[[str], None]] = []
         """Called with the name of a node that was closed."""
         self._claimed_nodes: set[str] = set()
+        self._make_action: ActionMaker | None = None
         self.log = Log(self.topics, self.clock.now_ns)
         clock = self.topics.advertise("/clock", "rosgraph_msgs/Clock", WORLD_NODE, kind=NodePublisher)
         self.clock_topic = ClockTopic(clock)
@@ -67,6 +84,20 @@ class Graph:
         )
         self.topics.on_change = self.services.on_change = lambda: self.topics.hand_on(GRAPH_CHANGES, {})
         self.parameters.on_change = lambda changed: self.topics.hand_on(PARAMETER_CHANGES, {"names": changed})
+
+    def serve_actions(self, make: ActionMaker) -> None:
+        """Let `make` create the servers of actions. Raises Refused: another feature serves them."""
+        if self._make_action is not None:
+            raise Refused("the actions of this world are served already")
+        self._make_action = make
+
+    def action_server(
+        self, node: NodeHandle, type_name: str, on_goal: GoalCallback, on_cancel: GoalCallback
+    ) -> ServedAction:
+        """Serve an action in the namespace of the node handle. Raises Refused: the world has no feature for it."""
+        if self._make_action is None:
+            raise Refused(f"{node.namespace} cannot be served: this world has no feature 'actions'")
+        return self._make_action(node, type_name, on_goal, on_cancel)
 
     def node(self, namespace: str = "/", name: str = WORLD_NODE) -> GraphNode:
         """A node handle in `namespace` of the node `name`."""
@@ -163,6 +194,8 @@ class GraphNode:
     `namespace` resolves relative names; `name` is the node's name in listings and in the log.
     """
 
+    saved_attributes: ClassVar[None] = None
+
     def __init__(self, graph: Graph, namespace: str, name: str) -> None:
         self.namespace = names.check(namespace)
         self.name = name
@@ -171,7 +204,7 @@ class GraphNode:
         self._children: list[GraphNode] = []
         self._taken: list[Callable[[], None]] = []
         self._calls: list[RepeatedCall] = []
-        self._servers: list[ActionServer] = []
+        self._servers: list[ServedAction] = []
         self.before_entry: Callable[[], None] = lambda: None
         """Called before every callback of this handle and its children."""
         self.guard: AbstractContextManager[None] | None = None
@@ -241,7 +274,7 @@ class GraphNode:
         self._taken.append(services.advertise(name, type_name, self.name, entering, effect, file_field).close)
 
     def advertise_action(self, action: str, type_name: str, on_goal: GoalCallback, on_cancel: GoalCallback) -> None:
-        self._servers.append(ActionServer(self.child(action), type_name, on_goal, on_cancel))
+        self._servers.append(self._graph.action_server(self.child(action), type_name, on_goal, on_cancel))
 
     def call_every(self, period_ns: int, callback: Callable[[], None], enters: bool = True) -> RepeatedCall:
         enter = self._entering(callback) if enters else callback
@@ -285,7 +318,7 @@ class GraphNode:
         """The running calls of this handle and its children, in the order of creation."""
         return [*self._calls, *(call for child in self._children for call in child.calls_below())]
 
-    def servers_below(self) -> list[ActionServer]:
+    def servers_below(self) -> list[ServedAction]:
         """The actions of this handle and its children, in the order of creation."""
         return [*self._servers, *(server for child in self._children for server in child.servers_below())]
 

@@ -7,21 +7,20 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from numbers import Real
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Protocol
 
 from slidectl.errors import Refused, SlidectlError
 from slidectl.physics import Diverged, EngineError, World
 from slidectl.simulation.compiled.engine import Engine
-from slidectl.simulation.cycle import CHECK_EVERY, HardwareFailed, PlainRunner, Runner, is_sane
+from slidectl.simulation.cycle import CHECK_EVERY, CycleFailed, PlainRunner, Runner, is_sane
 from slidectl.simulation.graph import WORLD_NODE, Graph
 from slidectl.simulation.history import History
 from slidectl.simulation.pending import Pending
 
 if TYPE_CHECKING:
-    from slidectl.simulation.lockstep import LockStepService
     from slidectl.simulation.spawned_robots import SpawnedRobot
 
 LEAST_TABLE_CYCLES = 16
@@ -70,6 +69,26 @@ class StepRequest:
         self.pending = pending
 
 
+class Awaited(Protocol):
+    """Somebody for whom the world waits."""
+
+    timeout_s: float
+    """Wall time after which the driver lets it go."""
+
+
+class Gate(Protocol):
+    """Lets the world run only as far as somebody allows."""
+
+    def allowed(self, most: int) -> int:
+        """The number of cycles, at most `most`, that may run before the world must wait."""
+
+    def awaited(self) -> Sequence[Awaited]:
+        """Those for whom the world waits now."""
+
+    def let_go(self, member: Any) -> None:
+        """Do not wait any longer for one of `awaited`."""
+
+
 class RunState:
     """The requested run state. It runs nothing itself: a driver (the daemon) reads it between two slices.
 
@@ -81,7 +100,7 @@ class RunState:
         self.speed = 1.0
         self.trouble = ""
         """The reason why the world is held, when it was not paused on request."""
-        self.on_halt: Callable[[], None] = lambda: None
+        self.on_halt: list[Callable[[], None]] = []
         """Called when the world stops: by `pause`, after the last step, or when the last step request is cancelled."""
         self.requests: deque[StepRequest] = deque()
         """Open step requests, in the order of arrival."""
@@ -89,10 +108,10 @@ class RunState:
         """Nodes that hold the world: it advances only by their requests."""
         self.news_wanted = False
         """True while a message (`note_message`) may end a step request."""
-        self.on_news: Callable[[], None] = lambda: None
+        self.on_news: list[Callable[[], None]] = []
         """Called when a step request is to end with the running cycle."""
-        self.lockstep: LockStepService | None = None
-        """The lock-step, while it has members: the world waits for them."""
+        self.gates: list[Gate] = []
+        """Those who have somebody for whom the world waits: lock-step, while it has members."""
 
     @property
     def pending_steps(self) -> int:
@@ -124,9 +143,13 @@ class RunState:
 
     def allowed(self, most: int) -> int:
         """The number of cycles, at most `most`, that may run now."""
-        if self.lockstep is not None:
-            most = self.lockstep.allowed(most)
+        for gate in self.gates:
+            most = gate.allowed(most)
         return self.asked(most)
+
+    def awaited(self) -> list[tuple[Gate, Awaited]]:
+        """Those for whom the world waits, each with its gate."""
+        return [(gate, member) for gate in self.gates for member in gate.awaited()]
 
     @property
     def stands_still(self) -> bool:
@@ -160,7 +183,8 @@ class RunState:
         for request in self.requests:
             if request.reader and node in ("", request.reader):
                 request.has_news = True
-                self.on_news()
+                for callback in self.on_news:
+                    callback()
 
     def _first(self, of_holder: bool) -> StepRequest | None:
         return next((request for request in self.requests if bool(request.reader) is of_holder), None)
@@ -199,7 +223,8 @@ class RunState:
 
     def _look_for_halt(self) -> None:
         if self.stands_still:
-            self.on_halt()
+            for callback in self.on_halt:
+                callback()
 
 
 class Loop:
@@ -210,7 +235,7 @@ class Loop:
         self.world = world
         self.step_ns = step_ns
         self.run = RunState()
-        self.run.on_news = self.end_burst
+        self.run.on_news.append(self.end_burst)
         self.strict = True
         """Stop the world when a robot diverges; else the robot is frozen, and the others go on."""
         self.driven = False
@@ -220,6 +245,8 @@ class Loop:
         The duration of the next cycles is not known in advance: a robot may have been spawned, or have fallen."""
         self.in_cycle = False
         self.robots: tuple[SpawnedRobot, ...] = ()
+        self.before_cycle: tuple[Callable[[int], None], ...] = ()
+        """Called at the beginning of each cycle with its time in ns, in this order; see `add_before_cycle`."""
         self.history = History(world)
         self.plain = PlainRunner(self)
         self.runner: Runner = self.plain
@@ -227,6 +254,11 @@ class Loop:
         self._memory = world.data, world.views
         self.engine = Engine(self, engine)
         world.on_rebuild(self._world_changed)
+
+    def add_before_cycle(self, hook: Callable[[int], None]) -> None:
+        """Call `hook` at the beginning of each cycle, before the robots, with the cycle's time in ns."""
+        self.before_cycle = (*self.before_cycle, hook)
+        self.take_robots(self.robots)
 
     def take_robots(self, robots: tuple[SpawnedRobot, ...]) -> None:
         """Replace the robots, in this order."""
@@ -310,7 +342,7 @@ class Loop:
             done = runner.run(count)
             if clock.cycles % CHECK_EVERY == 0 or not is_sane(self.world.views.qvel):
                 self._check()
-        except (Diverged, HardwareFailed) as trouble:
+        except (Diverged, CycleFailed) as trouble:
             return clock.cycles - before, trouble
         except EngineError as trouble:
             return clock.cycles - before, Refused(f"MuJoCo cannot go on: {trouble}")
@@ -328,7 +360,7 @@ class Loop:
 
     def _give_up(self, trouble: SlidectlError) -> None:
         """Hold the world and log the trouble; raise it too when not `driven`."""
-        what = "the world cannot go on" if isinstance(trouble, HardwareFailed) else "the simulation diverged"
+        what = "the world cannot go on" if isinstance(trouble, CycleFailed) else "the simulation diverged"
         self.run.hold(trouble.message, what)
         self.graph.log("fatal", WORLD_NODE, str(trouble))
         if not self.driven:

@@ -6,9 +6,9 @@ Knows no wall time, no sockets and no threads: the same calls give the same bits
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
+from contextlib import ExitStack
 from numbers import Integral
-from typing import Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from slidectl.control import registry
 from slidectl.control.duration import from_seconds
@@ -19,22 +19,13 @@ from slidectl.physics import World, hulls
 from slidectl.physics.hulls import MeshSource
 from slidectl.physics.rendering import RenderProcess
 from slidectl.rotations import ORIGIN, Pose
-from slidectl.simulation import base_drives, joint_traces, rosapi, waits
 from slidectl.simulation.compiled.engine import Engine
-from slidectl.simulation.entities import Entities
-from slidectl.simulation.faults import Faults
-from slidectl.simulation.gazebo_services import GazeboServices
+from slidectl.simulation.feature import F, Feature, Features
 from slidectl.simulation.graph import Graph
-from slidectl.simulation.lockstep import LockStepService
 from slidectl.simulation.loop import Loop, RunState, check_timestep
-from slidectl.simulation.own_services import OwnServices
 from slidectl.simulation.parameters import Parameters
 from slidectl.simulation.pending import Pending
-from slidectl.simulation.sensor_topics import bring_up as bring_up_sensors
-from slidectl.simulation.snapshots import Snapshots
 from slidectl.simulation.spawned_robots import Robots, SpawnedRobot
-from slidectl.simulation.standard_services import StandardServices
-from slidectl.simulation.state_publisher import StatePublishers
 from slidectl.simulation.topics import TopicSubscription
 
 SCRIPT_NODE = "/script"
@@ -54,14 +45,21 @@ class Simulation:
             first.
         strict: a robot whose state is no longer a number stops the world, with Diverged; else that robot is held at
             rest until a reset, and the others go on.
+        features: what hangs on the simulation, in this order: names of features (`feature.names()`), or classes that
+            are derived from Feature. None: all of slidectl and of installed packages. A feature of a package that is
+            broken is then left out, and in `features.broken`.
+
+    A feature is an attribute too, under its name: `simulation.faults`.
 
     In callbacks of `subscribe` and of `graph.timers` the objects of a robot that the script holds (controllers, joint
     handles) are up to date. A node of the graph that listens in another way must take them from `robots` each time.
 
     Raises:
         Refused: the time step is invalid, or the engine is `compiled` without numba. BadFile: a module cannot be found,
-            its code fails, or it has no controller.
+            its code fails, or it has no controller. UnknownFeature: no feature has a name in `features`.
     """
+
+    saved_attributes: ClassVar[None] = None
 
     def __init__(
         self,
@@ -71,6 +69,7 @@ class Simulation:
         engine: str = "auto",
         imports: Sequence[str] = (),
         strict: bool = True,
+        features: Sequence[str | type[Feature]] | None = None,
     ) -> None:
         check_timestep(timestep)
         for module in imports:
@@ -80,7 +79,6 @@ class Simulation:
         self.loop = Loop(self.graph, self.world, from_seconds(timestep), engine)
         self.loop.strict = strict
         self.robots = Robots(self.world, self.loop)
-        self.entities = Entities(self)
         self.monitor: Callable[[], dict[str, Any]] = dict
         """Returns the fields that the driver adds to `/slidectl/status`: wall times, connections, memory."""
         self.read_meshes: Callable[[Sequence[MeshSource]], Pending] = _read_here
@@ -92,28 +90,29 @@ class Simulation:
         self.drawn_by: Callable[[], str] = lambda: self._renderer.drawn_by if self._renderer else ""
         """What drew the last picture: OpenGL, or software with the reason; empty before the first one."""
         self._renderer: RenderProcess | None = None
-        self.snapshots = Snapshots(self)
-        self.kept: dict[str, object] = {}
-        """Objects that a snapshot saves in addition to world, clock, parameters and robots, by name. Any module may
-        add one. `saved_state` defines which of an object's attributes are saved."""
         self.chosen: set[str] = set()
         """The settings (`speed`, `timestep`, `gravity`) that the user has set. A world file does not change them."""
         self.world.clock = self.graph.clock.now_ns
-        self.run.on_halt = self.robots.settle_switches
+        self.run.on_halt.append(self.robots.settle_switches)
         self.graph.parameters.set("/use_sim_time", True, derived=True)
-        rosapi.advertise(self.graph)
-        self.lockstep = LockStepService(self.graph, self.loop)
-        OwnServices(self)
-        StandardServices(self)
-        waits.advertise(self.graph)
-        joint_traces.advertise(self)
-        GazeboServices(self)
-        self.faults = Faults(self)
-        self.robots.on_spawn += [
-            StatePublishers(self).bring_up,
-            partial(bring_up_sensors, self),
-            partial(base_drives.bring_up, self),
-        ]
+        self.features = Features(self)
+        if features is None:
+            self.features.attach_all()
+        else:
+            self.features.attach_these(features)
+
+    if not TYPE_CHECKING:  # a misspelt attribute is an error for the type checker; typed code calls `feature`
+
+        def __getattr__(self, name: str) -> Any:
+            """The feature of that name: `simulation.faults`, say."""
+            features = vars(self).get("features", ())
+            if name in features:
+                return features[name]
+            raise AttributeError(f"a simulation has no {name!r}, and no feature of that name", name=name, obj=self)
+
+    def feature(self, cls: type[F]) -> F:
+        """The feature of that class. Raises UnknownFeature: the simulation was made without it."""
+        return self.features.of_class(cls)
 
     @property
     def time_ns(self) -> int:
@@ -247,12 +246,12 @@ class Simulation:
         self.loop.step_ns = from_seconds(seconds)
 
     def save(self, name: str) -> None:
-        """Save the whole present state under a name, for `load`. Raises as snapshots.Snapshots.save."""
-        self.snapshots.save(name)
+        """Save the whole present state under a name, for `load`. Raises as features/snapshot_services.py."""
+        self.features["snapshots"].save(name)
 
     def load(self, name: str) -> None:
         """Restore the state that was saved under the name. Raises UnknownName, Refused."""
-        self.snapshots.load(name)
+        self.features["snapshots"].load(name)
 
     def _render_here(self, camera: Camera, pose: Pose, seed: int) -> Pending:
         """Render, and block until the picture is there."""
@@ -287,8 +286,10 @@ class Simulation:
         self.loop.between_cycles("reset")
         self.run.trouble = ""
         self.loop.history.forget()
-        self.faults.restart()
-        self.robots.reset()
+        with ExitStack() as resetting:  # calls in reverse order, and all of them even if one fails
+            resetting.callback(self.robots.reset)
+            for reset in reversed(self.features.resets()):
+                resetting.callback(reset)
 
 
 def _read_here(sources: Sequence[MeshSource]) -> Pending:

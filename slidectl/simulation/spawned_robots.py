@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from functools import partial
 from itertools import count
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 from slidectl import description, names
 from slidectl.control import hardware_types
@@ -62,6 +62,8 @@ class SpawnedRobot:
     Only the runners of the cycles may use `parts`. Other code must use `hardware`, `manager`, `cycle` or a callback of
     the node: these first bring the objects up to date.
     """
+
+    saved_attributes: ClassVar[None] = None
 
     body: Body
     services: ManagerServices

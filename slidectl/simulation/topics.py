@@ -127,6 +127,8 @@ class PeriodicTopic:
     without a request), a new subscriber gets the present message at once, as do present ones of a new publisher.
     """
 
+    saved_attributes: ClassVar[tuple[str, ...]] = ("_publisher",)
+
     def __init__(
         self,
         graph: Graph,

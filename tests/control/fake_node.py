@@ -22,7 +22,7 @@ from slidectl.control.node_handle import (
     ServiceHandler,
 )
 from slidectl.effects import Effect
-from slidectl.simulation.action_server import ActionServer
+from slidectl.features.action_server import ActionServer
 from slidectl.simulation.clock import RepeatedCall, Timers
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 
@@ -71,10 +72,17 @@ class OneCycleAtATime:
     def allowed(self, most: int) -> int:
         return min(most, 1)
 
+    def awaited(self) -> list[Any]:
+        return []
+
+    def let_go(self, member: Any) -> None:
+        raise AssertionError(f"nobody is awaited, and {member} was let go")
+
 
 @pytest.mark.parametrize("speed", [2.0, 10.0])
 def test_lock_step_keeps_the_factor_too(simulation: FakeSimulation, pacer: Pacer, speed: float) -> None:
-    simulation.run.speed, simulation.run.lockstep = speed, OneCycleAtATime()
+    simulation.run.speed = speed
+    simulation.run.gates.append(OneCycleAtATime())
     drive(simulation, pacer, 2.0)
     figures = pacer.report()
     assert simulation.cycles == pytest.approx(2000 * speed, rel=0.01)

@@ -25,7 +25,7 @@ from slidectl import description
 from slidectl.check import run as checking
 from slidectl.description import Packages
 from slidectl.errors import SlidectlError, UsageError
-from slidectl.simulation.posix_pattern import PosixPattern
+from slidectl.features.posix_pattern import PosixPattern
 
 # --- lines on the socket ---------------------------------------------------------------------------------------------
 

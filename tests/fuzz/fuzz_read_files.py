@@ -27,7 +27,7 @@ from slidectl.extensions.gateways.foxglove.foxglove_frames import SUBPROTOCOLS
 from slidectl.extensions.gateways.foxglove.foxglove_gateway import FoxgloveGateway, FoxgloveOptions
 from slidectl.extensions.viewing.drawn_scene import DrawnScene, ViewpointChoice
 from slidectl.extensions.viewing.software_renderer import SoftwareRenderer
-from slidectl.simulation.snapshot_files import MAGIC
+from slidectl.features.snapshot_files import MAGIC
 
 ARM = "arm_controller"
 ROBOT = "fuzzed"

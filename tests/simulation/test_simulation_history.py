@@ -91,7 +91,7 @@ def test_only_the_newest_rows_are_kept(engine: str, monkeypatch: pytest.MonkeyPa
 
 
 def test_a_long_trace_leaves_cycles_out_and_has_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    from slidectl.simulation import joint_traces
+    from slidectl.features import joint_traces
 
     monkeypatch.setattr(joint_traces, "_MOST_SAMPLES", 10)
     simulation = running_cart()

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from slidectl.errors import BadMessage, UnknownName
-from slidectl.simulation import rosapi
+from slidectl.features import rosapi
 from slidectl.simulation.graph import Graph
 
 

@@ -39,10 +39,10 @@ from slidectl.control.hardware_interface import EffortJointInterface
 from slidectl.control.node_handle import NodeHandle
 from slidectl.control.registry import controller
 from slidectl.errors import BadFile, BadName, Refused, SlidectlError, UnknownName
+from slidectl.features import snapshot_files
+from slidectl.features.snapshots import PUT_BACK, put
 from slidectl.physics import Diverged, MujocoRobotHW
-from slidectl.simulation import snapshot_files
 from slidectl.simulation.compiled import object_file
-from slidectl.simulation.snapshots import PUT_BACK, put
 from slidectl.simulation.topics import TopicSubscription
 
 CONFIG = Path(__file__).parent.parent.parent / "config"

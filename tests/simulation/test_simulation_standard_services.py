@@ -11,8 +11,8 @@ import pytest
 
 from slidectl import msgs
 from slidectl.errors import UsageError
+from slidectl.features.posix_pattern import PosixPattern
 from slidectl.simulation import Simulation
-from slidectl.simulation.posix_pattern import PosixPattern
 
 BOX = """<sdf version="1.6"><model name="box"><link name="link">
   <collision name="c"><geometry><box><size>1 1 1</size></box></geometry></collision></link></model></sdf>"""

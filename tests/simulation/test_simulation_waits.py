@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from slidectl.errors import BadMessage, Refused, UnknownName
+from slidectl.features import waits
 from slidectl.msgs.field_path import NoElement
-from slidectl.simulation import waits
 from slidectl.simulation.graph import Graph
 from slidectl.simulation.pending import Pending
 

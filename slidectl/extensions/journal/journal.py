@@ -99,7 +99,8 @@ class Journal:
 
         render = simulation.render
         simulation.read_meshes = read
-        simulation.lockstep.on_let_go = lambda node: self._note("let_go", node)
+        if "lockstep" in simulation.features:
+            simulation.features["lockstep"].on_let_go.append(lambda node: self._note("let_go", node))
         simulation.render = lambda *camera: render(*camera).then(self._take_picture)
         self._states = simulation.graph.timers.every(SECOND, self._note_state)
 

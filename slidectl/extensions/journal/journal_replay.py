@@ -194,10 +194,11 @@ class Replay:
         elif "meshes" in entry:
             self._take_meshes(entry["meshes"])
         elif "let_go" in entry:
-            members = self.simulation.lockstep.members
+            lockstep = self.simulation.features["lockstep"]
+            members = lockstep.members
             if entry["let_go"] not in members:
                 self._fail(f"{entry['let_go']} is not in lock-step now")
-            self.simulation.lockstep.let_go(members[entry["let_go"]])
+            lockstep.let_go(members[entry["let_go"]])
         elif "picture" in entry:
             self._take_picture(entry["picture"])
         elif "state" in entry:

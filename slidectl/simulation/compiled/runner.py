@@ -249,10 +249,11 @@ class CompiledRunner(Runner):
 
     def _allow(self, end: int) -> None:
         """Set how many cycles may run before the interpreter must check again: those up to `end`, and up to and with
-        the one after which a timer is due, at least one. While /clock has subscribers each cycle begins here."""
+        the one after which a timer is due, at least one. Each cycle begins here while /clock has subscribers, and when
+        the loop has something to call before it."""
         progress, graph = self._progress, self._graph
         is_between_cycles = progress.robot == NEW_CYCLE
-        if graph.clock_topic.publisher.wanted:
+        if graph.clock_topic.publisher.wanted or self._loop.before_cycle:
             progress.left = 1
             if is_between_cycles:
                 self._begin_cycle()
@@ -267,7 +268,10 @@ class CompiledRunner(Runner):
         progress.time_ns += progress.step_ns
         clock.time_ns = progress.time_ns
         progress.robot = 0
-        self._graph.clock_topic.tick(progress.time_ns, progress.step_ns)
+        if self._graph.clock_topic.publisher.wanted:
+            self._graph.clock_topic.tick(progress.time_ns, progress.step_ns)
+        for hook in self._loop.before_cycle:
+            hook(progress.time_ns)
         if self._topic_changes != self._graph.topics.changes:
             self._look_for_listeners()
 

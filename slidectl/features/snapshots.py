@@ -1,31 +1,30 @@
 """Snapshots: the whole state of a simulation at one time, from which it continues with the same bits.
 
-Loading first restores robots and controllers, by deleting and creating those that differ, and creates all faults
-again; then it restores the numbers. When the same robots and controllers exist, it only restores the numbers. Speed
-and pause do not change; nor do clients: their waits keep the remaining time.
+Loading first restores robots and controllers, by deleting and creating those that differ, and lets features make their
+parts again; then it restores the numbers. When the same robots and controllers exist, it only restores the numbers.
+Speed and pause do not change; nor do clients: their waits keep the remaining time.
 
-Code that adds a part to robots or to the simulation must register it in `SpawnedRobot.kept` or `Simulation.kept`.
+Code that adds a part to a robot must register it in `SpawnedRobot.kept`. A feature declares its own state.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass
 from operator import attrgetter
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 from slidectl import description, names
 from slidectl.control import registry
 from slidectl.control.user_classes import is_of_a_user
 from slidectl.description import source_note
-from slidectl.errors import BadName, Refused, SlidectlError, UnknownName
+from slidectl.errors import Refused, SlidectlError, UnknownName
+from slidectl.features.action_server import ActionGoal
+from slidectl.features.saved_state import Restoring, SavedObject, Saving
 from slidectl.physics.hulls import Hulls
 from slidectl.rotations import Pose
-from slidectl.simulation.action_server import ActionGoal
-from slidectl.simulation.faults import FaultRequest
-from slidectl.simulation.saved_state import Restoring, SavedObject, Saving
+from slidectl.simulation.feature import Feature
 from slidectl.simulation.spawned_robots import ParsedRobot, SpawnedRobot
 
 if TYPE_CHECKING:
@@ -94,7 +93,10 @@ class Snapshot:
     is_from_file: bool
     """True when it was read from a file: its values may be invalid."""
     robots: list[SpawnedAs]
-    faults: list[FaultRequest]
+    features: list[str]
+    """The features of which it has a state."""
+    parts: dict[str, list[Any]]
+    """What makes the parts of features again, by their names; see Feature.save_parts."""
     parameters: dict[str, Any]
     derived: list[str]
     """The parameters that no client has set."""
@@ -121,7 +123,7 @@ def take(simulation: Simulation) -> Snapshot:
 
 def _taken(simulation: Simulation) -> Snapshot:
     saving = Saving()
-    state = saving.value(_tree(simulation))
+    state = saving.value(_tree(simulation, simulation.features.with_state()))
     return Snapshot(
         simulation.time_ns,
         simulation.cycles,
@@ -130,7 +132,8 @@ def _taken(simulation: Simulation) -> Snapshot:
         simulation.world.has_ground,
         False,
         [SpawnedAs.of(robot) for robot in simulation.robots],
-        simulation.faults.asked(),
+        list(simulation.features.with_state()),
+        {feature.name: parts for feature in simulation.features if (parts := feature.save_parts())},
         simulation.parameters.tree(),
         simulation.parameters.derived(),
         simulation.world.snapshot(),
@@ -163,14 +166,13 @@ def put(simulation: Simulation, snapshot: Snapshot) -> list[str]:
         except SlidectlError as error:
             text = f"cannot load a snapshot: should that fail, the world could not be as it is now: {error.message}"
             raise Refused(text, error.hint) from None
-    kept = dict(simulation.kept)
     try:
         made = _put(simulation, snapshot)
         if snapshot.is_from_file:  # what cannot be saved and loaded again is no state of a simulation
             _put(simulation, _taken(simulation))
     except BaseException as error:
         if before is not None:
-            _go_back(simulation, before, kept)
+            _go_back(simulation, before)
         if isinstance(error, Exception) and not isinstance(error, SlidectlError):
             raise Refused(f"the snapshot does not fit: {type(error).__name__}: {error}") from error
         raise
@@ -179,10 +181,8 @@ def put(simulation: Simulation, snapshot: Snapshot) -> list[str]:
     return made
 
 
-def _go_back(simulation: Simulation, before: Snapshot, kept: dict[str, object]) -> None:
-    """Restore the world after a failed restore, which may have lost any part of it. `kept` is what it had."""
-    simulation.kept.clear()
-    simulation.kept.update(kept)
+def _go_back(simulation: Simulation, before: Snapshot) -> None:
+    """Restore the world after a failed restore, which may have lost any part of it."""
     try:
         _put(simulation, before)
     except Exception:  # robots have lost parts: they are spawned again
@@ -192,7 +192,9 @@ def _go_back(simulation: Simulation, before: Snapshot, kept: dict[str, object]) 
 
 
 def _put(simulation: Simulation, snapshot: Snapshot) -> list[str]:
-    simulation.faults.remove()
+    with_state = _with_state(simulation, snapshot)
+    for feature in simulation.features:
+        feature.drop_parts()
     goals = _goals_since(simulation, snapshot)
     clock, timers = simulation.graph.clock, simulation.graph.timers
     before_ns, clock.time_ns, clock.cycles = clock.time_ns, snapshot.time_ns, snapshot.cycles
@@ -201,11 +203,12 @@ def _put(simulation: Simulation, snapshot: Snapshot) -> list[str]:
         simulation.set_timestep(snapshot.step_ns * 1e-9)
     simulation.world.set_gravity(snapshot.gravity)
     made = _make(simulation, snapshot)
-    simulation.faults.make(snapshot.faults)
+    for name, parts in snapshot.parts.items():
+        simulation.features[name].make_parts(parts)
     for goal in goals:
         if goal.ended_ns is None:
             goal.cancel(text=PUT_BACK)
-    live = _tree(simulation)
+    live = _tree(simulation, with_state)
     restoring = Restoring(snapshot.entries, timers, _modules_of_users(simulation))
     if snapshot.is_from_file:
         restoring.check_complete(snapshot.state, live)
@@ -223,15 +226,28 @@ def _put(simulation: Simulation, snapshot: Snapshot) -> list[str]:
         for name in robot.parts.manager.names() if robot.is_controlled else ():
             if (controller := robot.parts.manager.get(name)) is not None:
                 controller.check_restored()
-    simulation.faults.go_on()
+    for feature in simulation.features:
+        feature.resume()
     simulation.world.restore(snapshot.world)
     simulation.loop.history.forget()
     return made
 
 
-def _tree(simulation: Simulation) -> dict[str, Any]:
+def _with_state(simulation: Simulation, snapshot: Snapshot) -> dict[str, Feature]:
+    """The features of which the snapshot has a state. Others, which were installed since, begin anew.
+
+    Raises UnknownFeature: the world does not have a feature of the snapshot.
+    """
+    wanted: dict[str, Feature] = {name: simulation.features[name] for name in snapshot.features}
+    for name, feature in simulation.features.with_state().items():
+        if name not in wanted:
+            feature.reset()
+    return wanted
+
+
+def _tree(simulation: Simulation, features: dict[str, Feature]) -> dict[str, Any]:
     """The root of all objects whose state is saved."""
-    return {"robots": {robot.name: _tree_of(robot) for robot in simulation.robots}, "simulation": simulation.kept}
+    return {"robots": {robot.name: _tree_of(robot) for robot in simulation.robots}, "simulation": features}
 
 
 def _tree_of(robot: SpawnedRobot) -> dict[str, Any]:
@@ -267,8 +283,9 @@ def _goals_since(simulation: Simulation, snapshot: Snapshot) -> list[ActionGoal]
 
 
 def _modules_of_users(simulation: Simulation) -> list[ModuleType]:
-    """The user modules that define the present controllers and hardware."""
-    found = {}
+    """The user modules that define the present controllers and hardware, and features."""
+    present = [feature for feature in simulation.features if is_of_a_user(type(feature))]
+    found = {type(one).__module__: sys.modules[type(one).__module__] for one in present}
     for robot in simulation.robots:
         if robot.is_controlled:
             managed = [robot.parts.manager.get(name) for name in robot.parts.manager.names()]
@@ -332,49 +349,3 @@ def _check_type(robot: str, name: str, type_name: str) -> None:
             f"controller {name!r} of {robot!r} is a {type_name}, which is not known here",
             "import its file first: slidectl daemon start --import FILE.py",
         ) from None
-
-
-# -- by name -----------------------------------------------------------------------------------------------------------
-
-
-class Snapshots:
-    """The snapshots of one simulation, by name, in the order of their saving."""
-
-    MOST: ClassVar[int] = 1000
-
-    def __init__(self, simulation: Simulation) -> None:
-        self._simulation = simulation
-        self._kept: dict[str, Snapshot] = {}
-
-    def __iter__(self) -> Any:
-        return iter(tuple(self._kept.items()))
-
-    def get(self, name: str) -> Snapshot:
-        """The snapshot. Raises UnknownName."""
-        if name not in self._kept:
-            raise UnknownName("snapshot", name, list(self._kept))
-        return self._kept[name]
-
-    def save(self, name: str, first: Callable[[Snapshot], None] = lambda _: None) -> Snapshot:
-        """Save the present state under the name, after `first` was called with it. An older one is replaced.
-
-        Raises as `take`, the errors of `first`, and BadName; then nothing has changed.
-        """
-        if not names.is_component(name):
-            raise BadName(name, "name of a snapshot: letters, digits and '_', and the first is a letter")
-        if len(self._kept) >= self.MOST and name not in self._kept:
-            raise Refused(f"there are {self.MOST} snapshots, which is the most", "slidectl sim delete NAME")
-        snapshot = take(self._simulation)
-        first(snapshot)
-        self._kept.pop(name, None)
-        self._kept[name] = snapshot
-        return snapshot
-
-    def load(self, name: str) -> list[str]:
-        """Restore a snapshot. Returns the names of the robots spawned again. Raises UnknownName, and as `put`."""
-        return put(self._simulation, self.get(name))
-
-    def delete(self, name: str) -> None:
-        """Delete a snapshot. Raises UnknownName."""
-        self.get(name)
-        del self._kept[name]

@@ -1,11 +1,10 @@
 """The state of objects as plain data: saved from all objects below a root, and restored.
 
-All attributes are saved, by one rule for each kind of value. Not saved is what other code creates (`STRUCTURE`, and
-what `KEPT` leaves out): a state is restored into objects that were created in the same way. A value without a rule is
-an error that names the attribute. Several references to one object stay references to one object. No class is looked
-up by a name from a file, except those in `VALUES` and those of loaded user modules.
-
-An object with `save_state` and `load_state` defines its own state.
+There is one rule for each kind of value. Of an object the attributes are saved that its class declares (see
+control/saved_classes.py), else all. Not saved is what other code creates: a state is restored into objects that were
+created in the same way. A value without a rule is an error that names the attribute. Several references to one object
+stay references to one object. No class is looked up by a name from a file, except those in `RECREATED` and those of
+loaded user modules.
 """
 
 from __future__ import annotations
@@ -25,76 +24,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from slidectl.control.controller_interface import State
-from slidectl.control.controller_manager import UpdateTimes
-from slidectl.control.goals import MonitoredGoal
-from slidectl.control.hardware_interface import ResourceManager, SensorHandle
-from slidectl.control.limits import LimitHandle
-from slidectl.control.mobile_base import RollingMean
-from slidectl.control.node_handle import GoalStatus
-from slidectl.control.pid import ReconfigurablePid
-from slidectl.control.reconfigure import ReconfigureServer
+from slidectl.control.saved_classes import RECREATED
 from slidectl.control.user_classes import is_of_a_user, watched_for
 from slidectl.errors import Refused, SlidectlError, listing
-from slidectl.physics import World
-from slidectl.physics.changes import JointFriction, Payload, StuckJoint
-from slidectl.physics.robot_hw import Drive, HardwareJoint
-from slidectl.simulation.action_server import ActionGoal
-from slidectl.simulation.clock import NEVER, RepeatedCall, Timer, Timers
-from slidectl.simulation.cycle import ControlCycle
-from slidectl.simulation.faults import Fault, Faults, FaultyCycle, FaultyTopic
-from slidectl.simulation.graph import Graph, GraphNode
-from slidectl.simulation.sensor_topics import CameraTopics, SensorTopic
-from slidectl.simulation.spawned_robots import SpawnedRobot
-from slidectl.simulation.topics import PeriodicTopic, TopicPublisher
+from slidectl.simulation.clock import NEVER, Timer, Timers
+from slidectl.simulation.topics import TopicPublisher
 
-KEPT: dict[type, tuple[str, ...]] = {
-    CameraTopics: ("_pictures", "_info"),
-    ControlCycle: (
-        "control_period_ns",
-        "emergency_stop",
-        "_was_stopped",
-        "last_update_ns",
-        "last_write_ns",
-        "period_ns",
-        "period_s",
-        "write_period_ns",
-        "write_period_s",
-    ),
-    Drive: ("pid",),
-    Fault: ("busy_until_ns", "change", "count", "is_done", "kept", "past", "seen"),
-    Faults: ("_faults", "_cycles", "_topics"),
-    FaultyCycle: ("_faults", "_true", "_updated_ns", "_written_ns"),
-    FaultyTopic: ("waiting", "_timer"),
-    HardwareJoint: ("handle", "limit"),
-    JointFriction: ("_before",),
-    LimitHandle: ("previous",),
-    Payload: ("_before",),
-    PeriodicTopic: ("_publisher",),
-    RepeatedCall: ("_timer",),
-    SensorTopic: ("_topic",),
-    StuckJoint: ("_position", "_lasting", "_dynamics"),
-}
-"""For these classes and their subclasses only these attributes are saved. The rest follows from their creation."""
-_MAY_BE_NONE = ("_before", "_position", "_timer", "change", "kept", "limit", "pid")
-"""Attributes in KEPT that may be None."""
-STRUCTURE = (
-    Graph,
-    GraphNode,
-    ModuleType,
-    ReconfigurablePid,
-    ReconfigureServer,
-    ResourceManager,
-    SensorHandle,
-    SpawnedRobot,
-    Timers,
-    UpdateTimes,
-    World,
-    type,
-)
-"""Classes whose objects are not saved where an attribute refers to them."""
-VALUES: dict[str, type] = {cls.__qualname__: cls for cls in (ActionGoal, GoalStatus, MonitoredGoal, RollingMean, State)}
-"""Classes of objects that are created and dropped while a simulation runs: a restore creates them again."""
+_STRUCTURE = (ModuleType, type)
+"""Objects of these are not saved where an attribute refers to them."""
 
 NUMBER_TYPES: dict[str, np.dtype[Any]] = {
     kind.str: kind for code in "?bBhHiIlLqQefdgFDG" for kind in (np.dtype(code), np.dtype(code).newbyteorder())
@@ -303,7 +240,7 @@ class Restoring:
         found = self._found[number]
         if found is None:
             kind, content = self._entries[number]
-            if type(live).__qualname__ != kind or id(live) in self._used or kind in VALUES:
+            if type(live).__qualname__ != kind or id(live) in self._used or kind in RECREATED:
                 if kind in _MAKERS:
                     live = _MAKERS[kind](content)
                 else:
@@ -325,10 +262,10 @@ class Restoring:
     def _made_class(self, name: str) -> type | None:
         """The class with this name, if objects of it can be made. Classes that a user module only imports are
         excluded: their constructor may do anything."""
-        known = [VALUES.get(name), *(vars(module).get(name) for module in self._users)]
+        known = [RECREATED.get(name), *(vars(module).get(name) for module in self._users)]
         places = {*(module.__name__ for module in self._users)}
         for cls in known:
-            if isinstance(cls, type) and (cls in VALUES.values() or cls.__module__ in places):
+            if isinstance(cls, type) and (cls in RECREATED.values() or cls.__module__ in places):
                 return cls
         return None
 
@@ -515,12 +452,13 @@ class _Publisher(Rule):
 
 
 class _Attributes(Rule):
-    """Objects of classes written in Python: the given attributes, or all."""
+    """Objects of classes written in Python: the attributes that the class declares, or all."""
 
-    def __init__(self, cls: type, names: tuple[str, ...] | None) -> None:
-        self._has_all = names is None
-        slots = [name for base in cls.__mro__ for name in vars(base).get("__slots__", ())]
-        self._names = slots if names is None else names
+    def __init__(self, cls: type, is_declared: bool) -> None:
+        self._has_all = not is_declared
+        self._or_none = _named_by(cls, "saved_or_none")
+        slots = _named_by(cls, "__slots__")
+        self._names = [*_named_by(cls, "saved_attributes"), *self._or_none] if is_declared else slots
         self._of_user = is_of_a_user(cls)
         self._methods = {name for name in dir(cls) if name.startswith("__") or callable(getattr(cls, name, None))}
 
@@ -546,7 +484,7 @@ class _Attributes(Rule):
         kind = type(before)
         is_kind = isinstance(new, kind) or (kind in (bool, float) and type(new) is int)
         is_kind |= kind not in _SCALARS and type(new) not in _SCALARS  # a list becomes an array
-        is_kind |= new is None and (self._has_all or name in _MAY_BE_NONE)
+        is_kind |= new is None and (self._has_all or name in self._or_none)
         if not is_kind and before is not None:
             raise Refused(f"{name} of {type(live).__name__} is no {kind.__name__}, but {reprlib.repr(new)}")
         if type(new) is int and not -NEVER <= new <= NEVER:
@@ -555,6 +493,11 @@ class _Attributes(Rule):
     def _attributes(self, value: Any) -> dict[str, Any]:
         found = {name: getattr(value, name) for name in self._names if hasattr(value, name)}
         return found | getattr(value, "__dict__", {}) if self._has_all else found
+
+
+def _named_by(cls: type, declaration: str) -> list[str]:
+    """The names in a declaration of the class and its bases, those of the bases first."""
+    return [name for base in reversed(cls.__mro__) for name in vars(base).get(declaration) or ()]
 
 
 class _OwnState(Rule):
@@ -592,7 +535,7 @@ _MAKERS: dict[str, Callable[[Any], Any]] = {
 }
 """Creates missing objects of these classes."""
 _RULES: tuple[tuple[type | tuple[type, ...], Rule], ...] = (
-    (STRUCTURE, Rule()),
+    (_STRUCTURE, Rule()),
     (Timer, _SetTimer()),
     (TopicPublisher, _Publisher()),
     ((Enum, np.generic, frozenset), _Constant()),
@@ -611,21 +554,25 @@ _RULES: tuple[tuple[type | tuple[type, ...], Rule], ...] = (
 def _rule_of(cls: Any) -> Rule:
     """The rule for objects of the class."""
     for base in cls.__mro__:
-        if base in KEPT:
-            return _Attributes(cls, KEPT[base])
+        declared = vars(base)
+        if "saved_attributes" in declared and base.saved_attributes is None:
+            return Rule()
+        if not declared.keys().isdisjoint(("saved_attributes", "saved_or_none")):
+            return _Attributes(cls, is_declared=True)
+        if "save_state" in declared:
+            break
     for bases, rule in _RULES:
         if issubclass(cls, bases):
             return rule
     package, _, rest = cls.__module__.partition(".")
     is_frozen = is_dataclass(cls) and getattr(cls, "__dataclass_params__").frozen  # noqa: B009
-    # The simulation itself is structure too; its module imports this one.
-    if package == "slidectl" and (rest.startswith(("description", "simulation.simulation")) or is_frozen):
+    if package == "slidectl" and (rest.startswith("description") or is_frozen):
         return Rule()
     if hasattr(cls, "save_state") and hasattr(cls, "load_state"):
         return _OwnState()
     has_attributes = "__dict__" in dir(cls) or any("__slots__" in vars(base) for base in cls.__mro__)
     is_library = package in sys.stdlib_module_names and package != "__main__"
-    return _Attributes(cls, None) if has_attributes and not is_library else _Unknown()
+    return _Attributes(cls, is_declared=False) if has_attributes and not is_library else _Unknown()
 
 
 rule_of: Callable[[Any], Rule] = cache(_rule_of)

@@ -14,11 +14,8 @@ from slidectl.control.duration import header_of
 from slidectl.control.node_handle import Message
 from slidectl.effects import Effect
 from slidectl.errors import Refused
-from slidectl.msgs.schema import nanoseconds
-from slidectl.rotations import IDENTITY, Pose, Vector, add, compose, cross, from_rpy, rotate, subtract
-from slidectl.simulation.clock import EACH_STEP_NS
-from slidectl.simulation.entities import WORLD_FRAMES
-from slidectl.simulation.gazebo_frames import (
+from slidectl.features.entities import WORLD_FRAMES, Entities
+from slidectl.features.gazebo_frames import (
     Frame,
     pose,
     pose_message,
@@ -28,6 +25,10 @@ from slidectl.simulation.gazebo_frames import (
     vector,
     vector_message,
 )
+from slidectl.msgs.schema import nanoseconds
+from slidectl.rotations import IDENTITY, Pose, Vector, add, compose, cross, from_rpy, rotate, subtract
+from slidectl.simulation.clock import EACH_STEP_NS
+from slidectl.simulation.feature import Feature
 from slidectl.simulation.graph import WORLD_NODE
 from slidectl.simulation.loop import check_timestep
 from slidectl.simulation.pending import Pending
@@ -43,15 +44,14 @@ JOINT_TYPES = {"revolute": 0, "continuous": 1, "prismatic": 2, "fixed": 3, "floa
 a universal joint."""
 
 
-class GazeboServices:
+class GazeboServices(Feature):
     """The services that read or change one simulation."""
 
-    def __init__(self, simulation: Simulation) -> None:
-        """Advertises all of them."""
+    def attach(self, simulation: Simulation) -> None:
         self._simulation = simulation
         self._world = simulation.world
         self._robots = simulation.robots
-        self._entities = simulation.entities
+        self._entities = Entities(simulation)
         node = simulation.graph.node(WORLD_NODE)
         answered: dict[str, tuple[str, Callable[[Message], Answer | Pending]]] = {
             "spawn_urdf_model": ("SpawnModel", self._spawn),

@@ -6,10 +6,18 @@ decides whether the goal is accepted and how it ends. It knows topics and simula
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from slidectl import msgs
 from slidectl.control.duration import NANOSECONDS, header_of, to_stamp
 from slidectl.control.node_handle import GoalCallback, GoalStatus, Message, NodeHandle
+from slidectl.control.saved_classes import recreated
 from slidectl.msgs.schema import nanoseconds
+from slidectl.simulation.feature import Feature
+
+if TYPE_CHECKING:
+    from slidectl.simulation.simulation import Simulation
+
 
 STATUS_PERIOD_NS = NANOSECONDS // 5
 KEPT_NS = 5 * NANOSECONDS
@@ -20,6 +28,7 @@ _RECALLED_BY_TIME = (
 )
 
 
+@recreated
 class ActionGoal:
     """One goal: its message and its state. control.node_handle.GoalHandle documents the methods."""
 
@@ -93,6 +102,13 @@ class ActionGoal:
         if self._change(states, text):
             self.ended_ns = self._server.now_ns()
             self._server.publish_result(self, result)
+
+
+class Actions(Feature):
+    """Serves the actions that are advertised through the node handles of a graph."""
+
+    def attach(self, simulation: Simulation) -> None:
+        simulation.graph.serve_actions(ActionServer)
 
 
 class ActionServer:

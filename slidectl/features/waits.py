@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from slidectl import msgs
 from slidectl.control.duration import from_seconds
@@ -18,14 +18,25 @@ from slidectl.errors import BadMessage, Refused, UnknownName
 from slidectl.msgs.field_path import NoElement, select
 from slidectl.names import OWN_NODE
 from slidectl.simulation.clock import Timer
+from slidectl.simulation.feature import Feature
 from slidectl.simulation.graph import Graph
 from slidectl.simulation.pending import Pending
 from slidectl.simulation.topics import TopicSubscription
+
+if TYPE_CHECKING:
+    from slidectl.simulation.simulation import Simulation
 
 KINDS = ("near", "above", "below", "equals")
 _NOTHING: Any = object()
 _LONGEST_S = 1e9
 _LONGEST_SHOWN = 120
+
+
+class Waits(Feature):
+    """The service."""
+
+    def attach(self, simulation: Simulation) -> None:
+        advertise(simulation.graph)
 
 
 def advertise(graph: Graph) -> None:

@@ -8,15 +8,20 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from slidectl import msgs, names
 from slidectl.control.node_handle import MISSING, Message
 from slidectl.effects import Effect
 from slidectl.errors import BadMessage, Refused, quoted
 from slidectl.msgs.schema import TIMES
+from slidectl.simulation.feature import Feature
 from slidectl.simulation.graph import Graph
 from slidectl.simulation.parameters import Parameters
+
+if TYPE_CHECKING:
+    from slidectl.simulation.simulation import Simulation
+
 
 NODE = "/rosapi"
 _WRITING = ("set_param", "delete_param")
@@ -30,6 +35,13 @@ _LONGEST = 8 * 1024 * 1024
 _LEAST = 80
 """The size of a single value: encoding a hundred thousand of them takes as long as a text of that many characters."""
 _MOST_VALUES = 100_000
+
+
+class Rosapi(Feature):
+    """All services of rosapi for the graph of a simulation."""
+
+    def attach(self, simulation: Simulation) -> None:
+        advertise(simulation.graph)
 
 
 def advertise(graph: Graph) -> None:

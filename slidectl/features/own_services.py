@@ -1,8 +1,8 @@
-"""The services of `/slidectl`, except `wait`, which has a module of its own, and `shutdown`, which is the daemon's.
+"""The services of `/slidectl` on time, parameters, names and robots. `shutdown` is the daemon's.
 
 These are not in ROS: status, step, sleep, set_speed, set_params, given_params, list_robots, scene, joint_states,
-sources, resolve, estop, rest_joints, start_joints, load_controller_file, reload_controller, update_times, graph; and of
-snapshots save, load, snapshots, delete_snapshots, export_snapshot.
+sources, resolve, estop, rest_joints, start_joints, load_controller_file, reload_controller, update_times, graph. Other
+features have services there too: snapshots, faults, lock-step, traces.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 import math
 import re
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import slidectl
@@ -21,15 +20,13 @@ from slidectl.description import interfaces, source_note
 from slidectl.description.robot import MOVING, Joint
 from slidectl.effects import Effect
 from slidectl.errors import Refused, UnknownName, Unused, UsageError, closest, listing
+from slidectl.features.gazebo_frames import pose_message, vector_message
+from slidectl.features.rosapi import absolute, check_size, from_json, typedefs
 from slidectl.physics import sensing
-from slidectl.simulation import sensor_topics, snapshot_files
-from slidectl.simulation.clock import SECOND
-from slidectl.simulation.gazebo_frames import pose_message, vector_message
+from slidectl.simulation.feature import Feature
 from slidectl.simulation.loop import whole_cycles
 from slidectl.simulation.pending import Pending
-from slidectl.simulation.rosapi import absolute, check_size, from_json, typedefs
 from slidectl.simulation.services import Answer, Handler, answering
-from slidectl.simulation.snapshots import put
 from slidectl.simulation.spawned_robots import SpawnedRobot
 
 if TYPE_CHECKING:
@@ -45,15 +42,13 @@ Claim = tuple[str, str]
 """An interface and a joint."""
 
 
-class OwnServices:
+class OwnServices(Feature):
     """The services of one simulation."""
 
-    def __init__(self, simulation: Simulation) -> None:
-        """Advertises all of them."""
+    def attach(self, simulation: Simulation) -> None:
         self._simulation = simulation
         self._graph = simulation.graph
         self._robots = simulation.robots
-        self._snapshots = simulation.snapshots
         self._graph.on_node_closed.append(simulation.run.holders.discard)
         node = simulation.graph.node(names.OWN_NODE, names.OWN_NODE)
         offers: dict[str, tuple[Effect, str, Handler]] = {
@@ -75,25 +70,13 @@ class OwnServices:
             "reload_controller": (Effect.CODE, "ReloadController", self._reload),
             "graph": (Effect.READS, "GraphState", lambda _: self._graph.state()),
             "update_times": (Effect.READS, "ListUpdateTimes", self._update_times),
-            "save": (Effect.WRITES, "Save", self._save),
-            "load": (Effect.WRITES, "Load", self._load),
-            "snapshots": (Effect.READS, "ListSnapshots", self._list_snapshots),
-            "delete_snapshots": (Effect.WRITES, "DeleteSnapshots", self._delete_snapshots),
-            "export_snapshot": (Effect.FILES, "ExportSnapshot", self._export_snapshot),
         }
         for name, (effect, kind, handler) in offers.items():
-            file_field = {"save": "file", "load": "file", "sources": "note"}.get(name, "")
-            node.advertise_service(name, f"slidectl/{kind}", handler, effect, file_field)
+            node.advertise_service(name, f"slidectl/{kind}", handler, effect, "note" if name == "sources" else "")
 
     def _status(self, _: Message) -> Message:
         simulation = self._simulation
         managers = [robot.parts.manager for robot in self._robots if robot.is_controlled]
-        cameras = [
-            (camera.topic, *rates)
-            for robot in self._robots
-            for camera in sensor_topics.cameras(robot)
-            if (rates := camera.rates()) is not None
-        ]
         return {
             "version": slidectl.__version__,
             "time": self._graph.clock.seconds,
@@ -101,22 +84,17 @@ class OwnServices:
             "paused": simulation.run.paused,
             "trouble": simulation.run.trouble,
             "holders": sorted(simulation.run.holders),
-            "lockstep": sorted(simulation.lockstep.members),
             "speed": 0.0 if math.isinf(simulation.run.speed) else simulation.run.speed,
             "timestep": simulation.timestep_ns * 1e-9,
             "chosen": sorted(simulation.chosen),
             "engine": str(simulation.engine),
             "pictures": simulation.drawn_by(),
-            "cameras": [topic for topic, *_ in cameras],
-            "cameras_asked": [asked for _, asked, _, _ in cameras],
-            "cameras_reached": [reached for _, _, reached, _ in cameras],
-            "cameras_advice": [advice for *_, advice in cameras],
             "robots": self._robots.names(),
             "estop": [robot.name for robot in self._robots if robot.emergency_stop],
             "frozen": simulation.world.frozen,
-            "faults": [fault["name"] for fault in simulation.faults.messages() if fault["state"] != "over"],
             "controllers": sum(len(manager.names()) for manager in managers),
             "controllers_running": sum(len(manager.running) for manager in managers),
+            **simulation.features.status(),
             **simulation.monitor(),
         }
 
@@ -404,52 +382,15 @@ class OwnServices:
     # Controllers of users
 
     def _load_file(self, request: Message) -> Pending:
-        file = _absolute(request["file"])
+        file = absolute_path(request["file"])
         return self._robot(request["robot"]).services.load_file(request["name"], file, request["class_name"])
 
     def _reload(self, request: Message) -> Pending:
         robot = self._robot(request["robot"])
         return robot.services.reload(request["name"], robot.parts.cycle.control_period_ns)
 
-    # Snapshots
 
-    def _save(self, request: Message) -> Message:
-        file = request["file"] and _absolute(request["file"])
-        write = partial(snapshot_files.write, path=file) if file else lambda _: None
-        return {"time": self._snapshots.save(request["name"], write).time_ns / SECOND}
-
-    def _load(self, request: Message) -> Message:
-        name, file = request["name"], request["file"]
-        if bool(name) == bool(file):
-            raise UsageError("give the name of a snapshot that is kept, or a file")
-        made = self._snapshots.load(name) if name else put(self._simulation, snapshot_files.read(_absolute(file)))
-        return {"time": self._graph.clock.seconds, "robots": made}
-
-    def _list_snapshots(self, _: Message) -> Message:
-        infos = [
-            {
-                "name": name,
-                "time": snapshot.time_ns / SECOND,
-                "cycles": snapshot.cycles,
-                "robots": [robot.name for robot in snapshot.robots],
-            }
-            for name, snapshot in self._snapshots
-        ]
-        return {"snapshots": infos}
-
-    def _delete_snapshots(self, request: Message) -> Message:
-        for name in request["names"]:
-            self._snapshots.get(name)
-        for name in dict.fromkeys(request["names"]):
-            self._snapshots.delete(name)
-        return {}
-
-    def _export_snapshot(self, request: Message) -> Message:
-        snapshot_files.write(self._snapshots.get(request["name"]), _absolute(request["file"]))
-        return {}
-
-
-def _absolute(file: str) -> str:
+def absolute_path(file: str) -> str:
     """The path. Raises UsageError for a relative one: clients have other working directories."""
     if not file.startswith("/"):
         raise UsageError(f"the file {file!r} is not an absolute path")

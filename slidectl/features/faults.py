@@ -25,6 +25,7 @@ from slidectl.fault_kinds import KINDS, OPTIONS, QUANTITIES, REQUIRED, check_spa
 from slidectl.physics import World
 from slidectl.physics.changes import Change, JointFriction, Payload, StuckJoint
 from slidectl.simulation.clock import NEVER, SECOND, Timer
+from slidectl.simulation.feature import Feature
 
 if TYPE_CHECKING:
     from slidectl.simulation.cycle import Stages
@@ -54,8 +55,17 @@ class FaultRequest(NamedTuple):
     options: dict[str, Any]
 
 
+class BadFault(Refused):
+    """A fault of a snapshot has no name, no times or no seed."""
+
+    def __init__(self, name: object) -> None:
+        super().__init__(f"the fault {quoted(str(name))} of the snapshot has no name, no times or no seed")
+
+
 class Fault:
     """One fault, and its state so far. Subclasses define the effect."""
+
+    saved_attributes: ClassVar[tuple[str, ...]] = ("count", "is_done")
 
     def __init__(self, asked: FaultRequest) -> None:
         self.asked = asked
@@ -100,6 +110,8 @@ class Fault:
 
 class RobotFault(Fault):
     """A fault in a robot's cycle. Each stage passes in `acts` whether the fault acts at that time."""
+
+    saved_attributes: ClassVar[tuple[str, ...]] = ("busy_until_ns",)
 
     busy_until_ns = 0
     """The end of a slow update that began with the last read; 0 when there is none."""
@@ -201,6 +213,8 @@ _CHANGES: dict[str, Callable[[SignalFault, int, Values], Values]] = {
 class LostSignal(SignalFault):
     """Keeps the last values that came through. Without the option `probability` nothing comes through."""
 
+    saved_or_none: ClassVar[tuple[str, ...]] = ("kept",)
+
     kept: Values | None = None
 
     def note(self, time_ns: int, values: Values) -> None:  # noqa: ARG002
@@ -219,6 +233,8 @@ class LostSignal(SignalFault):
 
 class LateSignal(SignalFault):
     """Delays the values by a time; before that has passed, the first known values are used."""
+
+    saved_attributes: ClassVar[tuple[str, ...]] = ("past",)
 
     def __init__(self, asked: FaultRequest, robot: SpawnedRobot) -> None:
         super().__init__(asked, robot)
@@ -245,6 +261,8 @@ class LateSignal(SignalFault):
 
 class ChangeFault(RobotFault):
     """Changes the model while the fault acts."""
+
+    saved_attributes: ClassVar[tuple[str, ...]] = ("change",)
 
     def __init__(self, asked: FaultRequest, robot: SpawnedRobot, change: Change) -> None:
         super().__init__(asked, robot)
@@ -332,6 +350,8 @@ class FaultyCycle:
     Each read begins with the true values of the last read, from which angles are unwrapped. Each write ends with the
     commands of the controllers.
     """
+
+    saved_attributes: ClassVar[tuple[str, ...]] = ("_faults", "_true", "_updated_ns", "_written_ns")
 
     _stages: Stages
     """The cycle's own stages."""
@@ -432,6 +452,8 @@ class FaultyCycle:
 class TopicFault(Fault):
     """Drops or delays messages."""
 
+    saved_attributes: ClassVar[tuple[str, ...]] = ("seen",)
+
     seen = 0
     """The number of messages that came while it acted."""
 
@@ -449,6 +471,8 @@ class TopicFault(Fault):
 
 class FaultyTopic:
     """Passes the messages of one topic through its faults, in the order in which the faults were added."""
+
+    saved_attributes: ClassVar[tuple[str, ...]] = ("waiting", "_timer")
 
     def __init__(self, simulation: Simulation, topic: str) -> None:
         self._graph = simulation.graph
@@ -516,21 +540,20 @@ _SIGNALS: dict[str, type[SignalFault]] = {
 }
 
 
-class Faults:
+class Faults(Feature):
     """The faults of one simulation, by name, in the order in which they were added."""
+
+    saved_attributes: ClassVar[tuple[str, ...]] = ("_faults", "_cycles", "_topics")
 
     MOST: ClassVar[int] = 1000
 
-    def __init__(self, simulation: Simulation) -> None:
-        """Advertises the services."""
+    def attach(self, simulation: Simulation) -> None:
         self._simulation = simulation
         self._graph = simulation.graph
         self._faults: dict[str, Fault] = {}
         self._cycles: dict[str, FaultyCycle] = {}
         """Cycles of the robots that have faults, by name."""
         self._topics: dict[str, FaultyTopic] = {}
-        simulation.kept["faults"] = self
-        simulation.robots.on_spawn.append(lambda robot: robot.taken.callback(self._forget_robot, robot))
         node = simulation.graph.node(names.join(names.OWN_NODE, "fault"), names.OWN_NODE)
         node.advertise_service("add", "slidectl/AddFault", self._serve_add)
         node.advertise_service("remove", "slidectl/RemoveFaults", lambda r: {"names": self.remove(*r["names"])})
@@ -602,15 +625,19 @@ class Faults:
             self._install(fault)
         return gone
 
-    def asked(self) -> list[FaultRequest]:
-        """The requests of all faults, for `make`."""
+    def save_parts(self) -> list[Any]:
+        """The requests of all faults."""
         return [fault.asked for fault in self._faults.values()]
 
-    def make(self, wanted: Sequence[FaultRequest]) -> None:
-        """Replace all faults by new ones. The caller then restores their state and calls `go_on`.
+    def drop_parts(self) -> None:
+        self.remove()
 
-        Raises Refused: a fault is on a joint or a link that does not exist.
+    def make_parts(self, parts: list[Any]) -> None:
+        """Replace all faults by new ones for these requests.
+
+        Raises Refused: a fault is on a joint or a link that does not exist. BadFault: no client can make the request.
         """
+        wanted = [_checked(FaultRequest(*one)) for one in parts]
         for asked in wanted:
             kind = KINDS[asked.kind].target
             if kind not in ("topic", "controller"):  # these may have been removed since
@@ -621,7 +648,7 @@ class Faults:
         for fault in self._faults.values():
             self._install(fault)
 
-    def go_on(self) -> None:
+    def resume(self) -> None:
         """Apply restored changes of the model again, before the world gets its own state."""
         for fault in self._faults.values():
             if isinstance(fault, ChangeFault) and fault.change.is_held:
@@ -629,12 +656,15 @@ class Faults:
         for cycle in self._cycles.values():
             cycle.follow()
 
+    def status(self) -> Message:
+        return {"faults": [fault["name"] for fault in self.messages() if fault["state"] != "over"]}
+
     def messages(self) -> list[Message]:
         """All faults, each as slidectl/Fault."""
         return [fault.message(self._graph.clock.time_ns) for fault in self._faults.values()]
 
-    def restart(self) -> None:
-        """Reset the faults before a reset of the world. They act again at their times, if these are still to come."""
+    def reset(self) -> None:
+        """They act again at their times, if these are still to come."""
         for fault in self._faults.values():
             fault.end()
             if self._graph.clock.time_ns < fault.asked.start_ns or not self._graph.clock.time_ns:
@@ -663,8 +693,8 @@ class Faults:
         if not mine:
             del self._cycles[robot.name]
 
-    def _forget_robot(self, robot: SpawnedRobot) -> None:
-        """Drop the faults of a robot that has been deleted."""
+    def on_delete(self, robot: SpawnedRobot) -> None:
+        """Drop the robot's faults."""
         self._cycles.pop(robot.name, None)
         for name, fault in list(self._faults.items()):
             if isinstance(fault, RobotFault) and fault.robot is robot:
@@ -733,6 +763,14 @@ class Faults:
         checked_options(request["kind"], options)  # before they are used as keywords
         named = request["name"], request["namespace"] or "/"
         return {"fault": self.add(request["target"], request["kind"], start, end, request["seed"], *named, **options)}
+
+
+def _checked(asked: FaultRequest) -> FaultRequest:
+    """The request, which may come from a file. Raises BadFault, UsageError: no client can make it."""
+    times = asked.start_ns, asked.end_ns, abs(asked.seed)
+    if not names.is_component(asked.name) or not all(type(one) is int and 0 <= one <= NEVER for one in times):
+        raise BadFault(asked.name)
+    return asked._replace(options=checked_options(asked.kind, asked.options))
 
 
 def _serve_kinds(_: Message) -> Message:

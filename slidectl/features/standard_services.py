@@ -20,13 +20,15 @@ from slidectl.control.duration import header_of
 from slidectl.control.node_handle import Message
 from slidectl.effects import Effect
 from slidectl.errors import BadName, Refused, SlidectlError, UnknownName, quoted
+from slidectl.features.entities import Entities
+from slidectl.features.gazebo_frames import pose, pose_message, twist, twist_message, vector_message
+from slidectl.features.posix_pattern import PosixPattern
+from slidectl.features.spawnables import FORMATS, SpawnFailure, failure, read, spawnables
 from slidectl.physics import sensing
 from slidectl.rotations import ORIGIN, Pose, compose
-from slidectl.simulation.gazebo_frames import pose, pose_message, twist, twist_message, vector_message
+from slidectl.simulation.feature import Feature
 from slidectl.simulation.pending import Pending
-from slidectl.simulation.posix_pattern import PosixPattern
 from slidectl.simulation.services import responding
-from slidectl.simulation.spawnables import FORMATS, SpawnFailure, failure, read, spawnables
 from slidectl.simulation.spawned_robots import RESERVED, SpawnedRobot
 
 if TYPE_CHECKING:
@@ -66,15 +68,14 @@ class FailedRequest(SlidectlError):
         self.code = constant(kind, name)
 
 
-class StandardServices:
+class StandardServices(Feature):
     """The standard services of one simulation."""
 
-    def __init__(self, simulation: Simulation) -> None:
-        """Advertises all of them."""
+    def attach(self, simulation: Simulation) -> None:
         self._simulation = simulation
         self._world = simulation.world
         self._robots = simulation.robots
-        self._entities = simulation.entities
+        self._entities = Entities(simulation)
         node = simulation.graph.node(names.OWN_NODE, names.OWN_NODE)
         answered: dict[str, Callable[[Message], Message | Pending]] = {
             "spawn_entity": self._spawn,

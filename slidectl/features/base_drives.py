@@ -16,11 +16,12 @@ from slidectl.control.mobile_base import matrix_of, twist_of
 from slidectl.control.node_handle import Message
 from slidectl.description.robot import BaseDrive, PlanarMove, WheelDrive, namespace_of
 from slidectl.errors import MessageRefused
+from slidectl.features.gazebo_frames import pose_message, transform_message
+from slidectl.features.state_publisher import tf_prefix
 from slidectl.rotations import Pose, Vector, from_rpy, to_rpy
 from slidectl.simulation.clock import EACH_STEP_NS, SECOND, Timer, period_ns_of
-from slidectl.simulation.gazebo_frames import pose_message, transform_message
+from slidectl.simulation.feature import Feature
 from slidectl.simulation.spawned_robots import SpawnedRobot
-from slidectl.simulation.state_publisher import tf_prefix
 from slidectl.simulation.topics import PeriodicTopic
 
 if TYPE_CHECKING:
@@ -258,15 +259,21 @@ def _covariance(variances: Vector) -> list[float]:
     return matrix_of([x, y, UNKNOWN, UNKNOWN, UNKNOWN, yaw])
 
 
-def bring_up(simulation: Simulation, robot: SpawnedRobot) -> None:
-    """Start the drives of a robot."""
-    running: list[RunningDrive] = []
-    for drive in robot.paper.drives:
-        if isinstance(drive, WheelDrive):
-            running.append(WheelMotors(simulation, robot, drive))
-        elif isinstance(drive, PlanarMove) and robot.paper.is_fixed_to_world:
-            robot.warnings.append(f"{robot.name}: it is fixed to the world; the plugin {drive.name!r} has no effect")
-        elif isinstance(drive, PlanarMove):
-            running.append(PlanarDrive(simulation, robot, drive))
+class Drives(Feature):
+    """The drives of all robots."""
 
-    robot.kept["drives"] = running
+    def attach(self, simulation: Simulation) -> None:
+        self._simulation = simulation
+
+    def on_spawn(self, robot: SpawnedRobot) -> None:
+        """Start the drives of a robot."""
+        running: list[RunningDrive] = []
+        for drive in robot.paper.drives:
+            if isinstance(drive, WheelDrive):
+                running.append(WheelMotors(self._simulation, robot, drive))
+            elif isinstance(drive, PlanarMove) and robot.paper.is_fixed_to_world:
+                text = f"{robot.name}: it is fixed to the world; the plugin {drive.name!r} has no effect"
+                robot.warnings.append(text)
+            elif isinstance(drive, PlanarMove):
+                running.append(PlanarDrive(self._simulation, robot, drive))
+        robot.kept["drives"] = running

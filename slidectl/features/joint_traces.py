@@ -11,10 +11,11 @@ from slidectl.control.duration import from_seconds
 from slidectl.control.node_handle import Message
 from slidectl.effects import Effect
 from slidectl.errors import Refused, SlidectlError
+from slidectl.features.own_services import LONGEST_S
 from slidectl.names import OWN_NODE
 from slidectl.simulation.clock import SECOND
+from slidectl.simulation.feature import Feature
 from slidectl.simulation.history import EVERY
-from slidectl.simulation.own_services import LONGEST_S
 from slidectl.simulation.pending import Pending
 
 if TYPE_CHECKING:
@@ -25,10 +26,14 @@ _MOST_SAMPLES = 100_000
 _SAMPLE = struct.Struct("<4d")
 
 
-def advertise(simulation: Simulation) -> None:
-    """Provide the service."""
-    node = simulation.graph.node(OWN_NODE, OWN_NODE)
-    node.advertise_service("trace", "slidectl/TraceJoint", lambda request: _trace(simulation, request), Effect.READS)
+class JointTraces(Feature):
+    """The service."""
+
+    def attach(self, simulation: Simulation) -> None:
+        node = simulation.graph.node(OWN_NODE, OWN_NODE)
+        node.advertise_service(
+            "trace", "slidectl/TraceJoint", lambda request: _trace(simulation, request), Effect.READS
+        )
 
 
 def _trace(simulation: Simulation, request: Message) -> Pending:

@@ -11,11 +11,11 @@ from slidectl import file_reads
 from slidectl.description import sdf
 from slidectl.effects import Effect
 from slidectl.errors import AmbiguousName, Refused, SlidectlError, UnknownName
+from slidectl.features.gazebo_frames import STILL, WORLD, Frame, into_world, seen_from
 from slidectl.physics import hulls
 from slidectl.physics.hulls import Hulls
 from slidectl.physics.observer import Twist
 from slidectl.rotations import Pose, compose
-from slidectl.simulation.gazebo_frames import STILL, WORLD, Frame, into_world, seen_from
 from slidectl.simulation.pending import Pending
 from slidectl.simulation.spawned_robots import ParsedRobot, SpawnedRobot
 

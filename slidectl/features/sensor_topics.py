@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -22,10 +22,11 @@ from slidectl.control.controllers.sensor_controllers import (
 from slidectl.control.duration import header_of
 from slidectl.control.node_handle import Message
 from slidectl.description.robot import Bumper, Camera, ForceTorque, GroundTruth, Imu, JointStates, Laser, Sensor
+from slidectl.features.gazebo_frames import pose_message, twist_message, vector_message
 from slidectl.physics import rendering, sensing
 from slidectl.rotations import Vector, add, cross, subtract
 from slidectl.simulation.clock import period_ns_of
-from slidectl.simulation.gazebo_frames import pose_message, twist_message, vector_message
+from slidectl.simulation.feature import Feature
 from slidectl.simulation.pending import Pending
 from slidectl.simulation.spawned_robots import SpawnedRobot
 from slidectl.simulation.topics import PeriodicTopic
@@ -46,6 +47,8 @@ _TYPES = {
 
 class SensorTopic:
     """One sensor of one robot, on its topic until the robot is deleted."""
+
+    saved_attributes: ClassVar[tuple[str, ...]] = ("_topic",)
 
     def __init__(self, simulation: Simulation, robot: SpawnedRobot, sensor: Sensor) -> None:
         self._simulation = simulation
@@ -190,6 +193,8 @@ class CameraTopics:
     pictures depends on the machine, but their content does not.
     """
 
+    saved_attributes: ClassVar[tuple[str, ...]] = ("_pictures", "_info")
+
     def __init__(self, simulation: Simulation, robot: SpawnedRobot, camera: Camera) -> None:
         self._simulation = simulation
         self._robot = robot
@@ -308,18 +313,36 @@ def _inside(namespace: str, topic: str) -> str:
     return names.join("/" if f"/{topic}".startswith(f"{namespace}/") else namespace, topic)
 
 
-def bring_up(simulation: Simulation, robot: SpawnedRobot) -> None:
-    """Create the sensor topics of a robot."""
-    robot.kept["sensors"] = [
-        CameraTopics(simulation, robot, sensor)
-        if isinstance(sensor, Camera)
-        else SensorTopic(simulation, robot, sensor)
-        for sensor in robot.paper.sensors
-        if sensor.topic
-    ]
+class Sensors(Feature):
+    """The sensor topics of all robots."""
+
+    def attach(self, simulation: Simulation) -> None:
+        self._simulation = simulation
+
+    def on_spawn(self, robot: SpawnedRobot) -> None:
+        robot.kept["sensors"] = [
+            CameraTopics(self._simulation, robot, sensor)
+            if isinstance(sensor, Camera)
+            else SensorTopic(self._simulation, robot, sensor)
+            for sensor in robot.paper.sensors
+            if sensor.topic
+        ]
+
+    def status(self) -> Message:
+        found = [
+            (camera.topic, *rates)
+            for robot in self._simulation.robots
+            for camera in _cameras(robot)
+            if (rates := camera.rates()) is not None
+        ]
+        return {
+            "cameras": [topic for topic, *_ in found],
+            "cameras_asked": [asked for _, asked, _, _ in found],
+            "cameras_reached": [reached for _, _, reached, _ in found],
+            "cameras_advice": [advice for *_, advice in found],
+        }
 
 
-def cameras(robot: SpawnedRobot) -> list[CameraTopics]:
-    """The cameras of a robot."""
+def _cameras(robot: SpawnedRobot) -> list[CameraTopics]:
     sensors = robot.kept.get("sensors", [])
     return [sensor for sensor in sensors if isinstance(sensor, CameraTopics)] if isinstance(sensors, list) else []

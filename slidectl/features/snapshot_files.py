@@ -21,13 +21,11 @@ import slidectl
 from slidectl import file_reads, input_files, names, writing
 from slidectl.description.meshes import BadMesh
 from slidectl.errors import BadFile, Refused, SlidectlError
-from slidectl.fault_kinds import checked_options
+from slidectl.features.saved_state import NOT_SAVED, NUMBER_TYPES, Method, Named, NotSaved, Ref, SavedObject
+from slidectl.features.snapshots import Snapshot, SpawnedAs
 from slidectl.physics import mujoco_library
 from slidectl.physics.hulls import Hull, MeshSource
 from slidectl.simulation.clock import NEVER
-from slidectl.simulation.faults import FaultRequest
-from slidectl.simulation.saved_state import NOT_SAVED, NUMBER_TYPES, Method, Named, NotSaved, Ref, SavedObject
-from slidectl.simulation.snapshots import Snapshot, SpawnedAs
 
 MAGIC = b"slidectl snapshot\n"
 LARGEST = 1 << 30
@@ -138,9 +136,10 @@ def _unpack_all(packed: _Packed) -> Snapshot:
     ]
     values["is_from_file"] = True
     values.setdefault("derived", [])  # a file that does not tell them has all parameters as set by clients
-    faults = [FaultRequest(*one) for one in values.pop("faults")]
+    values.setdefault("features", ["faults"])  # a file that does not tell them is of a time with one such feature
+    values.setdefault("parts", {"faults": values.pop("faults", [])})
     entries = [SavedObject(*entry) for entry in values.pop("entries")]
-    return Snapshot(robots=robots, faults=faults, entries=entries, **values)
+    return Snapshot(robots=robots, entries=entries, **values)
 
 
 def _check(snapshot: Snapshot) -> None:
@@ -154,11 +153,10 @@ def _check(snapshot: Snapshot) -> None:
         raise ValueError("it has no parameters, or no world")
     if not all(type(name) is str and len(name) <= names.LONGEST for name in snapshot.derived):
         raise ValueError("its derived parameters are no names")
-    for place, asked in enumerate(snapshot.faults):
-        snapshot.faults[place] = asked._replace(options=checked_options(asked.kind, asked.options))
-        numbers = asked.start_ns, asked.end_ns, abs(asked.seed)
-        if not names.is_component(asked.name) or not all(type(one) is int and 0 <= one <= NEVER for one in numbers):
-            raise ValueError(f"the fault {asked.name} has no name, no times or no seed")
+    if not all(type(name) is str and len(name) <= names.LONGEST for name in (*snapshot.features, *snapshot.parts)):
+        raise ValueError("its features are no names")
+    if not all(type(parts) is list for parts in snapshot.parts.values()):
+        raise ValueError("a feature has no list of its parts")
 
 
 def _hull(path: str, scale: tuple[float, float, float], content: Any) -> tuple[MeshSource, Hull | BadMesh]:

@@ -14,9 +14,10 @@ from slidectl import names
 from slidectl.control.duration import header_of
 from slidectl.control.node_handle import Message
 from slidectl.description.robot import Joint
+from slidectl.features.gazebo_frames import transform_message
 from slidectl.rotations import IDENTITY, Pose, compose, from_rpy, relative
 from slidectl.simulation.clock import SECOND, period_ns_of
-from slidectl.simulation.gazebo_frames import transform_message
+from slidectl.simulation.feature import Feature
 from slidectl.simulation.spawned_robots import SpawnedRobot
 from slidectl.simulation.topics import NodePublisher, PeriodicTopic, TopicPublisher
 
@@ -27,14 +28,14 @@ FREQUENCY_HZ = 50
 NODE = "robot_state_publisher"
 
 
-class StatePublishers:
+class StatePublishers(Feature):
     """The state publishers of all robots of a simulation."""
 
-    def __init__(self, simulation: Simulation) -> None:
+    def attach(self, simulation: Simulation) -> None:
         self._simulation = simulation
         self._publishers: dict[str, StatePublisher] = {}
 
-    def bring_up(self, robot: SpawnedRobot) -> None:
+    def on_spawn(self, robot: SpawnedRobot) -> None:
         """Create the publisher of a robot; a model without control gets none.
 
         Two robots with the same links would publish the same frames: the later one gets a prefix of its own.

@@ -7,15 +7,19 @@ time.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from slidectl.control.duration import from_seconds
 from slidectl.control.node_handle import Message
 from slidectl.errors import Refused
 from slidectl.names import OWN_NODE
 from slidectl.simulation.clock import Clock, Timer
-from slidectl.simulation.graph import Graph
-from slidectl.simulation.loop import Loop, whole_cycles
+from slidectl.simulation.feature import Feature
+from slidectl.simulation.loop import whole_cycles
 from slidectl.simulation.pending import Pending
+
+if TYPE_CHECKING:
+    from slidectl.simulation.simulation import Simulation
 
 _TIMEOUT_S = 5.0
 _LONGEST_S = 1e6
@@ -43,19 +47,22 @@ class LockStepMember:
             pending.resolve({"success": True, "message": "", "time": clock.seconds, "cycles": clock.cycles})
 
 
-class LockStepService:
+class LockStepService(Feature):
     """The service `/slidectl/lockstep`, and its members."""
 
-    def __init__(self, graph: Graph, loop: Loop) -> None:
-        self._graph = graph
-        self._loop = loop
+    def attach(self, simulation: Simulation) -> None:
+        self._graph = graph = simulation.graph
+        self._loop = simulation.loop
         self._let_go: dict[str, str] = {}
         """The reasons of removals, by node, until it was told."""
         self.members: dict[str, LockStepMember] = {}
-        self.on_let_go: Callable[[str], None] = lambda _: None
+        self.on_let_go: list[Callable[[str], None]] = []
         """Called with the node of a removed member. This is the only event in this class that wall time decides."""
         graph.node(OWN_NODE, OWN_NODE).advertise_service("lockstep", "slidectl/LockStep", self._take)
         graph.on_node_closed.append(self._gone)
+
+    def status(self) -> Message:
+        return {"lockstep": sorted(self.members)}
 
     def allowed(self, most: int) -> int:
         """The number of cycles, at most `most`, that may run before the world must wait for a member."""
@@ -72,7 +79,8 @@ class LockStepService:
 
     def let_go(self, member: LockStepMember) -> None:
         """Remove a member that has held the world for longer than its time-out."""
-        self.on_let_go(member.node)
+        for callback in self.on_let_go:
+            callback(member.node)
         why = f"it held the world for more than {member.timeout_s:g} s"
         self._graph.log("warn", OWN_NODE, f"{member.node} has left the lock-step: {why}")
         self._leave(member.node)
@@ -113,7 +121,8 @@ class LockStepService:
             _check_not_waiting(self.members[node])
         self.members[node] = LockStepMember(node, period_ns, timeout_s, self._graph.clock)
         self._let_go.pop(node, None)
-        self._loop.run.lockstep = self
+        if self not in self._loop.run.gates:
+            self._loop.run.gates.append(self)
 
     def _leave(self, node: str) -> None:
         member = self.members.pop(node)
@@ -121,7 +130,7 @@ class LockStepService:
         if member.pending is not None:
             member.pending.reject(Refused(f"{node} has left the lock-step"))
         if not self.members:
-            self._loop.run.lockstep = None
+            self._loop.run.gates.remove(self)
 
     def _gone(self, node: str) -> None:
         self._let_go.pop(node, None)

@@ -18,9 +18,9 @@ from slidectl.description.document import has_xacro
 from slidectl.description.mesh_files import MeshFiles, MissingMesh, UnknownMesh
 from slidectl.effects import Effect, NotPermitted
 from slidectl.errors import BadFile, NotThere, SlidectlError, UnknownName, listing, quoted
+from slidectl.features.entities import check_size
 from slidectl.physics.builder import BadShape
 from slidectl.rotations import ORIGIN, Pose
-from slidectl.simulation.entities import check_size
 
 FORMATS = ("urdf", "sdf", "xacro")
 _OF_SCENES = ("sdf", "world", "gazebo", "model")
