@@ -35,6 +35,24 @@ command_class
     foxglove,
 )
 
+# The table in simulation/feature.py names these by text.
+Actions
+Drives
+Faults
+GazeboServices
+JointTraces
+LockStepService
+OwnServices
+Rosapi
+Sensors
+Snapshots
+StandardServices
+StatePublishers
+Waits
+
+# features/saved_state.py looks it up in each class.
+saved_or_none
+
 # io.BufferedReader calls it of a raw file.
 readall
 

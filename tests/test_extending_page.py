@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from daemon_fixture import running_daemon
+from installed_package import install
 
 from slidectl import Simulation, description
 from slidectl.simulation.compiled import object_file
@@ -137,3 +138,21 @@ def test_the_hardware_lets_efforts_follow_with_its_time_constant(tmp_path: Path)
     simulation.reset_world()
     simulation.step(1)
     assert simulation.world.joint_state("slider", "joint1")[2] < 0.2
+
+
+def test_the_page_shows_the_feature_that_is_among_the_examples() -> None:
+    [text] = [part for part in (ROOT / "docs" / "extending.md").read_text(encoding="utf-8").split("\n## ")
+              if part.startswith("A feature of your own\n")]  # fmt: skip
+    for kind, name in (("toml", "pyproject.toml"), ("python", "spawn_counter.py")):
+        shown = re.findall(rf"^```{kind}\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+        assert shown == [(ROOT / "examples" / "spawn_counter" / name).read_text(encoding="utf-8")]
+
+
+def test_a_world_has_the_feature_of_an_installed_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    install(ROOT / "examples" / "spawn_counter", tmp_path / "site")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path / "site"))
+    with running_daemon() as daemon, daemon.environment(), daemon.client() as client:
+        client.spawn("slider")
+        assert client.subscribe("/slidectl/spawn_counter/count").get()["data"] == 1
+        answer = client.call("/slidectl/spawn_counter/forget")
+        assert answer == {"success": True, "message": "1 spawns forgotten"}

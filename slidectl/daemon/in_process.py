@@ -66,6 +66,7 @@ class InProcessWorld:
         self._waiting: list[InProcessConnection] = []
         graph = self.simulation.graph
         graph.log.sink = self._keep_line
+        self.simulation.features.log_broken()
         graph.services.advertise("/slidectl/shutdown", "slidectl/Shutdown", OWN_NODE, self._shut_down)
 
     def connect(self) -> InProcessConnection:

@@ -74,6 +74,7 @@ class Daemon:
         self.simulation.monitor = self._status
         graph = self.simulation.graph
         graph.log.sink = self._keep_line
+        self.simulation.features.log_broken()
         graph.services.advertise("/slidectl/shutdown", "slidectl/Shutdown", OWN_NODE, self._shut_down)
         self._loop = EventLoop()
         self._pacer = Pacer(self.simulation.loop, clients_wait=self._loop.is_ready)

@@ -233,6 +233,11 @@ class Features:
                 package = point.dist.name if point.dist is not None else "that names it"
                 self.broken.append(BrokenFeature(point.name, package, error))
 
+    def log_broken(self) -> None:
+        """Log what is left out. A driver calls it when the log has a sink."""
+        for trouble in self.broken:
+            self._simulation.graph.log("error", OWN_NODE, trouble.message)
+
     def attach_these(self, chosen: Sequence[str | type[Feature]]) -> None:
         """Attach features given by name or class, in this order. Raises UnknownFeature, and as `attach`."""
         points = {point.name: point for point in _installed()}
