@@ -378,7 +378,7 @@ class FaultyCycle:
             self._stages = own
             return own._replace(read=self.read, update=self.update, write=self.write)
 
-        self._robot.parts.cycle.intercept(around if self._faults else None)
+        self._robot.parts.cycle.intercept(self, around if self._faults else None)
 
     def read(self, time_ns: int, period_s: float) -> None:
         if any(fault.busy_until_ns for fault in self._faults):
@@ -494,7 +494,7 @@ class FaultyTopic:
             if late_ns:
                 self._hold(now_ns + late_ns, fault, message)
                 return
-        self._graph.topics.hand_on(self._topic, message)
+        self._graph.topics.hand_on(self._topic, message, self.take)
 
     def have(self, faults: list[TopicFault]) -> None:
         """Replace the faults, and drop late messages of others."""
@@ -683,7 +683,7 @@ class Faults(Feature):
             faulty.have(faults)
             if not faults:
                 del self._topics[topic]
-            self._graph.topics.intercept(topic, faulty.take if faults else None)
+            self._graph.topics.intercept(topic, faulty.take, begins=bool(faults))
             return
         assert isinstance(changed, RobotFault)
         robot, time_ns = changed.robot, self._graph.clock.time_ns

@@ -113,6 +113,7 @@ class ControlCycle:
     )
 
     __slots__ = (
+        "_interceptors",
         "_read",
         "_stages",
         "_update",
@@ -132,7 +133,9 @@ class ControlCycle:
     def __init__(self, hardware: RobotHW, manager: ControllerManager, control_period_ns: int, time_ns: int) -> None:
         """`time_ns` is the present time. From 0 the first period would be the whole simulated time so far."""
         self._stages = Stages(guarded(hardware, hardware.read), manager.update, guarded(hardware, hardware.write))
-        self.intercept(None)
+        self._interceptors: dict[object, Callable[[Stages], Stages]] = {}
+        self._read, self._update, self._write = self._stages
+        self.is_intercepted = False
         self.control_period_ns = control_period_ns
         self.emergency_stop = False
         self._was_stopped = False
@@ -143,13 +146,20 @@ class ControlCycle:
         """True while controllers run under an emergency stop, and until the first update after it."""
         return self.emergency_stop or self._was_stopped
 
-    def intercept(self, make: Callable[[Stages], Stages] | None) -> None:
-        """Replace the stages by those that `make` returns for the cycle's own; None restores these.
+    def intercept(self, owner: object, make: Callable[[Stages], Stages] | None) -> None:
+        """Replace the stages by those that `make` returns for the present ones; None ends that of this owner.
 
-        Replaced stages run in the interpreter only.
+        The stages of the owner that came last are called first. Replaced stages run in the interpreter only.
         """
-        self.is_intercepted = make is not None
-        self._read, self._update, self._write = self._stages if make is None else make(self._stages)
+        if make is None:
+            self._interceptors.pop(owner, None)
+        else:
+            self._interceptors[owner] = make
+        self.is_intercepted = bool(self._interceptors)
+        stages = self._stages
+        for one in self._interceptors.values():
+            stages = one(stages)
+        self._read, self._update, self._write = stages
 
     def look(self, time_ns: int) -> None:
         """Read the joints outside of a cycle."""

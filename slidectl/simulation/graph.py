@@ -82,8 +82,9 @@ class Graph:
         self.parameters.watch(
             CLOCK_FREQUENCY, lambda: self.clock_topic.set_frequency(self.parameters.get(CLOCK_FREQUENCY, 0))
         )
-        self.topics.on_change = self.services.on_change = lambda: self.topics.hand_on(GRAPH_CHANGES, {})
-        self.parameters.on_change = lambda changed: self.topics.hand_on(PARAMETER_CHANGES, {"names": changed})
+        for changing in (self.topics, self.services):
+            changing.on_change.append(lambda: self.topics.hand_on(GRAPH_CHANGES, {}))
+        self.parameters.on_change.append(lambda changed: self.topics.hand_on(PARAMETER_CHANGES, {"names": changed}))
 
     def serve_actions(self, make: ActionMaker) -> None:
         """Let `make` create the servers of actions. Raises Refused: another feature serves them."""

@@ -87,7 +87,7 @@ class Parameters:
         """The size of the tree at the last count, plus the size of all values set since."""
         self._watches: Hooks[Callable[[], None]] = Hooks()
         self._guards: Hooks[ParameterJudge] = Hooks()
-        self.on_change: Callable[[list[str]], None] = lambda _: None
+        self.on_change: list[Callable[[list[str]], None]] = []
         """Called with the names of changed or deleted parameters, before the watchers."""
 
     def get(self, name: str, default: Any = MISSING) -> Any:
@@ -292,7 +292,9 @@ class Parameters:
 
     def _tell(self, changed: list[Path]) -> None:
         """Call the watchers, all of them even if one fails; then raise the first failure."""
-        self.on_change(["/" + "/".join(path) for path in changed])
+        full = ["/" + "/".join(path) for path in changed]
+        for callback in self.on_change:
+            callback(full)
         failure: Exception | None = None
         for watch in self._watches.concerned(changed):
             try:

@@ -87,7 +87,7 @@ class Services:
     def __init__(self) -> None:
         self._services: dict[str, Service] = {}
         self._by_node: dict[str, dict[Service, None]] = {}
-        self.on_change: Callable[[], None] = lambda: None
+        self.on_change: list[Callable[[], None]] = []
         """Called after a service was added or removed."""
         self.permitted: Collection[Effect] = EVERYTHING
         """What the caller of the request that is being handled may do."""
@@ -113,7 +113,7 @@ class Services:
             raise Refused(f"service {name} is already provided by {self._services[name].node}")
         service = self._services[name] = Service(name, type_name, node, handler, self._forget, effect, file_field)
         self._by_node.setdefault(node, {})[service] = None
-        self.on_change()
+        self._tell_change()
         return service
 
     def call(self, name: str, request: Any = None) -> Pending:
@@ -191,7 +191,11 @@ class Services:
             del of_node[service]
             if not of_node:
                 del self._by_node[service.node]
-            self.on_change()
+            self._tell_change()
+
+    def _tell_change(self) -> None:
+        for callback in self.on_change:
+            callback()
 
 
 def _follow(service: Service, inner: Pending) -> Pending:

@@ -203,13 +203,13 @@ class TopicSubscription:
 class Topic:
     """A name, its type, and its users. `callbacks` is a tuple: it may be replaced during a delivery."""
 
-    __slots__ = ("callbacks", "has_header", "interceptor", "name", "publishers", "receivers", "subscriptions", "type")
+    __slots__ = ("callbacks", "has_header", "interceptors", "name", "publishers", "receivers", "subscriptions", "type")
 
-    def __init__(self, name: str, type_name: str, interceptor: MessageCallback | None = None) -> None:
+    def __init__(self, name: str, type_name: str, interceptors: tuple[MessageCallback, ...] = ()) -> None:
         self.name = name
         self.type = type_name
-        self.interceptor = interceptor
-        """Receives the messages in place of the receivers."""
+        self.interceptors = interceptors
+        """The first receives the messages in place of the receivers, and may hand them on to the next."""
         self.publishers: list[TopicPublisher] = []
         self.subscriptions: list[TopicSubscription] = []
         self.receivers: tuple[MessageCallback, ...] = ()
@@ -225,7 +225,7 @@ class Topic:
         """Update the callbacks for the present users."""
         # A callback that several subscriptions share is called once for all of them.
         self.receivers = tuple(dict.fromkeys(subscription.callback for subscription in self.subscriptions))
-        self.callbacks = (self.interceptor,) if self.receivers and self.interceptor is not None else self.receivers
+        self.callbacks = self.receivers and (self.interceptors[:1] or self.receivers)
         for publisher in self.publishers:
             publisher.wanted = publisher.latch or bool(self.callbacks)
 
@@ -256,11 +256,11 @@ class Topics:
         self._topics: dict[str, Topic] = {}
         # By node: closing a node must not search all topics, since a client may have created many.
         self._users: dict[str, dict[TopicPublisher | TopicSubscription, None]] = {}
-        self._interceptors: dict[str, MessageCallback] = {}
+        self._interceptors: dict[str, tuple[MessageCallback, ...]] = {}
         self._coming: dict[str, _ComingTopic] = {}
         self.changes = 0
         """The number of added or removed publishers and subscribers. While it is the same, so is every `wanted`."""
-        self.on_change: Callable[[], None] = lambda: None
+        self.on_change: list[Callable[[], None]] = []
         """Called after each such change."""
 
     def advertise(
@@ -334,20 +334,27 @@ class Topics:
         own = next((publisher for publisher in known if publisher.node == node), None)
         (own or self.advertise(topic, kind, node)).publish(checked)
 
-    def intercept(self, topic: str, interceptor: MessageCallback | None) -> None:
-        """Let `interceptor` receive the messages of the topic, except latched ones for later subscribers. None: end."""
-        if interceptor is None:
-            self._interceptors.pop(topic, None)
-        else:
-            self._interceptors[topic] = interceptor
+    def intercept(self, topic: str, interceptor: MessageCallback, begins: bool = True) -> None:
+        """Let `interceptor` receive the messages of the topic, except latched ones for later subscribers, and pass them
+        on by `hand_on`. Of several the earlier one is first. Not `begins`: it ends."""
+        present = self._interceptors.pop(topic, ())
+        if not begins:
+            present = tuple(one for one in present if one != interceptor)
+        elif interceptor not in present:
+            present = (*present, interceptor)
+        if present:
+            self._interceptors[topic] = present
         if topic in self._topics:
-            self._topics[topic].interceptor = interceptor
+            self._topics[topic].interceptors = present
             self._update(self._topics[topic])
 
-    def hand_on(self, topic: str, message: Message) -> None:
-        """Deliver an intercepted message to the present subscribers. Raises the error of a subscriber."""
-        if topic in self._topics:
-            hand_on(message, self._topics[topic].receivers)
+    def hand_on(self, topic: str, message: Message, behind: MessageCallback | None = None) -> None:
+        """Deliver a message to the present subscribers; with `behind`, one that this interceptor has received, to the
+        next interceptor if there is one. Raises the error of a subscriber."""
+        if (entry := self._topics.get(topic)) is not None:
+            chain = entry.interceptors
+            later = chain[chain.index(behind) + 1 :] if behind in chain else ()
+            hand_on(message, later[:1] or entry.receivers)
 
     def names(self) -> list[str]:
         """All topics, sorted."""
@@ -405,7 +412,7 @@ class Topics:
     def _entry(self, topic: str, type_name: str) -> Topic:
         self._agrees(topic, type_name)
         if topic not in self._topics:
-            entry = Topic(names.check_absolute(topic, "topic"), type_name, self._interceptors.get(topic))
+            entry = Topic(names.check_absolute(topic, "topic"), type_name, self._interceptors.get(topic, ()))
             self._topics[topic] = entry
             coming = self._coming.pop(topic, None)
             for subscription in coming.subscriptions if coming else ():
@@ -436,7 +443,8 @@ class Topics:
     def _update(self, topic: Topic) -> None:
         self.changes += 1
         topic.update()
-        self.on_change()
+        for callback in self.on_change:
+            callback()
 
 
 def _nodes(users: Sequence[TopicPublisher | TopicSubscription]) -> list[str]:

@@ -19,6 +19,7 @@ from slidectl.errors import Refused
 from slidectl.features.faults import Faults
 from slidectl.simulation import Feature, SpawnedRobot
 from slidectl.simulation.compiled import object_file
+from slidectl.simulation.cycle import Stages
 from slidectl.simulation.feature import OWN, FeatureFailed, FeatureNameTaken, NotAFeature, UnknownFeature
 
 EXAMPLE = Path(__file__).parent.parent.parent / "examples" / "spawn_counter"
@@ -199,6 +200,49 @@ def test_a_hook_that_fails_in_a_cycle_holds_the_world_until_it_goes_on(engine: s
     assert "no more" in simulation.run.trouble
     simulation.resume()
     assert simulation.step(40) == 40
+
+
+def test_two_features_that_change_the_messages_of_one_topic_both_do() -> None:
+    simulation = running_cart()
+    topics, heard = simulation.graph.topics, []
+
+    def doubled(message: Message) -> None:
+        topics.hand_on("/number", {"data": 2 * message["data"]}, doubled)
+
+    def one_more(message: Message) -> None:
+        topics.hand_on("/number", {"data": 1 + message["data"]}, one_more)
+
+    simulation.publish("/number", {"data": 0}, "std_msgs/Int32")
+    simulation.subscribe("/number", lambda message: heard.append(message["data"]))
+    for interceptor, begins in ((doubled, True), (one_more, True), (doubled, False), (one_more, False)):
+        topics.intercept("/number", interceptor, begins)
+        simulation.publish("/number", {"data": 10})
+    assert heard == [20, 21, 11, 10]
+
+
+def test_faults_and_another_feature_change_the_cycle_of_one_robot_together() -> None:
+    reads: list[int] = []
+
+    def counting(own: Stages) -> Stages:
+        def read(time_ns: int, period_s: float) -> None:
+            reads.append(time_ns)
+            own.read(time_ns, period_s)
+
+        return own._replace(read=read)
+
+    simulation = running_cart()
+    cycle = simulation.robots.get("cart").cycle
+    cycle.intercept("counter", counting)
+    simulation.faults.add("joint1", "sensor-bias", bias=1.0)
+    simulation.step(10)
+    bias = simulation.robots.get("cart").hardware.handles("joint1")[0].position - state(simulation)[0]
+    assert bias == pytest.approx(1.0, abs=0.01)
+    simulation.faults.remove()
+    simulation.step(10)
+    cycle.intercept("counter", None)
+    simulation.step(10)
+    assert len(reads) == 20
+    assert not cycle.is_intercepted
 
 
 # -- state -------------------------------------------------------------------------------------------------------------
