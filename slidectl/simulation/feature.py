@@ -57,7 +57,8 @@ class Feature:
     """The attributes that a snapshot saves, for a feature that does not override `save_state` and `load_state`. See
     control/saved_classes.py."""
     name: str = ""
-    """The name under which the simulation knows it."""
+    """The name under which the simulation knows it: that of the table or of the entry point. For a class that is given
+    to `Simulation` it is this attribute of the class, else the name of the class."""
     node: GraphNode
     """A node handle in the namespace of the same name, below that of the node `/slidectl`. What is advertised through
     it ends when `attach` fails."""

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import subprocess
 import sys
+import zlib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +18,9 @@ from sim_robots import cart, running_cart, state
 
 from slidectl import Simulation
 from slidectl.control.node_handle import Message
-from slidectl.errors import Refused
+from slidectl.errors import Refused, SlidectlError
 from slidectl.features.faults import Faults
+from slidectl.features.snapshots import put
 from slidectl.simulation import Feature, SpawnedRobot
 from slidectl.simulation.compiled import object_file
 from slidectl.simulation.cycle import Stages
@@ -288,6 +292,44 @@ def test_a_snapshot_from_before_a_feature_was_there_lets_it_begin_anew(tmp_path:
     new.call("/slidectl/load", {"file": file})
     assert new.diary.lines == ["reset", "+cart"]
     assert new.faults.messages() == old.faults.messages()
+
+
+def test_a_file_from_before_there_were_features_is_read(tmp_path: Path) -> None:
+    file = tmp_path / "old.snapshot"
+    old = Simulation()
+    old.spawn(cart(), "cart")
+    old.faults.add("joint1", "sensor-noise", sd=0.1, seed=3)
+    old.faults.add("joint1", "joint-stuck", 0.1)
+    old.step(50)
+    old.call("/slidectl/save", {"name": "old", "file": str(file)})
+    magic, about, content = file.read_bytes().split(b"\n", 2)
+    values = json.loads(zlib.decompress(content))
+    values["faults"] = values.pop("parts")["faults"]
+    assert values.pop("features") == ["faults"]
+    content = zlib.compress(json.dumps(values).encode())
+    told = {**json.loads(about), "size": len(content), "sha256": hashlib.sha256(content).hexdigest()}
+    file.write_bytes(b"\n".join([magic, json.dumps(told).encode(), content]))
+
+    new = Simulation()
+    new.call("/slidectl/load", {"file": str(file)})
+    for simulation in (old, new):
+        simulation.step(100)
+    assert new.faults.messages() == old.faults.messages()
+    assert state(new) == state(old)
+
+
+def test_a_fault_of_a_file_that_no_client_can_add_is_refused_and_nothing_has_changed() -> None:
+    simulation = Simulation()
+    simulation.spawn(cart(), "cart")
+    simulation.faults.add("joint1", "sensor-noise", sd=0.1)
+    simulation.save("here")
+    before = simulation.faults.messages()
+    [noise] = simulation.snapshots.get("here").parts["faults"]
+    for wrong in (noise._replace(seed=1.5), noise._replace(name="no name"), noise._replace(options={"sd": "much"})):
+        changed = replace(simulation.snapshots.get("here"), parts={"faults": [wrong]}, is_from_file=True)
+        with pytest.raises(SlidectlError):
+            put(simulation, changed)
+        assert simulation.faults.messages() == before
 
 
 def test_a_snapshot_with_the_state_of_a_feature_that_is_not_there_is_refused(tmp_path: Path) -> None:
