@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from daemon_fixture import running_daemon
-from installed_package import install
+from pip_installed import install
 
 from slidectl import Simulation, description
 from slidectl.simulation.compiled import object_file

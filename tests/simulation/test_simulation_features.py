@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from installed_package import install
+from pip_installed import install
 from sim_robots import cart, running_cart, state
 
 from slidectl import Simulation
