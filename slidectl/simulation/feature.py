@@ -231,7 +231,7 @@ class Features:
             try:
                 self.attach(_installed_class(point), point.name)
             except SlidectlError as error:
-                package = point.dist.name if point.dist is not None else "that names it"
+                package = point.dist.name if point.dist is not None else "without a name"
                 self.broken.append(BrokenFeature(point.name, package, error))
 
     def log_broken(self) -> None:

@@ -13,6 +13,7 @@ from slidectl.client import Client
 from slidectl.daemon.in_process import InProcessLink, InProcessWorld
 from slidectl.errors import NoDaemon, Refused, TimedOut
 from slidectl.extensions.scenarios.background import BackgroundStep, InProcessBackground
+from slidectl.simulation.feature import BrokenFeature
 
 CONTROLLERS = "config/slider_control.yaml"
 
@@ -122,3 +123,11 @@ def test_a_background_step_that_waits_again_when_it_is_ended_in_a_paused_world_c
     step = BackgroundStep(partial(InProcessBackground, world), action, timeout=10.0)
     step.end()
     assert ended == ["KeyboardInterrupt", "TimedOut"]
+
+
+def test_the_log_names_features_of_packages_that_are_left_out() -> None:
+    simulation = Simulation()
+    simulation.features.broken.append(BrokenFeature("counter", "mine", Refused("it has a typo")))
+    [line] = InProcessWorld(simulation).log
+    assert line.endswith("/slidectl: the feature 'counter' of the package mine is left out: it has a typo")
+    assert line.startswith("error")
