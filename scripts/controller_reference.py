@@ -101,8 +101,8 @@ understood, and the answer to the load says what they are here; others, such as
 def page() -> str:
     """The whole page."""
     families: dict[str, dict[str, type[ControllerBase]]] = {}
-    for name in registry.types():
-        cls = registry.find(name)
+    for name in registry.common.types():
+        cls = registry.common.find(name)
         families.setdefault(cls.__module__, {})[name] = cls
     lines = [line for module, classes in families.items() for line in family(module, classes)]
     return HEAD + "".join(line + "\n" for line in (*lines, *names_of_ros_2()))
