@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
-from slow_tests import is_slow
+from kinds_of_tests import marks_left_out, marks_of
 
 # No test may depend on how fast the machine is, nor leave a database behind; `make fuzz` takes another seed each time.
 settings.register_profile(
@@ -44,23 +44,53 @@ def _restore_signals() -> None:
 
 
 def _share_cache(config: pytest.Config) -> None:
-    """Compiled code goes into a folder of this run, which all its workers and daemons share: it is compiled once."""
+    """Compiled code goes into a folder of this run, which all its workers and daemons share: it is compiled once.
+
+    The compiled cycle of the run before is there from the start; it is used where its sources are still the same.
+    """
     if not hasattr(config, "workerinput"):
         config.stash[_CACHE] = pytest.MonkeyPatch()
         config.stash[_CACHE].setenv("XDG_CACHE_HOME", tempfile.mkdtemp(prefix="slidectl-cache-"))
+        _copy_cycles(config.cache.mkdir("slidectl-compiled"), _compiled())
+
+
+def _compiled() -> Path:
+    return Path(os.environ["XDG_CACHE_HOME"], "slidectl")
+
+
+def _copy_cycles(from_folder: Path, to_folder: Path) -> None:
+    """Copy the newest compiled cycles, with their times."""
+    to_folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    for file in sorted(from_folder.glob("cycle-*.o"), key=lambda path: path.stat().st_mtime)[-2:]:
+        partial = to_folder / f"{file.name}.{os.getpid()}"
+        shutil.copy2(file, partial)
+        partial.replace(to_folder / file.name)
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Files whose tests are all left out by `-m` are not even imported."""
+    left_out = marks_left_out(config.option.markexpr)
+    return True if left_out and collection_path.is_file() and left_out & marks_of(_name(collection_path)) else None
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the tests of the files in SLOW."""
-    here = Path(__file__).parent
+    """Give the tests the marks of their files."""
     for item in items:
-        if item.path.is_relative_to(here) and is_slow(item.path.relative_to(here).as_posix()):
-            item.add_marker("slow")
+        for mark in marks_of(_name(item.path)):
+            item.add_marker(mark)
+
+
+def _name(path: Path) -> str:
+    """The path of a file of tests in this folder; empty elsewhere."""
+    here = Path(__file__).parent
+    return path.relative_to(here).as_posix() if path.is_relative_to(here) else ""
 
 
 def pytest_unconfigure(config: pytest.Config) -> None:
     """A compilation that is still under way finds its folder gone, and ends."""
     if _CACHE in config.stash:
+        with suppress(OSError):
+            _copy_cycles(_compiled(), config.cache.mkdir("slidectl-compiled"))
         shutil.rmtree(os.environ["XDG_CACHE_HOME"], ignore_errors=True)
         config.stash[_CACHE].undo()
 

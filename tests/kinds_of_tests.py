@@ -1,9 +1,23 @@
-"""Which tests `make quick` leaves out."""
+"""The kinds of tests, by files: which ones have the marks `slow`, `process` and `foreign`."""
 
 from __future__ import annotations
 
+import re
 from fnmatch import fnmatch
 
+FOREIGN = (
+    "gateways/ros1/*", "gateways/websocket/test_websocket_clients.py", "gateways/websocket/test_websocket_page.py",
+    "gateways/test_foxglove.py", "viewing/test_page*", "cli/test_cli_ros_shells.py", "test_deployment.py",
+    "test_examples.py", "test_shown_sessions.py", "test_site.py",
+)  # fmt: skip
+"""They start programs that are not part of slidectl: ROS 1, Node, Chromium, shells."""
+PROCESS = (
+    *FOREIGN, "cli/*", "client/*", "daemon/*", "fuzz/*", "gateways/*", "viewing/*",
+    "launch/test_launch_supervision.py", "test_docs.py", "test_extending_page.py", "test_operating_system.py",
+    "test_portable_ways.py",
+    "test_pytest_plugin.py", "test_python_page.py", "test_pythons.py", "test_scenarios_page.py", "test_test_runs.py",
+)  # fmt: skip
+"""They start processes: daemons, commands, gateways."""
 SLOW = (
     # foreign programs, browsers, whole pages, attacks, and runs of the tests themselves
     "fuzz/*", "gateways/ros1/*", "gateways/websocket/test_websocket_clients.py", "viewing/test_page*",
@@ -26,9 +40,18 @@ SLOW = (
     "simulation/test_simulation_all_or_nothing.py", "simulation/test_simulation_compiled_cache.py",
     "simulation/test_simulation_own_laws.py", "simulation/test_simulation_snapshots.py",
 )  # fmt: skip
-"""The files whose tests `make quick` leaves out, as patterns of paths in this folder."""
+"""They take long. Each entry is a pattern of paths in this folder, as in the tables above."""
+
+KINDS = {"foreign": FOREIGN, "process": PROCESS, "slow": SLOW}
 
 
-def is_slow(file: str) -> bool:
-    """True for a file of SLOW; its path is relative to this folder."""
-    return any(fnmatch(file, entry) for entry in SLOW)
+def marks_of(file: str) -> set[str]:
+    """The marks of all tests of a file; its path is relative to this folder."""
+    return {mark for mark, patterns in KINDS.items() if any(fnmatch(file, pattern) for pattern in patterns)}
+
+
+def marks_left_out(expression: str) -> set[str]:
+    """The marks that an expression such as "not slow and not process" leaves out; empty for other expressions."""
+    parts = expression.split(" and ")
+    found = [re.fullmatch(r"not (\w+)", part.strip()) for part in parts]
+    return {match[1] for match in found if match} if all(found) else set()
