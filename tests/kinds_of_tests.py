@@ -8,7 +8,7 @@ from fnmatch import fnmatch
 FOREIGN = (
     "gateways/ros1/*", "gateways/websocket/test_websocket_clients.py", "gateways/websocket/test_websocket_page.py",
     "gateways/test_foxglove.py", "viewing/test_page*", "cli/test_cli_ros_shells.py", "test_deployment.py",
-    "test_examples.py", "test_shown_sessions.py",
+    "test_examples.py", "test_shown_sessions.py", "test_site.py",
 )  # fmt: skip
 """They start programs that are not part of slidectl: ROS 1, Node, Chromium, shells."""
 PROCESS = (

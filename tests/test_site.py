@@ -65,7 +65,7 @@ def tab(chromium: Browser) -> Iterator[Page]:
 
 
 def addresses(site: Path, base: str) -> list[str]:
-    return [f"{base}/{page.name}" for page in sorted(site.glob("*.html"))]
+    return [f"{base}/{page.relative_to(site)}" for page in sorted(site.rglob("*.html"))]
 
 
 def search(tab: Page, words: str) -> str:
@@ -101,7 +101,6 @@ def test_what_is_wrong_with_a_site_is_named(tmp_path: Path) -> None:
     ]
 
 
-@pytest.mark.foreign
 @needs_chromium
 def test_no_page_loads_anything_from_elsewhere_or_complains(site: Path, served: str, tab: Page) -> None:
     asked: list[str] = []
@@ -115,7 +114,6 @@ def test_no_page_loads_anything_from_elsewhere_or_complains(site: Path, served: 
     assert told == []
 
 
-@pytest.mark.foreign
 @needs_chromium
 def test_no_table_and_no_page_is_wider_than_its_column(site: Path, tab: Page) -> None:
     wide = []
@@ -136,7 +134,6 @@ def test_no_table_and_no_page_is_wider_than_its_column(site: Path, tab: Page) ->
     assert wide == []
 
 
-@pytest.mark.foreign
 @needs_chromium
 @pytest.mark.parametrize("how", ["served", "file"])
 def test_the_search_finds(how: str, site: Path, served: str, tab: Page) -> None:
@@ -145,7 +142,6 @@ def test_the_search_finds(how: str, site: Path, served: str, tab: Page) -> None:
         assert page in search(tab, words), words
 
 
-@pytest.mark.foreign
 @needs_chromium
 def test_the_button_copies_the_commands_without_prompts_and_output(served: str, chromium: Browser) -> None:
     context = chromium.new_context(permissions=["clipboard-read", "clipboard-write"])
@@ -159,7 +155,6 @@ def test_the_button_copies_the_commands_without_prompts_and_output(served: str, 
     assert not any(line.startswith(("$", "daemon default")) for line in lines)
 
 
-@pytest.mark.foreign
 @needs_chromium
 def test_light_and_dark_follow_the_system(served: str, chromium: Browser) -> None:
     for system, scheme in (("light", "default"), ("dark", "slate")):
