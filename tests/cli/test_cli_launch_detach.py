@@ -75,10 +75,10 @@ def test_a_stop_waits_for_the_nodes_of_a_detached_launch(slidectl: CommandLine, 
 def test_a_detached_launch_that_fails_says_so_with_its_exit_code(slidectl: CommandLine, everything: str) -> None:
     path = Path(everything)
     path.write_text(path.read_text().replace("</launch>", '<node pkg="controller_manager" type="spawner" name="s"'
-                                             ' ns="/slider" args="nothing"/></launch>'))  # fmt: skip
+                                             ' ns="/slider" args="joint_state_controller"/></launch>'))  # fmt: skip
     done = slidectl("launch", everything, "--detach")
     assert done.returncode == 1
-    assert "no controller 'nothing'" in done.stderr
+    assert "cannot load joint_state_controller" in done.stderr
     nothing_is_left(slidectl.runtime)
 
 
