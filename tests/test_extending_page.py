@@ -11,12 +11,14 @@ from pathlib import Path
 
 import pytest
 from daemon_fixture import running_daemon
+from installed_package import WORKSHOP
 from pip_installed import install
 
 from slidectl import Simulation, description
 from slidectl.simulation.compiled import object_file
 
 ROOT = Path(__file__).parent.parent
+PARTS = ("commands", "udp_gateway", "clearance_sensor", "still_step")
 BLOCK = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
@@ -26,6 +28,13 @@ def example(section: str, file: Path) -> Path:
               if part.startswith(f"{section}\n")]  # fmt: skip
     file.write_text("\n".join(BLOCK.findall(text)), encoding="utf-8")
     return file
+
+
+@pytest.mark.parametrize("file", ["pyproject.toml", *(f"slidectl_workshop/{name}.py" for name in PARTS)])
+def test_the_page_shows_the_package_of_the_examples(file: str) -> None:
+    """Which tests/cli/test_cli_installed_packages.py uses."""
+    text = (WORKSHOP / file).read_text(encoding="utf-8")
+    assert text in (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
 
 
 @pytest.fixture
