@@ -4,7 +4,7 @@
 FROM python:3.13-slim
 
 COPY . /src
-RUN python -m pip install --no-cache-dir "/src[fast,mcap]" && rm -rf /src
+RUN python -m pip install --no-cache-dir "/src[fast,test]" && rm -rf /src
 RUN useradd --create-home robot && install -d -o robot -g robot -m 700 /run/slidectl
 USER robot
 ENV XDG_RUNTIME_DIR=/run/slidectl

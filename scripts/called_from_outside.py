@@ -97,8 +97,9 @@ _fmod, _physics_step, _update_controller, _put_element
 request_share_url
 
 # pytest calls these of the plugin, and users its fixtures.
-pytest_addoption, pytest_configure, pytest_runtest_makereport, pytest_collect_file
-collect, runtest, repr_failure, reportinfo
+pytest_addoption, pytest_configure, pytest_runtest_makereport, pytest_collect_file, pytest_runtestloop
+pytest_collection_modifyitems, pytest_runtest_logreport, pytest_sessionfinish, pytest_internalerror
+collect, setup, runtest, repr_failure, reportinfo
 slidectl_client, slidectl_daemon
 
 # Python asks modules for it, and loaders of modules for these.

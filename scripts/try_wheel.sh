@@ -67,8 +67,13 @@ echo '<launch><include file="$(find my_slider)/launch/slider.launch" pass_all_ar
 SLIDECTL_PACKAGE_PATH="$work/größe und weite" "$slidectl" launch mine all.launch --detach
 "$slidectl" daemon stop
 
-# The extra for tests: pytest finds the plugin by itself.
+# The extra for tests: scenarios run, and pytest finds the plugin by itself.
+echo 'steps: [spawn slider, robots]' > "$work/robot.yaml"
+if "$slidectl" test "$work/robot.yaml" 2> "$work/refused"; then echo "scenarios run without pytest" >&2; exit 1; fi
+grep -q "pip install 'slidectl\[test\]'" "$work/refused"
 "$work/venv/bin/python" -m pip install --quiet --disable-pip-version-check "$(echo "$work"/slidectl-*.whl)[test]"
+"$slidectl" test "$work/robot.yaml"
+"$slidectl" test "$work/robot.yaml" "$work/robot.yaml" -n 2
 cat > "$work/test_robot.py" <<'END'
 def test_robot(slidectl_client):
     slidectl_client.spawn("slider")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shlex
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -264,3 +265,19 @@ class CaseRun:
 
 def _late(outcome: StepOutcome, limit: str) -> StepOutcome:
     return outcome._replace(message=f"not done within {limit} of simulated time: {outcome.message}")
+
+
+def told(case: Case, result: CaseResult) -> list[str]:
+    """The lines that describe a failure."""
+    lines = [result.message]
+    lines += [result.hint] if result.hint else []
+    if result.detail.keys() >= {"expected", "value", "closest"}:
+        lines.append("expected {expected}; closest {closest}, last {value}".format(**result.detail))
+    if result.step:
+        lines.append(f"{case.file}:{result.line}: {result.section}: {result.step}")
+    if result.failed_at is not None:
+        lines.append(f"at {result.failed_at:.3f} s of simulated time")
+    if result.log:
+        lines += ["last lines of the log:", *(f"  {line}" for line in result.log)]
+    lines += [f"kept: {', '.join(result.kept)}"] if result.kept else []
+    return [*lines, f"to run it alone: slidectl test {shlex.quote(result.id)}"] if case.steps else lines

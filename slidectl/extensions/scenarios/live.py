@@ -44,7 +44,10 @@ class Live:
         self._socket = socket
         self._holder: Client | None = None
 
-    def warm(self, cases: Sequence[Case], commands: Commands) -> None:  # noqa: ARG002
+    def warm(self, commands: Commands, cases: Sequence[Case]) -> None:
+        """Do nothing: the daemon has the world."""
+
+    def hold(self, cases: Sequence[Case]) -> None:
         """Stop the daemon's own cycles until this process ends. Raises NoDaemon, Refused: cases cannot run in it."""
         client = self._holder = Client(socket=self._socket)
         client.call("/slidectl/step", {"news": True})

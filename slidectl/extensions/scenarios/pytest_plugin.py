@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from slidectl.client import Client
     from slidectl.daemon.in_process import InProcessWorld
     from slidectl.daemon.options import DaemonOptions
-    from slidectl.extensions.scenarios.scenario_file import Case
+    from slidectl.extensions.scenarios.stages import CaseRuns
 
 _MARKER = "slidectl"
 _WORLD = ("timestep", "gravity", "ground", "engine", "imports", "paused")
@@ -48,6 +48,8 @@ RECORDED_S = 60
 """The length of a recording: the last simulated seconds of the test, s."""
 _REPLAY_S = 300.0
 _RUN_S = 120.0
+_CASE_S = 60.0
+"""Wall seconds that a case of a scenario may take, unless its file says it, as in `slidectl test`."""
 _CLIENT_S = 30.0
 _LOG_LINES = 20
 _VARIABLES = ("SLIDECTL_INSTANCE", "SLIDECTL_SOCKET", "SLIDECTL_NAMESPACE")
@@ -381,54 +383,34 @@ class _ScenarioFile(pytest.File):
     def collect(self) -> Iterable[pytest.Item]:
         from slidectl.errors import BadFile
         from slidectl.extensions.scenarios import scenario_file
-        from slidectl.extensions.scenarios.commands.step_runner import StepRunner
+        from slidectl.extensions.scenarios.scenario_items import ScenarioItem
 
+        if _CASE_RUNS not in self.config.stash:
+            self.config.stash[_CASE_RUNS] = _case_runs(self.config)
+        runs = self.config.stash[_CASE_RUNS]
         mistakes: list[BadFile] = []
-        cases = scenario_file.read(str(self.path), StepRunner(), mistakes)
+        cases = scenario_file.read(os.path.relpath(self.path), runs.commands, mistakes)
         if mistakes:
             raise self.CollectError("\n".join(map(str, mistakes)))
         for case in cases:
-            yield _ScenarioItem.from_parent(self, name=case.name or case.scenario, case=case)
+            yield ScenarioItem.from_parent(self, name=case.name or case.scenario, case=case, runs=runs, timeout=_CASE_S)
 
 
-class _CaseFailed(Exception):
-    """A case has failed. The text is the report."""
+_CASE_RUNS = pytest.StashKey["CaseRuns"]()
 
 
-class _ScenarioItem(pytest.Item):
-    """A case of a scenario file; `slidectl test` runs it."""
+def _case_runs(config: pytest.Config) -> CaseRuns:
+    """The runs of all scenarios of this session."""
+    from slidectl.extensions.scenarios.commands.step_runner import StepRunner
+    from slidectl.extensions.scenarios.stages import CaseRuns, InProcess
 
-    def __init__(self, case: Case, **more: Any) -> None:
-        super().__init__(**more)
-        self._case = case
-        self.extra_keyword_matches |= set(case.tags)
-
-    def runtest(self) -> None:
-        from slidectl.extensions.scenarios.case_run import BAD, XFAILED, CaseResult
-        from slidectl.extensions.scenarios.junit import told
-
-        case, config = self._case, self.config
-        keep = config.getoption("slidectl_keep")
-        case_id = os.path.relpath(self.path) + case.id.removeprefix(str(self.path))
-        words = ["test", case_id, "--json", "-n", "1"]
-        if keep is not None and config.getoption("slidectl_record") != "none":
-            words += ["--keep-failed", str(config.invocation_params.dir / keep)]
-        done = _slidectl(words, _RUN_S + 2 * (case.timeout or _RUN_S))
-        if not done.stdout:
-            raise _CaseFailed(done.stderr)
-        result = CaseResult(**json.loads(done.stdout))
-        if result.verdict in BAD:
-            raise _CaseFailed("\n".join(told(case, result)))
-        if result.verdict == XFAILED:
-            pytest.xfail(case.xfail)
-
-    def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> Any:
-        if isinstance(excinfo.value, _CaseFailed):
-            return str(excinfo.value)
-        return super().repr_failure(excinfo, style)
-
-    def reportinfo(self) -> tuple[Path, int | None, str]:
-        return self.path, None, self.name
+    keep = config.getoption("slidectl_keep")
+    if keep is not None and config.getoption("slidectl_record") != "none":
+        keep = str(config.invocation_params.dir / keep)
+        os.makedirs(keep, exist_ok=True)
+    else:
+        keep = None
+    return CaseRuns(StepRunner(), InProcess(), SIM_TIMEOUT_S, keep, None)
 
 
 def _slidectl(

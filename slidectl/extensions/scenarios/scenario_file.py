@@ -149,7 +149,7 @@ def find(words: Sequence[str]) -> list[tuple[str, str]]:
     """Find files for FILE, FOLDER and FILE::CASE. Returns each with the case name (empty: all). Raises BadFile."""
     found: list[tuple[str, str]] = []
     for word in words:
-        path, _, case = word.partition("::")
+        path, case = _file_and_case(word)
         if os.path.isdir(path):
             if case:
                 raise BadFile(f"is a folder, and ::{case} is a case of a file", path)
@@ -161,6 +161,14 @@ def find(words: Sequence[str]) -> list[tuple[str, str]]:
         else:
             found.append((path, case))
     return list(dict.fromkeys(found))
+
+
+def _file_and_case(word: str) -> tuple[str, str]:
+    """The two of FILE::CASE. The name of a file may have `::` in it, too."""
+    parts = word.split("::")
+    ends = (end for end in range(len(parts), 0, -1) if os.path.exists("::".join(parts[:end])))
+    end = next(ends, 1)
+    return "::".join(parts[:end]), "::".join(parts[end:])
 
 
 def read(file: str, commands: Commands, mistakes: list[BadFile]) -> list[Case]:

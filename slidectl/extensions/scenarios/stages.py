@@ -35,17 +35,25 @@ _WARM = (
 
 @dataclass
 class CaseRuns:
-    """Runs cases with these commands, for workers. `keep` is an existing folder for recordings of failed cases."""
+    """Runs cases with these commands. `keep` is an existing folder for recordings of failed cases."""
 
     commands: Commands
     stages: InProcess | Live
     sim_timeout: float
     keep: str | None
     baselines: Baselines | None
+    cases: Sequence[Case] = ()
+    """Those of this run, where they are known before it begins."""
+    is_ready: bool = False
+
+    def prepare(self) -> None:
+        """Load in this process, once, what the cases need in theirs, which are forked from it."""
+        if not self.is_ready:
+            self.is_ready = True
+            self.stages.warm(self.commands, self.cases)
 
     def run(self, case: Case, temporary: str) -> CaseResult:
-        """Run a case in a worker process; output of commands goes to a file in the case's folder."""
-        _print_into(os.path.join(temporary, "output"))
+        """Run a case in its process; `temporary` is an existing folder for its files."""
         result = self._try(case, temporary)
         if self.keep is not None and result.was_ended:
             result.hint = "not recorded: for that it would run once more"
@@ -115,15 +123,6 @@ _LONGEST_NAME = 120
 _LONGEST_S = 1e9
 
 
-def _print_into(path: str) -> None:
-    """Redirect standard output and error of this process to a file, and make its input empty."""
-    file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o600)
-    empty = os.open(os.devnull, os.O_RDONLY)
-    os.dup2(file, 1)
-    os.dup2(file, 2)
-    os.dup2(empty, 0)
-
-
 # --- in this process ------------------------------------------------------------------------------------------------
 
 
@@ -133,16 +132,19 @@ class InProcess:
     has_journals: ClassVar[bool] = True
     """True when a case can write a journal, from which its recording is made."""
 
-    def warm(self, cases: Sequence[Case], commands: Commands) -> None:
+    def warm(self, commands: Commands, cases: Sequence[Case]) -> None:
         """Do once what most cases do, so that modules are imported, files are read and the engine is loaded.
 
         If the engine is not compiled yet, this starts the compiler. Cases that begin before it ends run in the
-        interpreter, with the same results.
+        interpreter, with the same results. For a single case it would only do everything twice.
         """
         from slidectl.daemon.in_process import InProcessWorld
+        from slidectl.simulation.compiled import object_file
         from slidectl.simulation.simulation import Simulation
 
         is_plain = {case.world.get("engine", "auto") for case in cases} == {"plain"}
+        if len(cases) == 1 and (is_plain or object_file.is_there() or not object_file.is_possible()):
+            return
         world = InProcessWorld(Simulation(engine="plain" if is_plain else "auto"))
         with world.client() as client, redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
             for line in _WARM:

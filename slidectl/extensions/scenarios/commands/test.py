@@ -5,13 +5,12 @@
 
 from __future__ import annotations
 
-import ast
+import gc
 import os
-import re
 import textwrap
 from collections import Counter
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Mapping, Sequence
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -20,24 +19,18 @@ from slidectl.cli import completion, output
 from slidectl.cli.commands import command, positive_seconds, simulated_seconds
 from slidectl.cli.context import Context
 from slidectl.cli.terminal_progress import progress_bar
-from slidectl.errors import EXIT_INTERRUPTED, EXIT_REFUSED, BadFile, UsageError, listing
-from slidectl.expressions import evaluate, parsed
+from slidectl.errors import EXIT_INTERRUPTED, EXIT_REFUSED, BadFile, Refused, UsageError, listing
 from slidectl.operating_system import usable_cores
 from slidectl.writing import check_writable
 
 if TYPE_CHECKING:
     from slidectl.extensions.scenarios.case_run import CaseResult
-    from slidectl.extensions.scenarios.live import Live
+    from slidectl.extensions.scenarios.commands.test_run import CaseRunner
     from slidectl.extensions.scenarios.scenario_file import Case
-    from slidectl.extensions.scenarios.stages import CaseRuns, InProcess
     from slidectl.extensions.scenarios.step_commands import Commands
 
 _VERDICTS = ("passed", "xfailed", "failed", "error", "xpassed")
 """In the order of the last output line."""
-_WORDS = re.compile(r"\(|\)|[^\s()]+")
-_MOST_WORDS = 100
-_OPERATORS = ("and", "or", "not", "(", ")")
-_ALLOWED = (ast.BoolOp, ast.UnaryOp, ast.Name, ast.boolop, ast.Not, ast.expr_context)
 
 
 @command(
@@ -100,6 +93,8 @@ def test(
     wall_time, steps, step, section, line, message, hint, detail, failed_at, log, kept, baseline, was_ended.
     """
     ctx: Context = click_context.obj
+    gc.disable()  # little is freed, and the search for it would take a tenth of the time of a short scenario
+    click_context.call_on_close(gc.enable)
     from slidectl.extensions.scenarios.commands.step_runner import StepRunner
 
     commands = StepRunner(live)
@@ -113,7 +108,12 @@ def test(
     if update_baseline and baseline is None:
         raise UsageError("--update-baseline needs the folder", "--baseline FOLDER")
     read, known = _read(ctx, paths, commands)
-    cases = _chosen(read, keyword, tags)
+    cases = _tagged(read, tags)
+    if keyword is not None:
+        _check_pytest()
+        from slidectl.extensions.scenarios.commands.test_run import chosen
+
+        cases = chosen(cases, keyword)
     if only_check:
         ctx.say(f"{output.count(len(cases), 'case')} checked, nothing wrong")
         return
@@ -122,33 +122,44 @@ def test(
     if only_list:
         _list(ctx, cases)
         return
-    from slidectl.extensions.scenarios import live as daemon_stage
-    from slidectl.extensions.scenarios import stages
+    _check_pytest()
     from slidectl.extensions.scenarios.baselines import Baselines
+    from slidectl.extensions.scenarios.commands.test_run import CaseRunner, RunOptions
 
     baselines = None if baseline is None else Baselines(baseline, update_baseline)
     ctx.close()
-    stage: InProcess | Live = daemon_stage.Live(ctx.paths.socket_text) if live else stages.InProcess()
+    socket = ctx.paths.socket_text if live else None
+    if socket is not None:
+        from slidectl.extensions.scenarios.live import Live
+
+        daemon = Live(socket)
+        daemon.hold(cases)  # until this function ends
     if keep_failed is not None:
         with output.writing_to(keep_failed):
             os.makedirs(keep_failed, exist_ok=True)
     if junitxml is not None:
         with output.writing_to(junitxml):
             check_writable(junitxml)  # before anything runs
-    runner = stages.CaseRuns(commands, stage, sim_timeout, keep_failed, baselines)
-    count = 1 if live else workers or usable_cores()
-    results, interrupted = _run(ctx, cases, lambda: stage.warm(cases, commands), runner, count, timeout, maxfail)
-    if baselines is not None and not interrupted:
-        for case, result in baselines.without_case(known):
-            cases.append(case)
-            results.append(result)
-    failed = _tell(ctx, cases, results)
+    options = RunOptions(timeout, sim_timeout, keep_failed, baselines, socket)
+    more = iter(()) if baselines is None else baselines.without_case(known)
+    runner = CaseRunner(cases, options, 1 if live else workers or usable_cores(), maxfail, more)
+    fault = _run(ctx, runner)
+    failed = _tell(ctx, runner.cases, runner.results)
+    if fault is not None:
+        raise fault
     if junitxml is not None:
-        _write_junit(junitxml, cases, results)
-    if interrupted:
+        output.save(junitxml, runner.junit)
+    if runner.interrupted:
         click_context.exit(EXIT_INTERRUPTED)
     if failed:
         click_context.exit(EXIT_REFUSED)
+
+
+def _check_pytest() -> None:
+    """Raise Refused when a library is not installed with which scenarios run."""
+    for module, library in (("pytest", "pytest"), ("xdist", "pytest-xdist")):
+        if find_spec(module) is None:
+            raise Refused(f"scenarios run with the library {library}", "install it: pip install 'slidectl[test]'")
 
 
 # --- choice of cases ------------------------------------------------------------------------------------------------
@@ -179,13 +190,13 @@ def _read(ctx: Context, paths: Sequence[str], commands: Commands) -> tuple[list[
     raise BadFile(mistakes[0].reason, mistakes[0].file, mistakes[0].line, hint or None)
 
 
-def _chosen(cases: Sequence[Case], keyword: str | None, tags: Sequence[str]) -> list[Case]:
-    fits = (lambda _: True) if keyword is None else _keyword(keyword)
+def _tagged(cases: Sequence[Case], tags: Sequence[str]) -> list[Case]:
+    """The cases with one of the tags; all without tags. Raises UsageError: no case has one of them."""
     known = {tag for case in cases for tag in case.tags}
     for tag in tags:
         if tag not in known:
             raise UsageError(f"no case has the tag {tag!r}", f"tags: {', '.join(sorted(known)) or 'none'}")
-    return [case for case in cases if fits(case) and (not tags or set(tags) & set(case.tags))]
+    return [case for case in cases if not tags or set(tags) & set(case.tags)]
 
 
 def _list(ctx: Context, cases: Sequence[Case]) -> None:
@@ -196,76 +207,38 @@ def _list(ctx: Context, cases: Sequence[Case]) -> None:
     ctx.emit_rows(rows, ["id", "tags", "xfail", "steps"])
 
 
-def _keyword(text: str) -> Callable[[Case], bool]:
-    """The predicate of `-k`: words in a case's id, name or tags, with and, or, not. Raises UsageError."""
-    words = {f"word{index}": word for index, word in enumerate(_WORDS.findall(text))}
-    tree = None
-    with suppress(SyntaxError):
-        tree = parsed(" ".join(word if word in _OPERATORS else name for name, word in words.items()))
-    if tree is None or len(words) > _MOST_WORDS or not all(isinstance(node, _ALLOWED) for node in ast.walk(tree)):
-        raise UsageError(f"-k takes words with and, or, not and ( ), not {text!r}")
-
-    def fits(case: Case) -> bool:
-        name = " ".join([case.id, case.scenario, *case.tags]).lower()
-        return bool(evaluate(tree, {variable: word.lower() in name for variable, word in words.items()}))
-
-    return fits
-
-
 # --- running --------------------------------------------------------------------------------------------------------
 
 
-def _run(
-    ctx: Context,
-    cases: Sequence[Case],
-    warm: Callable[[], None],
-    runner: CaseRuns,
-    count: int,
-    timeout: float,
-    maxfail: int | None,
-) -> tuple[list[CaseResult], bool]:
-    """Run the cases, `count` at a time. Returns the results so far, and whether Ctrl-C ended the run."""
-    from slidectl.extensions.launch.supervision import Interrupted, Interrupts
+def _run(ctx: Context, runner: CaseRunner) -> Exception | None:
+    """Run the cases, and show how far it is. Returns what has ended the run early: its results are there."""
     from slidectl.extensions.scenarios.case_run import BAD
-    from slidectl.extensions.scenarios.workers import WorkerPool
 
-    results: list[CaseResult] = []
     failures = Counter[str]()
-    with suppress(Interrupted), Interrupts() as interrupts:
-        with interrupts.raised():
-            warm()
-        with (
-            progress_bar(ctx, len(cases), "cases") as show,
-            WorkerPool(runner.run, count, timeout, lambda: bool(interrupts.received)) as pool,
-        ):
-            for result in pool.results(cases):
-                results.append(result)
-                if result.verdict in BAD:
-                    failures[result.verdict] += 1
-                show(len(results), ", ".join(f"{number} {verdict}" for verdict, number in failures.items()))
-                if maxfail is not None and failures.total() >= maxfail:
-                    break
-            results += pool.ended()
-    return results, bool(interrupts.received)
+    with progress_bar(ctx, len(runner.cases), "cases") as show:
 
+        def count(result: CaseResult) -> None:
+            if result.verdict in BAD:
+                failures[result.verdict] += 1
+            show(len(runner.results), ", ".join(f"{number} {verdict}" for verdict, number in failures.items()))
 
-def _write_junit(path: str, cases: Sequence[Case], results: Sequence[CaseResult]) -> None:
-    """Write the results as JUnit XML. Raises BadFile."""
-    from slidectl.extensions.scenarios.junit import junit
-
-    output.save(path, junit(cases, results))
+        try:
+            runner.run(count)
+        except OSError as error:  # the disk with the folder for temporary files is full
+            return Refused(f"not all cases have run: {error.filename or 'the run'}: {error.strerror or error}")
+        except RuntimeError as error:
+            return error
+    return None
 
 
 # --- output ---------------------------------------------------------------------------------------------------------
 
 
-def _tell(ctx: Context, cases: Sequence[Case], results: Sequence[CaseResult]) -> int:
+def _tell(ctx: Context, cases: Sequence[Case], results: Mapping[str, CaseResult]) -> int:
     """Print the results in the order of the cases. Returns how many failed."""
-    from slidectl.extensions.scenarios.case_run import BAD
-    from slidectl.extensions.scenarios.junit import told
+    from slidectl.extensions.scenarios.case_run import BAD, told
 
-    by_id = {result.id: result for result in results}
-    ran = [(case, by_id[case.id]) for case in cases if case.id in by_id]
+    ran = [(case, results[case.id]) for case in cases if case.id in results]
     failures = [(case, result) for case, result in ran if result.verdict in BAD]
     rows: list[dict[str, Any]] = [
         result.as_dict() | {"sim_time": round(result.sim_time, 9), "wall_time": round(result.wall_time, 3)}
