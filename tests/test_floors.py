@@ -13,7 +13,7 @@ from pathlib import Path
 PACKAGE = Path(__file__).parent.parent / "slidectl"
 
 FLOORS = {
-    "effects": 0, "errors": 0, "local_peers": 0,
+    "confined": 0, "effects": 0, "errors": 0, "local_peers": 0,
     "names": 0, "expressions": 0, "fault_kinds": 0, "file_reads": 0, "held_bytes": 0, "input_files": 0,
     "operating_system": 0, "paths": 0,
     "logfile": 1, "processes": 1,
@@ -41,6 +41,7 @@ SAME_FLOOR = {
 }
 
 FORBIDDEN = {
+    "confined": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket", "threading"},
     "effects": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "local_peers": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml"},
     "errors": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
