@@ -6,6 +6,8 @@ enforces the limits, so no code in the process can avoid them. Standard library 
 
 from __future__ import annotations
 
+import gc
+import importlib
 import os
 import resource
 import signal
@@ -16,7 +18,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
-from slidectl.operating_system import end_with, limit_new_memory
+from slidectl.operating_system import LINUX, end_with, limit_new_memory
 
 _LARGEST_DESCRIPTOR = 2**31 - 1
 _PIECE = 1 << 20
@@ -55,6 +57,8 @@ class EndedError(Exception):
 
 def fork() -> int:
     """`os.fork`, without Python's warning of threads: the child may use nothing that another thread holds a lock of."""
+    if LINUX:
+        importlib.import_module("ctypes")  # once here, and not in each child, where end_with needs it
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
         return os.fork()
@@ -131,6 +135,7 @@ def _work(work: Callable[[], bytes], limits: Limits, writing: int, parent: int) 
     code = 1
     try:
         confine(limits, writing, parent)
+        gc.freeze()  # a collection that looks at the parent's objects would copy all their memory
         nowhere = os.open(os.devnull, os.O_RDWR)
         for stream in range(3):
             os.dup2(nowhere, stream)
