@@ -377,29 +377,18 @@ def resident_bytes() -> int:
     return most if sys.platform == "darwin" else 1024 * most
 
 
-def limit_new_memory(most_bytes: int) -> tuple[int, int] | None:
+def limit_new_memory(most_bytes: int) -> None:
     """Limit the memory that this process may map from now on, within the limit that it has.
 
-    Returns:
-        The limit before, soft and hard, for `restore_memory_limit`; None where what is mapped is not told, so that
-        there is no limit.
+    There is no limit where the system does not tell what is mapped.
     """
     if not LINUX:
-        return None
+        return
     import resource
 
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)
     known = [limit for limit in (soft, hard) if limit != resource.RLIM_INFINITY]
     resource.setrlimit(resource.RLIMIT_AS, (min([_statm(0) + most_bytes, *known]), hard))
-    return soft, hard
-
-
-def restore_memory_limit(before: tuple[int, int] | None) -> None:
-    """Undo `limit_new_memory`."""
-    import resource
-
-    if before is not None:
-        resource.setrlimit(resource.RLIMIT_AS, before)
 
 
 def _statm(column: int) -> int:

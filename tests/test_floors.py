@@ -13,7 +13,7 @@ from pathlib import Path
 PACKAGE = Path(__file__).parent.parent / "slidectl"
 
 FLOORS = {
-    "command_steps": 0, "effects": 0, "entry_points": 0, "errors": 0, "local_peers": 0,
+    "command_steps": 0, "confined": 0, "effects": 0, "entry_points": 0, "errors": 0, "local_peers": 0,
     "names": 0, "expressions": 0, "fault_kinds": 0, "input_files": 0,
     "operating_system": 0, "paths": 0, "wire": 0,
     "logfile": 1, "processes": 1,
@@ -43,6 +43,7 @@ SAME_FLOOR = {
 FORBIDDEN = {
     "command_steps": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "entry_points": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
+    "confined": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket", "threading"},
     "effects": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "local_peers": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml"},
     "errors": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},

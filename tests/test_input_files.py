@@ -145,6 +145,7 @@ ELSEWHERE = {
     "cli/__init__.py": "/dev/null in the place of closed standard streams",
     "cli/daemon.py": "the log of the instance, which slidectl wrote",
     "cli/detached.py": "the log of a process that slidectl started: written, and read with a lock",
+    "confined.py": "/dev/null, and a pipe to the parent process",
     "daemon/lifecycle.py": "a pipe to the new daemon",
     "daemon/mesh_reader.py": "a pipe to the daemon",
     "local_peers.py": "/proc",

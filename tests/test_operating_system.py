@@ -6,6 +6,7 @@ import errno
 import fcntl
 import importlib.util
 import os
+import resource
 import select
 import signal
 import socket
@@ -188,9 +189,10 @@ def test_room_on_the_disk_is_there_or_refused(ways: ModuleType, tmp_path: Path) 
 
 def test_memory_is_told_and_bounded_where_it_can_be(ways: ModuleType) -> None:
     assert 1 << 20 < ways.resident_bytes() < 1 << 40
-    before = ways.limit_new_memory(1 << 40)
-    ways.restore_memory_limit(before)
-    assert (before is None) == (not ways.LINUX)
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    ways.limit_new_memory(1 << 40)
+    assert (resource.getrlimit(resource.RLIMIT_AS) == before) == (not ways.LINUX)
+    resource.setrlimit(resource.RLIMIT_AS, before)
     assert ways.usable_cores() >= 1
     assert ways.tells_owners_of_connections() == ways.LINUX
     ways.set_timer_slack(ways.set_timer_slack(1))

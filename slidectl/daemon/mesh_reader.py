@@ -8,42 +8,31 @@ from __future__ import annotations
 
 import io
 import os
-import resource
 import select
 import signal
 import struct
-import warnings
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 
+from slidectl.confined import Limits, confine, fork
 from slidectl.description.meshes import BadMesh
 from slidectl.errors import Refused
 from slidectl.event_loop import READ, EventLoop
-from slidectl.operating_system import end_with, limit_new_memory
 from slidectl.physics import hulls
 from slidectl.physics.hulls import Hull, MeshSource
 from slidectl.simulation.pending import Pending
 
-MOST_CPU_S = 30
-"""CPU time for all meshes of a robot, s."""
-MOST_S = 60
-"""Wall time, with waits, s: a file on a network may not answer."""
-MOST_MEMORY = 2 * 2**30
-"""Bytes, in addition to the daemon's own."""
+LIMITS = Limits(cpu_s=30, wall_s=60, new_bytes=2 * 2**30)
+"""Of the process that reads all meshes of a robot."""
 AT_ONCE = 2
 """The number of processes at once. Further jobs wait."""
 
 _NICER = 10
 _PIECE = 1 << 16
-_LARGEST_DESCRIPTOR = 2**31 - 1
 _RESULT = struct.Struct("<?II")
 """One result: True for a hull, the length of its name (or of the reason why there is none), the length of its file."""
-_WHY = {
-    signal.SIGXCPU: f"reading it took more than {MOST_CPU_S} s",
-    signal.SIGALRM: f"it could not be read within {MOST_S} s",
-}
 
 
 class MeshReader:
@@ -137,10 +126,7 @@ class _Job:
         parent = os.getpid()
         reading, writing = os.pipe()
         try:
-            with warnings.catch_warnings():
-                # Python warns of threads: those of numpy's linear algebra, which are idle.
-                warnings.simplefilter("ignore", DeprecationWarning)
-                self.pid = os.fork()
+            self.pid = fork()  # numpy's linear algebra has threads, which are idle
         except OSError:
             os.close(reading)
             os.close(writing)
@@ -166,7 +152,7 @@ class _Job:
             is_hull, text_length, file_length = _RESULT.unpack(header) if len(header) == _RESULT.size else (False, 0, 0)
             text, content = str(said.read(text_length), "utf-8", "replace"), said.read(file_length)
             if not text or len(content) < file_length:
-                self.results[source] = BadMesh(_why(status), source.path)
+                self.results[source] = BadMesh(f"cannot read the mesh: {LIMITS.reason(status)}", source.path)
             elif is_hull:
                 self.results[source] = hull = Hull(text, content)
                 self.unprepared.extend(hull.parts)
@@ -174,19 +160,12 @@ class _Job:
                 self.results[source] = BadMesh(text, source.path)
 
 
-def _why(status: int) -> str:
-    """The reason why a process ended early."""
-    if os.WIFSIGNALED(status):
-        number = signal.Signals(os.WTERMSIG(status))
-        return f"cannot read the mesh: {_WHY.get(number, f'the process that read it was ended by {number.name}')}"
-    return "cannot read the mesh: the process that read it failed"
-
-
 def _work(sources: Sequence[MeshSource], writing: int, parent: int) -> None:
     """Run the process: read, write the results, exit. It never returns into the daemon's code."""
     code = 1
     try:
-        _confine(writing, parent)
+        confine(LIMITS, writing, parent)
+        os.nice(_NICER)
         with os.fdopen(writing, "wb") as pipe:
             for source in sources:
                 result = hulls.read(source)
@@ -197,27 +176,3 @@ def _work(sources: Sequence[MeshSource], writing: int, parent: int) -> None:
         code = 0
     finally:
         os._exit(code)
-
-
-def _confine(writing: int, parent: int) -> None:
-    """Restrict this process: limits of time and memory, no inherited descriptors, and an end with the daemon."""
-    signal.set_wakeup_fd(-1)
-    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGXCPU, signal.SIGALRM):
-        signal.signal(number, signal.SIG_DFL)
-    if not end_with(parent, signal.SIGKILL):
-        os._exit(1)
-    # A copy of the clients' sockets or the lock must not stay open here after the daemon's end.
-    os.closerange(3, writing)
-    os.closerange(writing + 1, _LARGEST_DESCRIPTOR)
-    os.nice(_NICER)
-    limit_new_memory(MOST_MEMORY)
-    _limit(resource.RLIMIT_CPU, MOST_CPU_S)
-    _limit(resource.RLIMIT_CORE, 0)
-    signal.alarm(MOST_S)
-
-
-def _limit(what: int, most: int) -> None:
-    """Set a resource limit, at most the present hard limit."""
-    _, hard = resource.getrlimit(what)
-    most = most if hard == resource.RLIM_INFINITY else min(most, hard)
-    resource.setrlimit(what, (most, hard))

@@ -34,10 +34,10 @@ def angle(text: str, tag: str) -> float:
             return float(_inside(text, "deg")) * math.pi / 180.0
         except ValueError:
             raise ValueError("expected one number of degrees; rad(...) takes a sum") from None
-    from slidectl.expressions import ExpressionError, compute
+    from slidectl.expressions import ExpressionError, evaluate, parsed
 
     try:
-        value = compute(_inside(text, "rad"), {"pi": math.pi})
+        value = evaluate(parsed(_inside(text, "rad")), {"pi": math.pi})
     except (SyntaxError, NameError, TypeError, ExpressionError):
         raise ValueError("expected an expression of numbers and pi") from None
     if type(value) not in (int, float):

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 from slidectl.errors import NoFileThere, NotThere
 
@@ -78,6 +78,19 @@ class Missing:
         elif loss and not known.loss:
             self._found[key] = replace(known, loss=loss, is_node=is_node)
 
+    def records(self) -> list[Any]:
+        """What was noted, as JSON values, for `add` in another process."""
+        return [
+            [isinstance(e, NoFileThere), one.loss, [e.reason, e.file, e.line, e.hint, e.thing]]
+            for one in self.found
+            for e in (one.error,)
+        ]
+
+    def add(self, records: Iterable[Any]) -> None:
+        """Note what another process has noted."""
+        for is_file, loss, place in records:
+            self.note((NoFileThere if is_file else NotThere)(*place), loss)
+
     def forgives(self, absence: Absence) -> bool:
         """True when an absence is no error."""
         if absence.is_required:
@@ -138,14 +151,9 @@ def write_notes(missing: Missing, environment: Mapping[str, str] = os.environ) -
     """Append what is missing to the file of the launch, one JSON record a line. Nothing without such a file."""
     if notes := environment.get(_NOTES):
         with open(notes, "a", encoding="utf-8") as file:
-            for one in missing.found:
-                is_file = isinstance(one.error, NoFileThere)
-                place = [one.error.reason, one.error.file, one.error.line, one.error.hint, one.error.thing]
-                file.write(json.dumps([is_file, one.loss, place]) + "\n")
+            file.writelines(json.dumps(record) + "\n" for record in missing.records())
 
 
 def read_notes(missing: Missing, text: str) -> None:
     """Add what another process has written with `write_notes`."""
-    for line in text.splitlines():
-        is_file, loss, place = json.loads(line)
-        missing.note((NoFileThere if is_file else NotThere)(*place), loss)
+    missing.add(json.loads(line) for line in text.splitlines())

@@ -11,6 +11,7 @@ import os
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 from slidectl import paths
 from slidectl.errors import BadFile, UnknownName
@@ -60,6 +61,18 @@ class Packages:
             self.note_own(name, found[0])
             return found[0]
         raise UnknownPackage(name, [*self.names(), *self._shipped()], self._looked())
+
+    def learned(self) -> list[dict[str, Any]]:
+        """What was found, as JSON values, for `learn` in another process."""
+        below = {str(top): {name: str(path) for name, path in found.items()} for top, found in self._found.items()}
+        return [below, {name: str(path) for name, path in self.own.items()}]
+
+    def learn(self, learned: list[dict[str, Any]]) -> None:
+        """Take over what another process has found."""
+        below, own = learned
+        for top, found in below.items():
+            self._found.setdefault(Path(top), {name: Path(path) for name, path in found.items()})
+        self.own.update({name: Path(path) for name, path in own.items()})
 
     def note_own(self, name: str, folder: Path) -> None:
         """Record that a folder is used as the package if a shipped package has the same name."""

@@ -1,69 +1,61 @@
-"""Runs xacro on a tree of elements. Only this file touches the insides of the xacro package.
+"""Runs xacro on a tree of elements, in a process of its own with limits. Only this file touches xacro's insides.
 
-xacro 2.1 has no public way to report errors by line, to look packages up without ament, to compute expressions without
-Python's `eval`, or to bound the work. So these names of its modules are replaced while a model is expanded:
+Against: a model that was sent. Its expressions may compute for ever, fill the memory, or try to run code: the limits of
+the process end the first two, and slidectl.description.guarded_eval refuses the third.
 
-* `eval_all`, `check_attrs`, `handle_macro_call`, `process_include` are wrapped: they record the element that xacro
-  works on (for file and line of an error), count the steps, and leave out what does not exist;
-* `parse` reads included files within bounds, into nodes that know their lines;
+xacro 2.1 has no public way to look packages up without ament, or to tell errors by line. So some names of its modules
+are replaced, in that process alone:
+
+* `parse` reads included files into nodes that know their lines, and `open` those of YAML: regular ones, within bounds;
 * `warning`, `error`, `message`, `print_location` print; here warnings become notices, and no terminal codes are sent;
-* `safe_eval`, and `eval` in `substitution_args`, call Python's `eval`; here our evaluator does it, which is safe;
-* `__builtins__`, `math`, `load_yaml` and `tokenize` are passed to expressions by `create_global_symbols`; ours are
-  bounded;
-* `_global_symbols`, `all_includes`, `substitution_args_context`, and `_eval_dict` and `_eval_find` of
-  `substitution_args`, are the state of a run, which xacro keeps in modules: here each run has its own.
+* `handle_macro_call` and `process_include` are wrapped: they leave out what does not exist;
+* `safe_eval`, and `eval` of `substitution_args`, are those of guarded_eval;
+* `_eval_find` of `substitution_args` looks packages up.
 
-`resolve_macro`, `replace_node`, `init_stacks`, `filestack`, `XacroException`, `NameSpace`, the wrappers of YAML values
-and `ConstructUnits` are used unchanged. pyproject.toml pins the versions for which this holds, and a test compares
-xacro's functions with the versions that were reviewed.
+Where xacro is in the file is read off the frames of its functions, whose parameters hold the element at work.
+pyproject.toml pins the versions for which this holds, and a test compares xacro's functions with the versions that were
+reviewed.
 """
 
 from __future__ import annotations
 
-import builtins
-import contextlib
 import errno
-import math
+import io
+import json
 import os
-import re
+import signal
 import sys
-import time
-from collections import ChainMap
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
-from typing import Any
+from types import FrameType
+from typing import Any, NoReturn
 from xml.dom import minidom
 
 import xacro
 from xacro import substitution_args
+from yaml import YAMLError
 
-from slidectl import input_files
-from slidectl.description import xml_tree
+from slidectl import confined, input_files
+from slidectl.confined import Limits
+from slidectl.description import guarded_eval, xml_tree, yaml_tree
 from slidectl.description.missing import Missing
 from slidectl.description.packages import Packages, UnknownPackage, shown
 from slidectl.description.robot import Notice
 from slidectl.description.xml_tree import Comment, Element
 from slidectl.errors import BadFile, NoFileThere, NotThere, Refused, SlidectlError, listing
-from slidectl.expressions import FUNCTIONS, MATH, compute
-from slidectl.operating_system import limit_new_memory, restore_memory_limit
 
-MOST_MEMORY = 1 << 30
-"""The most memory of a run on top of that of the process, bytes."""
-MOST_STEPS = 30_000
-"""The most elements that xacro works on; a humanoid takes about ten thousand."""
-MOST_SECONDS = 30.0
-"""The most time of a run, s of processor time, so that the limit does not depend on other load."""
-MOST_YAML_VALUES = 50_000
-_MOST_DIGITS = 400
+LIMITS = Limits(cpu_s=15, wall_s=60, new_bytes=1 << 30)
+"""Of a run. A humanoid takes about a second."""
+_MOST_RESULT = 256 << 20
+"""The most bytes of a result: the elements with their files and lines."""
 
 _PREFIX = "xacro:"
 _NOWHERE = "/no-such-package/"
 """Replaces the folder of a missing package, so that the rest of the file is still read."""
-_WRAPPED = ("eval_all", "check_attrs", "handle_macro_call", "process_include")
-_PLAIN = (bool, int, float, complex, str, bytes, list, tuple, dict, set, frozenset, type(None))
 _DOTTED = (xacro.NameSpace, xacro.YamlDictWrapper)
-_NUMBERS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
+_AT_WORK = ("node", "elt", "tag")
+"""The names of parameters of xacro's functions that hold the element at work."""
+_XACRO = xacro.eval_all.__code__.co_filename
 
 # The tags that xacro took without their prefix until ROS Kinetic, each with a mandatory attribute, which separates them
 # from tags of other languages with the same names.
@@ -82,9 +74,27 @@ def expand(
     define.
 
     Raises:
-        BadFile: an error of xacro, with file and line; also a missing thing that xacro cannot do without.
+        BadFile: an error of xacro, with file and line; also a missing thing that xacro cannot do without, and a limit.
+        Refused: no process can be started.
     """
-    return _Run(root, path, arguments, packages, missing).expand()
+    try:
+        said = confined.run(_Run(root, path, arguments, packages, missing).said, LIMITS, _MOST_RESULT)
+    except confined.EndedError as error:
+        raise BadFile(f"cannot expand it: {error}", root.file) from None
+    except OSError as error:
+        raise Refused(f"no process can be started to run xacro: {error.strerror}") from None
+    result = json.loads(said)
+    sys.stderr.write("".join(f"{line}\n" for line in result["messages"]))
+    packages.learn(result["packages"])
+    missing.add(result["missing"])
+    if (trouble := result["error"]) is not None:
+        missing.refuse()  # something missing is the most frequent reason
+        raise BadFile(*trouble)
+    return _to_element(result["root"]), [Notice("ignored" if n[0] else "wrong", *n[1:]) for n in result["notices"]]
+
+
+class _OutOfTime(BaseException):
+    """The CPU time is used up. No `except Exception` of xacro catches it."""
 
 
 class _Arguments(dict[str, str]):
@@ -104,7 +114,7 @@ class _Arguments(dict[str, str]):
 
 
 class _Run:
-    """One run. `here` is the node that xacro works on, `calls` the macro calls around it."""
+    """One run, in a process of its own, where nothing needs to be put back."""
 
     def __init__(
         self, root: Element, path: Path | None, arguments: Mapping[str, str], packages: Packages, missing: Missing
@@ -120,112 +130,85 @@ class _Run:
         self.lacks_macros = False
         """True when an include was left out: unknown macros may have been defined there."""
         self.bare_macros: set[str] = set()
-        self.notices: list[Notice] = []
-        self.calls: list[_Node] = []
-        self.steps = 0
-        self.began_s = time.process_time()
-        self.document = self.prefixed(root)
-        self.top: Any = self.document.documentElement
-        self.here: Any = self.top
+        self.notices: list[tuple[bool, str, str, str, int | None]] = []
+        """True for a thing without effect, and the other fields of a Notice."""
+        self.messages: list[str] = []
 
-    def expand(self) -> tuple[Element, list[Notice]]:
+    def said(self) -> bytes:
+        """Run xacro. Returns JSON: the expanded `root` or an `error`, and what is to tell beside it."""
+        signal.signal(signal.SIGXCPU, _out_of_time)
+        root: list[Any] | None = None
+        error: BadFile | None = None
         try:
-            with self.replaced_insides(), contextlib.redirect_stdout(sys.stderr), _bounded_memory():
-                xacro.init_stacks(str(self.path.absolute()) if self.path is not None else None)
-                xacro.process_doc(self.document, mappings=self.arguments)
-        except Exception as error:  # expressions of the file may raise any exception
-            self.missing.refuse()  # something missing is the most frequent reason
-            raise self.explained(error) from (None if isinstance(error, SlidectlError) else error)
+            document: Any = self.prefixed(self.root)
+            self.replace_insides()
+            xacro.init_stacks(str(self.path.absolute()) if self.path is not None else None)
+            xacro.process_doc(document, mappings=self.arguments)
+            root = _plain(document.documentElement)
+        except (Exception, _OutOfTime) as reason:  # expressions of the file may raise any exception
+            error = self.explained(reason)
         declared = listing(self.arguments.asked)
-        for name in self.given.keys() - self.arguments.asked:
+        for name in sorted(self.given.keys() - self.arguments.asked):
             text = f"the file has no such argument and it has no effect; arguments: {declared}"
-            self.notices.append(Notice("ignored", f"{name}:=", text, self.root.file, None))
-        return _to_element(self.top), self.notices
+            self.notices.append((True, f"{name}:=", text, self.root.file, None))
+        result = {
+            "root": root,
+            "error": None if error is None else (error.reason, error.file, error.line, error.hint),
+            "notices": self.notices,
+            "messages": self.messages,
+            "missing": self.missing.records(),
+            "packages": self.packages.learned(),
+        }
+        return json.dumps(result).encode()
 
     # --- replacements of xacro's own functions ------------------------------------------------------------------------
 
-    @contextlib.contextmanager
-    def replaced_insides(self) -> Iterator[None]:
-        """Replace names in xacro's modules by ours until the end of the block."""
-        self.original = {name: getattr(xacro, name) for name in _WRAPPED}
-        own = (*_WRAPPED, "parse", "warning", "error", "message", "print_location", "safe_eval", "load_yaml")
-        state = {
-            "tokenize": _tokenize,
-            "all_includes": [],
-            "substitution_args_context": {"filename": str(self.path) if self.path is not None else None},
-        }
-        # Some functions of Python's math module may take forever.
-        names = {name: value for name, value in substitution_args._eval_dict.items() if name not in vars(math)}
-        evaluation = {
-            "eval": self.eval_argument,
-            "_eval_find": self.find,
-            "_eval_dict": {**names, **MATH, "find": self.find},
-        }
-        with (
-            _replaced(xacro, {**state, **{name: getattr(self, name) for name in own}}),
-            _replaced(substitution_args, evaluation),
-        ):
-            # xacro passes these to expressions; its own code does not call them.
-            taken = {**vars(builtins), **FUNCTIONS, "type": _type}
-            with _replaced(xacro, {"__builtins__": taken, "math": SimpleNamespace(**MATH)}):
-                self.symbols = xacro.create_global_symbols()
-            del self.symbols["python"]["vars"]
-            xacro._global_symbols = self.symbols
-            yield
-
-    def eval_all(self, node: Any, macros: Any, symbols: Any) -> None:
-        before, self.here = self.here, node
-        self.steps += 1
-        too_much = f"unfolds to more than {MOST_STEPS} elements" if self.steps > MOST_STEPS else None
-        if time.process_time() - self.began_s > MOST_SECONDS:
-            too_much = f"takes more than {MOST_SECONDS:g} s to expand"
-        if too_much:
-            raise Refused(too_much, "do macros call each other many times over?")
-        self.original["eval_all"](node, macros, symbols)
-        self.here = before
-
-    def check_attrs(self, node: Any, required: list[str], optional: list[str]) -> Any:
-        self.here = node
-        return self.original["check_attrs"](node, required, optional)
+    def replace_insides(self) -> None:
+        """Replace names in xacro's modules by ours."""
+        self.macro_call = xacro.handle_macro_call
+        self.include = xacro.process_include
+        own = ("parse", "warning", "error", "message", "print_location", "safe_eval")
+        for name in ("handle_macro_call", "process_include", *own):
+            setattr(xacro, name, getattr(self, name))
+        xacro.open = _opened
+        substitution_args.eval = self.eval_argument
+        substitution_args._eval_find = substitution_args._eval_dict["find"] = self.find
+        xacro.substitution_args_context["filename"] = str(self.path) if self.path is not None else None
+        # Expressions get the functions that are replaced here. `vars`, and `type` of all things, lead to code.
+        xacro._global_symbols = symbols = xacro.create_global_symbols()
+        symbols["python"]["type"] = guarded_eval.type_of
+        del symbols["python"]["vars"]
 
     def handle_macro_call(self, node: Any, macros: Any, symbols: Any) -> Any:
         if node.tagName in self.bare_macros:
             node.tagName = node.nodeName = f"{_PREFIX}{node.tagName}"
-        if not node.tagName.startswith(_PREFIX):
-            return False
-        before, self.here = self.here, node
         name = node.tagName.removeprefix(_PREFIX)
-        if self.lacks_macros and name != "call" and _is_unknown(name, macros, symbols):
-            if self.missing.keeps_going:
-                error = NotThere(f"no macro {name!r}", node.file, node.line, thing=f"macro {name}")
-                self.missing.note(error, f"<{node.tagName}> is left out")
-            xacro.replace_node(node, by=None)
-            result: Any = True
-        else:
-            self.calls.append(node)
-            result = self.original["handle_macro_call"](node, macros, symbols)
-            self.calls.pop()
-        self.here = before
-        return result
+        if not (self.lacks_macros and name not in (node.tagName, "call") and _is_unknown(name, macros, symbols)):
+            return self.macro_call(node, macros, symbols)
+        if self.missing.keeps_going:
+            error = NotThere(f"no macro {name!r}", node.file, node.line, thing=f"macro {name}")
+            self.missing.note(error, f"<{node.tagName}> is left out")
+        xacro.replace_node(node, by=None)
+        return True
 
     def process_include(self, node: Any, macros: Any, symbols: Any, function: Any) -> None:
         """Include a file; a missing file is noted and left out."""
-        before, depth = self.here, len(xacro.filestack)
+        depth = len(xacro.filestack)
         try:
-            self.original["process_include"](node, macros, symbols, function)
+            self.include(node, macros, symbols, function)
         except xacro.XacroException as error:
             file = error.exc.filename if isinstance(error.exc, FileNotFoundError) else None
-            if file is None or self.here is not node:
+            at_work, called = _raised_at(error)
+            if file is None or at_work is None or at_work is not node:
                 raise
             del xacro.filestack[depth:]
             text = f"no such file or directory: {file}"
-            absent: NotThere = NoFileThere(text + self.called(), node.file, node.line, thing=text)
+            absent: NotThere = NoFileThere(text + called, node.file, node.line, thing=text)
             if file.startswith(_NOWHERE):
                 absent = self.unknown[file.removeprefix(_NOWHERE).partition("/")[0]]
             self.missing.note(absent, "what it includes is left out")
             self.lacks_macros = True
             xacro.replace_node(node, by=None)
-        self.here = before
 
     def parse(self, text: Any, filename: str) -> minidom.Document:
         """Read an included file. For a missing file it raises XacroException, which optional includes catch."""
@@ -239,64 +222,35 @@ class _Run:
         return self.prefixed(xml_tree.read(content, shown(Path(filename))))
 
     def warning(self, *words: object, **_: object) -> None:
-        self.notices.append(Notice("wrong", "xacro", _printable(words), self.here.file, self.here.line))
+        node = _here()[0] or self.root
+        self.notices.append((False, "xacro", _printable(words), node.file, node.line))
 
     def error(self, *words: object, **_: object) -> None:
         self.warning(*words)  # not an alias: xacro passes it to expressions under the function's own name
 
     def message(self, *words: object, **_: object) -> None:
-        print(_printable(words), file=sys.stderr)
+        self.messages.append(_printable(words))
 
     def print_location(self) -> None:
         """Print nothing: the notice of a warning has its place."""
 
-    def safe_eval(self, expression: str, names: Mapping[str, Any], _locals: object = None) -> Any:
-        return compute(expression, names, _DOTTED)
+    def safe_eval(self, expression: str, symbols: Any, names: Any = None) -> Any:
+        return guarded_eval.evaluate(expression, symbols, names, _DOTTED, {})
 
-    def eval_argument(self, expression: str, _globals: object, names: Any) -> Any:
+    def eval_argument(self, expression: str, symbols: Any, names: Any) -> Any:
         """Evaluate a `$(eval ...)`. `names` has arguments and functions; Python's own functions are added."""
-        return compute(expression, ChainMap(names, FUNCTIONS), _DOTTED)
+        return guarded_eval.evaluate(expression, symbols, names, _DOTTED, guarded_eval.FUNCTIONS)
 
     def find(self, package: str) -> str:
         try:
             return str(self.packages.find(package))
         except UnknownPackage as error:
-            place = self.here.file, self.here.line
-            self.unknown[package] = NotThere(error.message + self.called(), *place, error.hint, f"package {package}")
+            node, called = _here()
+            place = node or self.root
+            text = error.message + called
+            self.unknown[package] = NotThere(text, place.file, place.line, error.hint, f"package {package}")
             self.missing.note(self.unknown[package])
             return f"{_NOWHERE}{package}"
-
-    def load_yaml(self, filename: str) -> Any:
-        """The values of a YAML file, with dotted access and units (`!degrees 90`). `filename` may be relative.
-
-        PyYAML expands nested aliases and merges until the memory is full, so values are counted first.
-        """
-        import yaml
-
-        from slidectl.description import yaml_tree
-
-        path = Path(xacro.abs_filename_spec(filename))
-
-        class Loader(yaml.SafeLoader):
-            """The loader of one file: xacro adds the units to PyYAML's own class, which others use too."""
-
-        for unit in xacro.ConstructUnits:
-            Loader.add_constructor(unit.value.tag, self.unit_reader(unit.value.conversion_constant))
-        nodes = yaml_tree.documents(input_files.read_bytes(path, yaml_tree.MOST_BYTES), shown(path), Loader)
-        if not nodes:
-            return None
-        if len(nodes) > 1:
-            raise BadFile("a second document, where there can be only one", shown(path), nodes[1].start_mark.line + 1)
-        _check_size(nodes[0], shown(path))
-        try:
-            return xacro.YamlListWrapper.wrap(Loader("").construct_document(nodes[0]))
-        except yaml.YAMLError as error:
-            raise BadFile(f"not YAML: {' '.join(str(error).split())}", shown(path)) from None
-        except RecursionError:
-            raise BadFile("is nested too deeply", shown(path)) from None
-
-    def unit_reader(self, factor: float) -> Any:
-        return lambda loader, node: factor * float(compute(str(loader.construct_scalar(node)), self.symbols, _DOTTED))
 
     # --- nodes and errors ---------------------------------------------------------------------------------------------
 
@@ -308,13 +262,13 @@ class _Run:
             text = (
                 f"{names} without the prefix are taken as <{_PREFIX}...>; xacro itself does so only until ROS Kinetic"
             )
-            self.notices.append(Notice("wrong", "xacro", text, root.file, bare[0].line))
+            self.notices.append((False, "xacro", text, root.file, bare[0].line))
         elif f"xmlns:{_PREFIX[:-1]}" not in root.attributes:
             used = next((element for element in root.walk() if element.tag.startswith(_PREFIX)), None)
             if used is not None:
                 declared = 'xmlns:xacro="http://www.ros.org/wiki/xacro"'
                 text = f"<{root.tag}> lacks {declared}, without which xacro itself does not read the file"
-                self.notices.append(Notice("wrong", "xacro", text, root.file, root.line))
+                self.notices.append((False, "xacro", text, root.file, root.line))
         for element in bare:
             if element.tag == "macro":
                 self.bare_macros.add(element.attributes["name"].removeprefix(_PREFIX))
@@ -323,28 +277,65 @@ class _Run:
         document.appendChild(_to_node(root, document))
         return document
 
-    def explained(self, error: Exception) -> BadFile:
+    def explained(self, error: BaseException) -> BadFile:
         """Make an error from the first exception and the expressions around it, at the node that xacro works on."""
+        node, called = _raised_at(error)
+        place = node or self.root
         expressions: list[str] = []
-        cause: BaseException = error
+        cause = error
         while isinstance(cause, xacro.XacroException) and isinstance(cause.exc, BaseException):
             expressions.extend([str(cause.suffix).strip()] if cause.suffix else [])
             cause = cause.exc
         if isinstance(cause, BadFile) and cause.line is not None:
             return cause
-        place = self.here.file, self.here.line
         if isinstance(cause, SlidectlError):
-            return BadFile(cause.message + self.called(), *place, cause.hint)
+            return BadFile(cause.message + called, place.file, place.line, cause.hint)
         text = ", ".join([_clause(cause), *dict.fromkeys(expressions[::-1])]).replace("\n", " ")
-        return BadFile(text + self.called(), *place)
+        return BadFile(text + called, place.file, place.line)
 
-    def called(self) -> str:
-        """Where the innermost failing macro was called, for a message."""
-        outer = [call for call in self.calls if call is not self.here]
-        if not outer:
-            return ""
-        call = outer[-1]
-        return f" (in macro {call.tagName.removeprefix(_PREFIX)!r}, called at {call.file}:{call.line})"
+
+# --- where xacro is --------------------------------------------------------------------------------------------------
+
+
+def _here() -> tuple[_Node | None, str]:
+    """What _where tells of this moment."""
+    frames = []
+    frame: FrameType | None = sys._getframe(1)
+    while frame is not None:
+        frames.append(frame)
+        frame = frame.f_back
+    return _where(frames)
+
+
+def _raised_at(error: BaseException) -> tuple[_Node | None, str]:
+    """What _where tells of the moment when xacro raised the error."""
+    frames = []
+    trace = error.__traceback__
+    while trace is not None:
+        frames.append(trace.tb_frame)
+        trace = trace.tb_next
+    return _where(reversed(frames))
+
+
+def _where(frames: Iterable[FrameType]) -> tuple[_Node | None, str]:
+    """The element that xacro works on, and for a message where the macro around it was called. Innermost frame first.
+
+    xacro does not tell it; the parameters of its functions do.
+    """
+    at_work: _Node | None = None
+    for frame in frames:
+        if frame.f_code.co_filename != _XACRO:
+            continue
+        node = next((frame.f_locals[name] for name in _AT_WORK if name in frame.f_locals), None)
+        if not isinstance(node, _Node):
+            node = getattr(node, "parentNode", None)  # of a text
+        if not isinstance(node, _Node):
+            continue
+        if at_work is None:
+            at_work = node
+        elif frame.f_code.co_name == "handle_macro_call" and node is not at_work:
+            return at_work, f" (in macro {node.tagName.removeprefix(_PREFIX)!r}, called at {node.file}:{node.line})"
+    return at_work, ""
 
 
 class _Node(minidom.Element):
@@ -390,15 +381,27 @@ def _to_node(element: Element, document: minidom.Document) -> _Node:
     return node
 
 
-def _to_element(node: _Node) -> Element:
-    element = Element(node.tagName, dict(node.attributes.items()), node.file, node.line)
+def _plain(node: _Node) -> list[Any]:
+    """The element for JSON: tag, attributes, file, line, and what is in it; a comment is in a list of its own."""
+    plain = [node.tagName, dict(node.attributes.items()), node.file, node.line]
     for child in node.childNodes:
         if isinstance(child, _Node):
-            element.content.append(_to_element(child))
+            plain.append(_plain(child))
         elif isinstance(child, minidom.Comment):
-            element.content.append(Comment(child.data))
+            plain.append([child.data])
         elif isinstance(child, minidom.Text):
-            element.content.append(child.data)
+            plain.append(child.data)
+    return plain
+
+
+def _to_element(plain: list[Any]) -> Element:
+    tag, attributes, file, line, *content = plain
+    element = Element(tag, attributes, file, line)
+    for part in content:
+        if isinstance(part, str):
+            element.content.append(part)
+        else:
+            element.content.append(_to_element(part) if len(part) > 1 else Comment(part[0]))
     return element
 
 
@@ -418,60 +421,16 @@ def _is_unknown(name: str, macros: Any, symbols: Any) -> bool:
     return False
 
 
-@contextlib.contextmanager
-def _replaced(module: ModuleType, names: Mapping[str, Any]) -> Iterator[None]:
-    """Replace names of a module; at the end of the block all its names are restored."""
-    before = dict(vars(module))
-    vars(module).update(names)
-    try:
-        yield
-    finally:
-        for name in vars(module).keys() - before.keys():
-            delattr(module, name)
-        vars(module).update(before)
+def _opened(name: str) -> io.StringIO:
+    """The text of a YAML file, in the place of Python's `open`. Its errors name the file."""
+    text = io.StringIO(input_files.read_text(name, yaml_tree.MOST_BYTES))
+    text.name = shown(name)  # PyYAML looks for it
+    return text
 
 
-@contextlib.contextmanager
-def _bounded_memory() -> Iterator[None]:
-    """Limit new memory to MOST_MEMORY inside the block. The limit holds for the whole process: nothing else may run."""
-    before = limit_new_memory(MOST_MEMORY)
-    try:
-        yield
-    finally:
-        restore_memory_limit(before)
-
-
-def _check_size(root: Any, file: str) -> None:
-    """Raise BadFile for too many values, counting what aliases repeat, and for long numbers."""
-    count = 0
-    pending = [root]
-    while pending:
-        node = pending.pop()
-        count += 1
-        if count > MOST_YAML_VALUES:
-            text = f"more than {MOST_YAML_VALUES} values, counting what aliases repeat"
-            raise BadFile(text, file, node.start_mark.line + 1)
-        if node.id == "mapping":
-            pending += [each for pair in node.value for each in pair]
-        elif node.id == "sequence":
-            pending += node.value
-        elif node.tag in _NUMBERS and len(node.value) > _MOST_DIGITS:
-            raise BadFile(f"a number of more than {_MOST_DIGITS} digits", file, node.start_mark.line + 1)
-
-
-def _type(value: Any) -> type:
-    """The type of a plain value; other types could construct new types."""
-    if not issubclass(type(value), _PLAIN):
-        raise TypeError("python.type() here is for numbers, texts, lists and mappings")
-    return type(value)
-
-
-def _tokenize(text: str, sep: str = ",; ", skip_empty: bool = True) -> list[str]:
-    """xacro's function `tokenize`. `sep` may only be a set of characters, not another regular expression."""
-    if "]" in sep[1:]:
-        raise ValueError("']' can only be the first of the letters to part a text at")
-    items = re.split(f"[{sep}]", text)
-    return [item for item in items if item] if skip_empty else items
+def _out_of_time(*_: object) -> NoReturn:
+    signal.signal(signal.SIGXCPU, signal.SIG_IGN)  # the system repeats it each second
+    raise _OutOfTime
 
 
 def _printable(words: tuple[object, ...]) -> str:
@@ -482,13 +441,17 @@ def _clause(error: BaseException) -> str:
     if isinstance(error, RecursionError):
         return "macros, includes or expressions call themselves without end"
     if isinstance(error, MemoryError):
-        return f"it takes more than {MOST_MEMORY >> 30} GiB of memory"
+        return f"it takes more than {LIMITS.new_bytes >> 20} MiB of memory"
+    if isinstance(error, _OutOfTime):
+        return f"it takes more than {LIMITS.cpu_s} s to expand"
     if isinstance(error, substitution_args.ArgException):
         return f"argument {error.args[0]!r} has no value; give {error.args[0]}:=VALUE"
     if isinstance(error, OSError):
         return f"{str(error.strerror).lower()}: {error.filename}"
     if isinstance(error, SyntaxError):
         return str(error.msg)
+    if isinstance(error, YAMLError):
+        return f"not YAML: {' '.join(str(error).split())}"
     if isinstance(error, KeyError):
         return f"unknown key {error}"
     return str(error).strip() or type(error).__name__

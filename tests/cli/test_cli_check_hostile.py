@@ -19,8 +19,7 @@ FRAME = "(i for i in [1]).gi_frame.f_back.f_builtins['open']('pwned', 'w')"
         f"${{{FRAME}}}",
         f"${{(lambda: {FRAME})()}}",
         "$(eval [open('pwned', 'w') for i in [0]])",
-        "${round(7, -100000000)}",
-        "${factorial(3000000)}",
+        "${[x for x in [0] * 10**10]}",
         "${'a' * 10**10}",
     ],
 )

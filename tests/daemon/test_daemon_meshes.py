@@ -6,6 +6,7 @@ import os
 import select
 import signal
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from daemon_fixture import Runtime
 from rosbridge_wire import Wire
 
 from slidectl.daemon import mesh_reader
-from slidectl.daemon.mesh_reader import MeshReader
+from slidectl.daemon.mesh_reader import LIMITS, MeshReader
 from slidectl.description.meshes import BadMesh
 from slidectl.errors import SlidectlError
 from slidectl.event_loop import EventLoop
@@ -247,7 +248,7 @@ SOURCES = [MeshSource(f"/mesh{k}.stl", (1.0, 1.0, 1.0)) for k in range(3)]
 
 
 def take_memory(_: MeshSource) -> Hull:
-    return Hull(str(len(bytearray(8 * mesh_reader.MOST_MEMORY))), b"")
+    return Hull(str(len(bytearray(8 * LIMITS.new_bytes))), b"")
 
 
 def compute(_: MeshSource) -> Hull:
@@ -287,10 +288,7 @@ def fail(_: MeshSource) -> Hull:
 def test_a_process_that_does_not_come_to_its_end_is_named_with_its_mesh(
     reader: Any, monkeypatch: pytest.MonkeyPatch, act: Callable[[MeshSource], Hull], reason: str, capfd: Any
 ) -> None:
-    monkeypatch.setattr(mesh_reader, "MOST_CPU_S", 1)
-    monkeypatch.setattr(mesh_reader, "MOST_S", 1 if act is wait else 120)
-    monkeypatch.setitem(mesh_reader._WHY, signal.SIGXCPU, "reading it took more than 1 s")
-    monkeypatch.setitem(mesh_reader._WHY, signal.SIGALRM, "it could not be read within 1 s")
+    monkeypatch.setattr(mesh_reader, "LIMITS", replace(LIMITS, cpu_s=1, wall_s=1 if act is wait else 120))
     first = Hull("first.stl", b"")
     monkeypatch.setattr(hulls, "read", lambda source: first if source is SOURCES[0] else act(source))
     loop, meshes = reader

@@ -12,11 +12,10 @@ from hypothesis import strategies as st
 from slidectl.description.missing import Missing
 from slidectl.description.packages import Packages
 from slidectl.errors import SlidectlError
-from slidectl.expressions import ExpressionError
 from slidectl.extensions.launch import loader, node_kinds
 from slidectl.extensions.launch.files import LaunchFile
 from slidectl.extensions.launch.nodes.gazebo import read_world
-from slidectl.extensions.launch.substitution import evaluate
+from slidectl.extensions.launch.substitution import ExpressionError, evaluate
 
 TAGS = ["launch", "arg", "param", "rosparam", "include", "group", "node", "remap", "env", "test", "machine", "master",
         "frob"]  # fmt: skip

@@ -11,6 +11,8 @@ value is used, so that a path stays one word. roslaunch splits such a path into 
 
 from __future__ import annotations
 
+import json
+import math
 import os
 import re
 from collections.abc import Callable, Mapping
@@ -18,9 +20,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from slidectl import confined
+from slidectl.confined import Limits
+from slidectl.description import guarded_eval
 from slidectl.description.packages import Packages, UnknownPackage, is_file
 from slidectl.errors import SlidectlError, closest, listing
-from slidectl.expressions import FUNCTIONS, MATH, ExpressionError, compute
 
 COMMANDS = ("find", "env", "optenv", "dirname", "anon", "arg")
 MOST_TEXT = 4 * 2**20
@@ -28,6 +32,11 @@ MOST_TEXT = 4 * 2**20
 MOST_SUBSTITUTIONS = 10_000
 """The most substitutions in one text."""
 LONGEST_EXPRESSION = 4000
+LIMITS = Limits(cpu_s=5, wall_s=20, new_bytes=256 << 20)
+"""Of an `$(eval ...)`, which runs in a process of its own.
+
+Against: a launch file that was sent, when it is checked or read. What it starts is not bounded."""
+_MATH = {name: value for name, value in vars(math).items() if not name.startswith("_")}
 DEFAULTS = {"ROS_DISTRO": "noetic"}
 """Variables that every ROS 1 environment sets; these are their values where they are not set."""
 _EVAL = "$(eval "
@@ -46,6 +55,10 @@ _ABSENT_PACKAGE = re.compile(f"{_ABSENT}([^{_ABSENT}]*){_ABSENT}")
 
 class SubstitutionError(SlidectlError):
     """A `$(...)` is not valid, or names something that does not exist."""
+
+
+class ExpressionError(ValueError):
+    """An expression cannot be computed. The text is a clause without a subject."""
 
 
 def protect(path: str) -> str:
@@ -183,38 +196,80 @@ class Substitution:
             "anon": self._anonymous,
             "dirname": lambda: protect(self.folder),
         }
-        taken = {*MATH, *functions, "true", "false"}
+        taken = {*_MATH, *functions, "true", "false"}
         arguments = {name: automatic(value) for name, value in self.arguments.items() if _IDENTIFIER.match(name)}
         values = {name: value for name, value in arguments.items() if name not in taken}
+        names = values | {name: _of_names(name, call) for name, call in functions.items()}
         try:
-            value = evaluate(expression, values | {name: _of_names(name, call) for name, call in functions.items()})
-            if callable(value):
-                raise ExpressionError("gives a function: its arguments are missing")
-            return str(value)
+            value, (anonymous_names, absent) = evaluate(
+                expression, names, lambda: (self.anonymous_names, list(self.absent))
+            )
         except ExpressionError as error:
             raise SubstitutionError(f"$(eval {plain(expression)}) {error}") from None
+        self.anonymous_names.update(anonymous_names)
+        for package in absent:
+            self._folder_of(package)
+        return value
 
 
-def evaluate(text: str, names: Mapping[str, Any]) -> Any:
-    """The value of an expression. It may use `names`, the names of the math module, and Python's own functions.
+def evaluate(text: str, names: Mapping[str, Any], state: Callable[[], Any] = lambda: None) -> tuple[str, Any]:
+    """Evaluate an expression of Python, with a guard, in a process of its own.
+
+    It may use `names`, the names of the math module, and Python's own functions.
+
+    Returns:
+        The value as text, and what `state` returns after it in that process, by way of JSON.
 
     Raises:
-            ExpressionError: with the reason, but without the place.
+        ExpressionError: with the reason, but without the place. SubstitutionError: a function of `names` raised it.
     """
     if "__" in text:
         raise ExpressionError("may not contain double underscores")
     if len(text) > LONGEST_EXPRESSION:
         raise ExpressionError(f"is longer than {LONGEST_EXPRESSION} characters")
+
+    def work() -> bytes:
+        value = error = None
+        try:
+            value = _computed(text, names)
+        except ExpressionError as reason:
+            error = [False, str(reason), None]
+        except SlidectlError as reason:
+            error = [True, reason.message, reason.hint]
+        return json.dumps([value, error, state()]).encode()
+
     try:
-        return compute(text, {**MATH, **FUNCTIONS, "true": True, "false": False, **names})
+        value, error, after = json.loads(confined.run(work, LIMITS, MOST_TEXT))
+    except confined.EndedError as error:
+        raise ExpressionError(f"cannot be computed: {error}") from None
+    except OSError as error:
+        raise ExpressionError(f"cannot be computed: no process can be started: {error.strerror}") from None
+    if error is not None:
+        is_of_function, reason, hint = error
+        raise SubstitutionError(reason, hint) if is_of_function else ExpressionError(reason)
+    return value, after
+
+
+def _computed(text: str, names: Mapping[str, Any]) -> str:
+    """The value of an expression as text. Raises as `evaluate` does."""
+    symbols = {**_MATH, "true": True, "false": False, **names}
+    try:
+        value = guarded_eval.evaluate(text, symbols, None, (), guarded_eval.FUNCTIONS)
+        if callable(value):
+            raise ExpressionError("gives a function: its arguments are missing")
+        return str(value)
     except ExpressionError:
         raise
     except SyntaxError as error:
         raise ExpressionError(f"is not valid: {error.msg}") from None
     except NameError as error:
         known = f"there are {', '.join(sorted(names))}, and the names of the math module"
-        raise ExpressionError(f"there is no name {error.name!r}; {known}") from None
-    except (ArithmeticError, ValueError, TypeError, LookupError, RecursionError) as error:
+        raise ExpressionError(f"there is no name {error.name!r}; {known}" if error.name else str(error)) from None
+    except MemoryError:
+        raise ExpressionError(f"takes more than {LIMITS.new_bytes >> 20} MiB of memory") from None
+    except SlidectlError:
+        raise
+    except Exception as error:  # the operators and functions of Python may raise any exception
         reason = f"no key {error}" if isinstance(error, KeyError) else str(error) or type(error).__name__
         raise ExpressionError(f"cannot be computed: {reason}") from None
 
