@@ -14,7 +14,7 @@ import threading
 import time
 import zlib
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -232,6 +232,25 @@ def load_spring(client: Client, file: Path, name: str = "spring") -> None:
     request = {"robot": "slider", "name": name, "file": str(file), "class_name": "Spring"}
     assert client.call("/slidectl/load_controller_file", request)["ok"]
     switch(client, "slider", [name], ["joint1_position_controller"])
+
+
+def test_calls_that_only_read_are_not_in_the_journal_and_those_that_write_are(journal_file: Path) -> None:
+    """A page or a script that looks all the time must not make the file grow."""
+    with recorded(journal_file) as world, world.client() as client:
+        spawn(client, "rrbot")
+        reading = [
+            name for name in client.call("/rosapi/services")["services"]
+            if world.simulation.graph.services.effects_of(name) == ["reads"] and not name.endswith("/wait")
+        ]  # fmt: skip
+        assert {"/slidectl/graph", "/slidectl/joint_states", "/rosapi/topics"} <= set(reading)
+        before = journal_file.stat().st_size
+        for name in reading:
+            with suppress(SlidectlError):  # some want a name
+                client.call(name)
+        assert journal_file.stat().st_size == before
+        client.call("/gazebo/unpause_physics")
+        assert journal_file.stat().st_size > before
+    assert replayed(journal_file).robots.names() == ["rrbot"]
 
 
 def test_controllers_of_users_are_as_they_were_when_they_were_read(tmp_path: Path, engine: str) -> None:

@@ -25,6 +25,7 @@ from slidectl.control.node_handle import Message
 from slidectl.control.user_modules import UserModule
 from slidectl.daemon.options import DaemonOptions
 from slidectl.description.robot import Camera
+from slidectl.effects import Effect
 from slidectl.errors import BadFile, Refused, UsageError, cut, listing
 from slidectl.extensions.journal import journal_entries
 from slidectl.extensions.journal.journal_entries import mesh_entry
@@ -50,11 +51,7 @@ _LIBRARIES = ("mujoco", "numpy", "numba")
 PICTURE = "sensor_msgs/Image"
 _PROCESS_OPTIONS = ("child", "journal", "replay", "until")
 """Options of a daemon that do not describe its world."""
-_READS = re.compile(
-    r"/rosapi/(?!set_param$|delete_param$).*|/gazebo/get_[^/]*|.*/controller_manager/list_[^/]*"
-    r"|/slidectl/(status|resolve|list_robots|scene|update_times|shutdown|get_[^/]*)"
-)
-"""Services that only read, and answer at once."""
+_SHUTDOWN = "/slidectl/shutdown"
 _LINE = re.compile(rb'\{"cycle":(\d{1,20}),"client":(\d{1,20}),"line":(.*)\Z', re.DOTALL)
 _CHECKSUM = re.compile(rb'(.*),"crc":"([0-9a-f]{8})"\}\Z', re.DOTALL)
 
@@ -137,8 +134,21 @@ class Journal(HostWrapper):
             topics = self.simulation.graph.topics if self.simulation is not None else None
             return PICTURE in (message.get("type"), topics and topics.exists(topic) and topics.type_of(topic))
         return operation != "set_level" and not (
-            operation == "call_service" and _READS.fullmatch(str(message.get("service")))
+            operation == "call_service" and self._only_reads(str(message.get("service")))
         )
+
+    def _only_reads(self, service: str) -> bool:
+        """True for a call that changes nothing, as its service has said, or only ends the run.
+
+        Calls of clients' services matter: their answers are recorded.
+        """
+        services = self.simulation.graph.services if self.simulation is not None else None
+        if services is None or not services.exists(service):
+            return False
+        if service == _SHUTDOWN:
+            return True
+        is_of_client = services.node_of(service) in {session.node for session in self._clients}
+        return services.effects_of(service) == [Effect.READS] and not is_of_client
 
     def gone(self, session: Session) -> None:
         """Record that a client has disconnected."""
