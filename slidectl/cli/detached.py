@@ -51,7 +51,7 @@ class Background:
         Raises:
             Refused: in the parent, when a signal killed the child.
         """
-        from slidectl.extensions.launch.supervision import SIGNALS
+        from slidectl.supervision import SIGNALS
 
         sys.stdout.flush()
         sys.stderr.flush()

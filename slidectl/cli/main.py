@@ -106,7 +106,7 @@ class Root(Group):
 
         if args[0] in ALONE and args[0] not in self.installed():
             context = ctx.find_object(Context)
-            from slidectl.extensions.launch.open_page import instead_of_window
+            from slidectl.open_page import instead_of_window
 
             package = ALONE[args[0]][0]
             hint = instead_of_window(package, args[1:], context.paths if context is not None else None)

@@ -15,7 +15,7 @@ from slidectl.cli.commands import group, positive_seconds
 from slidectl.cli.context import Context
 from slidectl.cli.topic_streams import PUBLISHERS, Stream, users_of
 from slidectl.errors import Refused, SlidectlError
-from slidectl.extensions.viewing.transform_tree import MOVING, STATIC, FramePose, Frames, View, roll_pitch_yaw
+from slidectl.transform_tree import MOVING, STATIC, FramePose, Frames, View, roll_pitch_yaw
 
 PATIENCE_S = 3.0
 # Publishers repeat their transforms. After a frame has come this often, all publishers of the same rate have published.

@@ -16,8 +16,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from slidectl.errors import AmbiguousName, Refused, UnknownName
-from slidectl.extensions.viewing.transform_tree import FramePose, Frames, compose, inverse, roll_pitch_yaw
 from slidectl.rotations import Quaternion, normalized
+from slidectl.transform_tree import FramePose, Frames, compose, inverse, roll_pitch_yaw
 
 TURN = (0.0, 0.0, math.sin(math.pi / 12), math.cos(math.pi / 12))
 

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from slidectl.event_loop import READ
-from slidectl.extensions.launch.supervision import Child, Interrupted, Interrupts, Watch, run
+from slidectl.supervision import Child, Interrupted, Interrupts, Watch, run
 
 DEADLINE_S = 30.0
 

@@ -26,9 +26,9 @@ from slidectl.description.xml_tree import MOST_BYTES
 from slidectl.errors import BadFile, NotThere, SlidectlError, UsageError
 from slidectl.extensions.launch.plan import RosparamCommand, Setting
 from slidectl.extensions.launch.substitution import automatic, plain
-from slidectl.extensions.launch.supervision import run
 from slidectl.extensions.launch.tag import Tag, boolean
 from slidectl.input_files import near
+from slidectl.supervision import run
 
 TYPES = ("auto", "str", "string", "int", "double", "bool", "boolean", "yaml")
 SOURCES = ("value", "textfile", "binfile", "command")

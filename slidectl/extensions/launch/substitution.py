@@ -57,7 +57,7 @@ class SubstitutionError(SlidectlError):
     """A `$(...)` is not valid, or names something that does not exist."""
 
 
-class ExpressionError(ValueError):
+class BadEvaluation(ValueError):
     """An expression cannot be computed. The text is a clause without a subject."""
 
 
@@ -204,7 +204,7 @@ class Substitution:
             value, (anonymous_names, absent) = evaluate(
                 expression, names, lambda: (self.anonymous_names, list(self.absent))
             )
-        except ExpressionError as error:
+        except BadEvaluation as error:
             raise SubstitutionError(f"$(eval {plain(expression)}) {error}") from None
         self.anonymous_names.update(anonymous_names)
         for package in absent:
@@ -221,18 +221,18 @@ def evaluate(text: str, names: Mapping[str, Any], state: Callable[[], Any] = lam
         The value as text, and what `state` returns after it in that process, by way of JSON.
 
     Raises:
-        ExpressionError: with the reason, but without the place. SubstitutionError: a function of `names` raised it.
+        BadEvaluation: with the reason, but without the place. SubstitutionError: a function of `names` raised it.
     """
     if "__" in text:
-        raise ExpressionError("may not contain double underscores")
+        raise BadEvaluation("may not contain double underscores")
     if len(text) > LONGEST_EXPRESSION:
-        raise ExpressionError(f"is longer than {LONGEST_EXPRESSION} characters")
+        raise BadEvaluation(f"is longer than {LONGEST_EXPRESSION} characters")
 
     def work() -> bytes:
         value = error = None
         try:
             value = _computed(text, names)
-        except ExpressionError as reason:
+        except BadEvaluation as reason:
             error = [False, str(reason), None]
         except SlidectlError as reason:
             error = [True, reason.message, reason.hint]
@@ -241,12 +241,12 @@ def evaluate(text: str, names: Mapping[str, Any], state: Callable[[], Any] = lam
     try:
         value, error, after = json.loads(confined.run(work, LIMITS, MOST_TEXT))
     except confined.EndedError as error:
-        raise ExpressionError(f"cannot be computed: {error}") from None
+        raise BadEvaluation(f"cannot be computed: {error}") from None
     except OSError as error:
-        raise ExpressionError(f"cannot be computed: no process can be started: {error.strerror}") from None
+        raise BadEvaluation(f"cannot be computed: no process can be started: {error.strerror}") from None
     if error is not None:
         is_of_function, reason, hint = error
-        raise SubstitutionError(reason, hint) if is_of_function else ExpressionError(reason)
+        raise SubstitutionError(reason, hint) if is_of_function else BadEvaluation(reason)
     return value, after
 
 
@@ -256,22 +256,22 @@ def _computed(text: str, names: Mapping[str, Any]) -> str:
     try:
         value = guarded_eval.evaluate(text, symbols, None, (), guarded_eval.FUNCTIONS)
         if callable(value):
-            raise ExpressionError("gives a function: its arguments are missing")
+            raise BadEvaluation("gives a function: its arguments are missing")
         return str(value)
-    except ExpressionError:
+    except BadEvaluation:
         raise
     except SyntaxError as error:
-        raise ExpressionError(f"is not valid: {error.msg}") from None
+        raise BadEvaluation(f"is not valid: {error.msg}") from None
     except NameError as error:
         known = f"there are {', '.join(sorted(names))}, and the names of the math module"
-        raise ExpressionError(f"there is no name {error.name!r}; {known}" if error.name else str(error)) from None
+        raise BadEvaluation(f"there is no name {error.name!r}; {known}" if error.name else str(error)) from None
     except MemoryError:
-        raise ExpressionError(f"takes more than {LIMITS.new_bytes >> 20} MiB of memory") from None
+        raise BadEvaluation(f"takes more than {LIMITS.new_bytes >> 20} MiB of memory") from None
     except SlidectlError:
         raise
     except Exception as error:  # the operators and functions of Python may raise any exception
         reason = f"no key {error}" if isinstance(error, KeyError) else str(error) or type(error).__name__
-        raise ExpressionError(f"cannot be computed: {reason}") from None
+        raise BadEvaluation(f"cannot be computed: {reason}") from None
 
 
 def _of_names(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
@@ -280,7 +280,7 @@ def _of_names(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
     def checked(*values: Any) -> Any:
         for value in values[:1] if name == "optenv" else values:  # the default of optenv may be a number
             if not isinstance(value, str):
-                raise ExpressionError(f"{name}() takes names, in quotes, and not {value!r}")
+                raise BadEvaluation(f"{name}() takes names, in quotes, and not {value!r}")
         return function(*values)
 
     return checked

@@ -17,7 +17,7 @@ from slidectl.description.packages import Packages
 from slidectl.description.report import did_you_mean
 from slidectl.errors import BadFile, NotThere, Refused, SlidectlError
 from slidectl.extensions.launch.plan import LaunchPlan, Leaf, Node
-from slidectl.extensions.launch.supervision import Interrupts, Watch
+from slidectl.supervision import Interrupts, Watch
 
 SPAWN_LIMIT_S = 30.0
 HOOK_LIMIT_S = 5.0

@@ -195,8 +195,8 @@ def _run_node(ctx: Context, package: str, kind: str, words: Sequence[str]) -> No
         BadFile: its arguments are invalid. StepFailed: it failed. NoDaemon.
     """
     from slidectl.extensions.launch.execution import Execution
-    from slidectl.extensions.launch.supervision import Interrupted, Interrupts
     from slidectl.extensions.launch.task import Options, Run
+    from slidectl.supervision import Interrupted, Interrupts
 
     plan, packages, master = _plan(ctx, package, kind, words), package_lookup(()), ros_master(ctx)
     try:

@@ -13,7 +13,7 @@ from slidectl.cli.context import Context
 from slidectl.cli.tf import listening, pose_text
 from slidectl.errors import Refused, UnknownName
 from slidectl.extensions.ros_commands.arguments import Parser, option, without_remappings
-from slidectl.extensions.viewing.transform_tree import Frames, View
+from slidectl.transform_tree import Frames, View
 
 _WRONG = 255
 _USAGE = """tf_echo source_frame target_frame [echo_rate]

@@ -120,8 +120,9 @@ def launch(ctx: Context, /, words: tuple[str, ...], packages: tuple[str, ...], *
     programs, go again. NAME is a launch file that is shipped; - is standard input. JSON keys: event, text, and those
     of the event.
     """
+    from slidectl import open_page
     from slidectl.daemon import lifecycle
-    from slidectl.extensions.launch import execution, node_kinds, open_page
+    from slidectl.extensions.launch import execution, node_kinds
     from slidectl.extensions.launch.commands import launch_text
 
     asked = ["--" + name.replace("_of", "").replace("_", "-") for name in _LISTINGS if given[name]]
@@ -282,8 +283,8 @@ def _run(
     from slidectl.cli.detached import Background, pid_file
     from slidectl.extensions.launch.commands.launch_text import Terminal
     from slidectl.extensions.launch.execution import Execution
-    from slidectl.extensions.launch.supervision import Interrupts, WorldWatch
     from slidectl.extensions.launch.task import Options, Run
+    from slidectl.supervision import Interrupts, WorldWatch
 
     background = None
     if given["detach"] and any(task.needs_presence for task in tasks):
@@ -311,7 +312,7 @@ def _run(
 
 def _drive(ctx: Context, execution: Execution, title: str, detach: bool, background: Background | None) -> None:
     """Bring the launch up, watch it, shut it down. A detached launch that needs no process is left running."""
-    from slidectl.extensions.launch.supervision import Interrupted
+    from slidectl.supervision import Interrupted
 
     leave = False
     try:

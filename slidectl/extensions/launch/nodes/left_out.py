@@ -6,7 +6,7 @@ joint_state_publisher would contradict the simulated joints.
 
 from __future__ import annotations
 
-from slidectl.extensions.launch import open_page
+from slidectl import open_page
 from slidectl.extensions.launch.plan import LaunchPlan, Node
 from slidectl.extensions.launch.task import Run, Task
 from slidectl.paths import InstancePaths

@@ -6,9 +6,9 @@ import sys
 from pathlib import Path
 
 from slidectl.extensions.launch.nodes.programs import Process
-from slidectl.extensions.launch.open_page import address_of
 from slidectl.extensions.launch.plan import LaunchPlan, Location, Node
 from slidectl.extensions.launch.task import Run
+from slidectl.open_page import address_of
 from slidectl.paths import with_package
 
 

@@ -21,9 +21,9 @@ from typing import ClassVar
 from slidectl import input_files
 from slidectl.errors import Refused
 from slidectl.extensions.launch.plan import LaunchPlan, Node
-from slidectl.extensions.launch.supervision import Child
 from slidectl.extensions.launch.task import Run, Task
 from slidectl.paths import with_package
+from slidectl.supervision import Child
 
 _RESPAWN_PAUSE_S = 0.1
 """The least time between two starts, as in roslaunch, which checks ten times a second."""

@@ -98,8 +98,8 @@ def record(ctx: Context, /, topics: tuple[str, ...], **given: Any) -> None:
     choice, path = _chosen(topics, **given)
     choice.resolve(ctx)
     from slidectl.cli.detached import Background, pid_file
-    from slidectl.extensions.launch.supervision import Interrupts
     from slidectl.extensions.recording.recording_files import SplitFiles
+    from slidectl.supervision import Interrupts
 
     background = None
     _ = ctx.client  # raises NoDaemon before a file is touched

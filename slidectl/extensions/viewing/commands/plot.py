@@ -109,7 +109,7 @@ def plot(
     if files:
         show(ctx, made(_from_files(ctx, files, wanted, bool(xy))), save, size)
         return
-    from slidectl.extensions.launch.supervision import Interrupts
+    from slidectl.supervision import Interrupts
 
     found = plot_fields.of_live(ctx.client, wanted, ctx.namespace)
     length = duration or (None if live else window or _LIVE_S)

@@ -95,8 +95,8 @@ def video(ctx: Context, /, file: str, seconds: float | None, fps: float, **given
 
     JSON keys: file, width, height, pictures, fps, seconds (of the video), camera, drawn_by (OpenGL or software).
     """
-    from slidectl.extensions.launch.supervision import Interrupted, Interrupts
     from slidectl.extensions.viewing.picture_files import VideoFile, check_video
+    from slidectl.supervision import Interrupted, Interrupts
 
     rate = Fraction(fps).limit_denominator(1001)
     check_video(Path(file), given["size"], rate)

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 
 from slidectl.errors import EXIT_INTERRUPTED
-from slidectl.extensions.launch.supervision import Interrupted, Interrupts
+from slidectl.supervision import Interrupted, Interrupts
 
 _NAMES = {
     b"\x1b[A": "up", b"\x1b[B": "down", b"\x1b[C": "right", b"\x1b[D": "left", b"\x1b": "escape",

@@ -47,8 +47,8 @@ def view(
     JSON keys: url, port, instance, read_only.
     """
     from slidectl.client import Client
-    from slidectl.extensions.launch.open_page import announced
-    from slidectl.extensions.launch.supervision import Interrupted, Interrupts
+    from slidectl.open_page import announced
+    from slidectl.supervision import Interrupted, Interrupts
 
     try:
         from slidectl.extensions.viewing.page.guarded_server import AccessGuard, GuardedServer, free_port

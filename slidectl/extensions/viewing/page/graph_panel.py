@@ -11,7 +11,7 @@ from typing import Any
 from slidectl.errors import SlidectlError
 from slidectl.extensions.viewing.graph_drawing import as_svg, read_graph
 from slidectl.extensions.viewing.page.page import SCROLLED, Page, Panel, WorldState
-from slidectl.extensions.viewing.transform_tree import MOVING, STATIC, Edge, Frames
+from slidectl.transform_tree import MOVING, STATIC, Edge, Frames
 
 _SHOW_S = 0.5
 

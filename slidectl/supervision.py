@@ -1,4 +1,4 @@
-"""Support for running a launch: signal handling, an event loop with timers, and child processes.
+"""Support for commands that start others: signal handling, an event loop with timers, and child processes.
 
 Each child process has its own session and process group, so that a signal reaches everything that a node has started.
 Everything runs in the main thread, as only that handles signals. This module knows no launch files.
