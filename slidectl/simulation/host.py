@@ -145,6 +145,7 @@ class Host(CodeHost):
 
     def close(self, why: str) -> None:  # noqa: ARG002 - a record ends with it
         """End what serves the world. `why` is the reason for its end."""
+        self.limit.close()
         if self._renderer is not None:
             self._renderer.close()
 
