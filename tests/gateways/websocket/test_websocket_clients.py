@@ -159,6 +159,7 @@ def test_clients_come_back_when_the_daemon_does() -> None:
             roslibpy.Topic(ros, "/slider/joint_states", "sensor_msgs/JointState").subscribe(states.put)
             assert states.get(timeout=DEADLINE_S)
             with RosbridgeClient(url) as browser:
+                browser.call("/rosapi/get_time")  # one whose connection is still being opened is told to try later
                 runtime.stop()
                 with pytest.raises(ConnectionClosed) as caught:
                     browser.frame(lambda _: False)
