@@ -127,7 +127,7 @@ class BadMetadata(Refused):
     """The entry points of an installed package cannot be read."""
 
     def __init__(self, package: str, cause: str) -> None:
-        super().__init__(f"the entry points of {package} cannot be read: {cause}", "install the package anew")
+        super().__init__(f"the entry points of {package} cannot be read: {cause}", f"pip uninstall {package}")
 
 
 # --- the registry of one kind -----------------------------------------------------------------------------------------
@@ -243,16 +243,18 @@ def _installed() -> tuple[dict[str, dict[str, list[Part]]], list[BadMetadata]]:
     unreadable: dict[str, BadMetadata] = {}
     seen: set[str] = set()
     for found in distributions():
+        package = "a package without a name"
         try:
-            if f"[{_GROUP}" not in (found.read_text("entry_points.txt") or "") or found.name in seen:
+            if f"[{_GROUP}" not in (found.read_text("entry_points.txt") or ""):
                 continue
-            package = found.name
+            package = found.name or package
+            if package in seen:
+                continue
             seen.add(package)
             first = distribution(package)  # of two versions the first on the path counts, as for an import
             points = [point for point in first.entry_points if point.group.startswith(_GROUP)]
             parts += (Part(point.group, point.name, point.value, package, first.version or "") for point in points)
         except Exception as error:  # the files of a package may be broken in any way
-            package = str(getattr(found, "_path", "a package without a name"))
             unreadable[package] = BadMetadata(package, f"{type(error).__name__}: {error}")
     by_name: dict[str, dict[str, list[Part]]] = {}
     for part in sorted(parts):

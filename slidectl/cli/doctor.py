@@ -6,7 +6,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
 from typing import TYPE_CHECKING
 
@@ -32,6 +32,9 @@ _REGISTRIES = (
 )
 """What installed packages may add to, as `module:attribute`."""
 _IMPORT_LIMIT_S = 20.0
+"""Wall seconds for the imports of one package."""
+_MARK = "slidectl doctor: "
+"""The beginning of a line about a part: the code of a package may print lines, too."""
 
 
 @command(step=None, examples=["slidectl doctor", "slidectl doctor --json"])
@@ -60,24 +63,28 @@ def _extensions() -> Iterator[Finding]:
     """What installed packages add: a line for each package, and one for each part that cannot be used."""
     from slidectl.daemon.health import BROKEN, LOOK, OK, Finding
 
-    registries = {_registry(place).group: place for place in _REGISTRIES}
-    usable: dict[str, list[str]] = {}
-    for place in _REGISTRIES:
-        registry = _registry(place)
-        for refusal in registry.refused():
+    registries = {registry.group: place for place in _REGISTRIES for registry in (_registry(place),)}
+    by_owner: dict[str, list[Part]] = {}
+    for place in registries.values():
+        for refusal in _registry(place).refused():
             yield Finding("extensions", LOOK, refusal.message, refusal.hint or "")
-        for part in registry.parts().values():
-            if trouble := _trouble(place, registry.kind, part):
+        for part in _registry(place).parts().values():
+            by_owner.setdefault(part.owner, []).append(part)
+    for owner, parts in sorted(by_owner.items()):
+        usable = []
+        for part, trouble in _tried(parts, registries):
+            kind = _registry(registries[part.group]).kind
+            if trouble:
                 yield Finding("extensions", BROKEN, trouble, part.removal)
             else:
-                usable.setdefault(part.owner, []).append(f"{registry.kind} {part.name}")
+                usable.append(f"{kind} {part.name}")
+        if usable:
+            yield Finding("extensions", OK, f"{owner}: {', '.join(usable)}")
     for part in entry_points.unknown_groups(registries):
         text = f"{part.owner}: nothing of slidectl uses the entry point {part.name!r} of the group {part.group}"
         yield Finding("extensions", LOOK, text, f"groups: {', '.join(registries)}")
     for unread in entry_points.unread():
         yield Finding("extensions", BROKEN, unread.message, unread.hint or "")
-    for owner, parts in sorted(usable.items()):
-        yield Finding("extensions", OK, f"{owner}: {', '.join(parts)}")
 
 
 def _registry(place: str) -> Registry:
@@ -86,30 +93,41 @@ def _registry(place: str) -> Registry:
     return registry
 
 
-def _trouble(place: str, kind: str, part: Part) -> str:
-    """Why a part cannot be used; empty if it can. A process of its own imports it, since an import may do anything."""
-    what = f"the {kind} {part.name!r} of {part.owner} cannot be loaded"
-    code = f"import sys; from {__name__} import {try_part.__name__} as run; run(*sys.argv[1:])"
-    argv = [sys.executable, "-P", "-c", code, place, part.name]
-    try:
-        done = subprocess.run(
-            argv, stdin=subprocess.DEVNULL, capture_output=True, timeout=_IMPORT_LIMIT_S, check=False,
-            env=with_package(os.environ),
-        )  # fmt: skip
-    except subprocess.TimeoutExpired:
-        return f"{what}: its import takes longer than {_IMPORT_LIMIT_S:g} s"
-    last = (done.stdout.decode("utf-8", "replace").splitlines() or [""])[-1]
-    try:
-        return str(json.loads(last)["trouble"])
-    except (ValueError, LookupError, TypeError):
-        return f"{what}: its import ends the process, with exit code {done.returncode}"
+def _tried(parts: Sequence[Part], registries: Mapping[str, str]) -> Iterator[tuple[Part, str]]:
+    """Each part with what is wrong with it; an empty text if nothing is.
+
+    A process of its own imports them, since an import may do anything. One that ends the process, or takes too long,
+    is blamed, and another process imports those behind it.
+    """
+    left = list(parts)
+    while left:
+        code = f"import sys; from {__name__} import {try_parts.__name__} as run; run(sys.argv[1:])"
+        argv = [sys.executable, "-P", "-c", code, *(f"{registries[part.group]} {part.name}" for part in left)]
+        try:
+            done = subprocess.run(
+                argv, stdin=subprocess.DEVNULL, capture_output=True, timeout=_IMPORT_LIMIT_S, check=False,
+                env=with_package(os.environ),
+            )  # fmt: skip
+            output, end = done.stdout, f"its import ends the process, with exit code {done.returncode}"
+        except subprocess.TimeoutExpired as error:
+            output, end = error.stdout or b"", f"its import takes longer than {_IMPORT_LIMIT_S:g} s"
+        lines = output.decode("utf-8", "replace").splitlines()
+        for line in [line.removeprefix(_MARK) for line in lines if line.startswith(_MARK)]:
+            yield left.pop(0), json.loads(line)
+        if left:
+            part = left.pop(0)
+            what = f"the {_registry(registries[part.group]).kind} {part.name!r} of {part.owner} cannot be loaded"
+            yield part, f"{what}: {end}"
 
 
-def try_part(place: str, name: str) -> None:
-    """Import a part in this process and print a line with what is wrong with it."""
-    registry, trouble = _registry(place), ""
-    try:
-        registry.load(registry.parts()[name])
-    except PartError as error:
-        trouble = error.message
-    print(f"\n{json.dumps({'trouble': trouble})}", flush=True)
+def try_parts(words: Sequence[str]) -> None:
+    """Import parts in this process, each given as the place of its registry and its name. Print a line for each with
+    what is wrong with it."""
+    for word in words:
+        place, _, name = word.partition(" ")
+        registry, trouble = _registry(place), ""
+        try:
+            registry.load(registry.parts()[name])
+        except PartError as error:
+            trouble = error.message
+        print(f"\n{_MARK}{json.dumps(trouble)}", flush=True)

@@ -16,7 +16,8 @@ from slidectl.description.element_values import parse_number
 from slidectl.description.robot import OtherSensor
 from slidectl.description.xml_tree import Element, below
 from slidectl.entry_points import WrongPart
-from slidectl.errors import Refused, UnknownName
+from slidectl.errors import Refused, SlidectlError, UnknownName
+from slidectl.msgs.checking import check
 from slidectl.physics import sensing
 from slidectl.rotations import Pose, Vector
 from slidectl.simulation.clock import period_ns_of
@@ -95,7 +96,8 @@ class SensorKind:
         """Read the tags of the kind. Raises BadFile. `topic`, `update_rate`, `pose` and `noise` are read already."""
 
     def measure(self, view: SensorView) -> Message:
-        """The message of the present cycle. It is called only while somebody subscribes."""
+        """The message of the present cycle; fields that it leaves out get their defaults. Called only while somebody
+        subscribes."""
         raise NotImplementedError
 
 
@@ -111,11 +113,11 @@ class OtherSensorTopic:
         with user_classes.watched_for("sensor", sensor.name, simulation.types.code):
             kind = _kind(sensor.kind)
             self._measurer = kind(SensorTags(sensor.tags))
-            message_type = str(kind.message_type)
+            self._type = str(kind.message_type)
         topic = PeriodicTopic(
             simulation.graph,
             names.join(robot.namespace, sensor.topic),
-            message_type,
+            self._type,
             names.join(robot.namespace, "gazebo"),
             period_ns_of(sensor.rate_hz, simulation.timestep_ns),
             self._measure,
@@ -128,10 +130,12 @@ class OtherSensorTopic:
             return None
         try:
             with user_classes.watched_for("sensor", self._sensor.name, self._simulation.types.code):
-                return self._measurer.measure(SensorView(self._simulation, self._robot.name, self._sensor))
-        except Refused as error:
+                message = self._measurer.measure(SensorView(self._simulation, self._robot.name, self._sensor))
+            return check(self._type, message)
+        except SlidectlError as error:
             self._is_broken = True
-            self._robot.node.log("error", f"{error.message}; it measures nothing more")
+            text = error.message if isinstance(error, Refused) else f"sensor {self._sensor.name}: {error.message}"
+            self._robot.node.log("error", f"{text}; it measures nothing more")
             return None
 
 

@@ -186,18 +186,25 @@ def test_a_sensor_that_fails_stops_nothing_else(packages: Installed, tmp_path: P
         "from slidectl.simulation import SensorKind\nclass Bad(SensorKind):\n    message_type = 'std_msgs/Float64'\n"
         "    def measure(self, view):\n        raise SystemExit('no')\n"
     )
-    points = {"bad": "bad_sensor:Bad", "gone": "no_module:Gone"}
+    text += (
+        "class Odd(SensorKind):\n    message_type = 'std_msgs/Float64'\n"
+        "    def measure(self, view):\n        return {'range': 1.0}\n"
+    )
+    points = {"bad": "bad_sensor:Bad", "gone": "no_module:Gone", "odd": "bad_sensor:Odd"}
     packages.add("slidectl-bad", "slidectl.sensors", points, bad_sensor=text)
     packages.ok("daemon", "start", "--paused")
-    file = model(tmp_path, '<sensor name="one" type="bad"/><sensor name="two" type="nothing"/>')
-    known = "sensors here are ray, gpu_ray, imu, contact, camera, bad, gone, not 'nothing'"
+    file = model(tmp_path, '<sensor name="one" type="bad"/><sensor name="odd" type="odd"/><sensor type="none"/>')
+    known = "sensors here are ray, gpu_ray, imu, contact, camera, bad, gone, odd, not 'none'"
     assert known in packages("check", file).stdout
     packages.ok("spawn", file)
-    with packages.client() as client, client.subscribe("/slider/one", "std_msgs/Float64"):
+    with packages.client() as client:
+        for topic in ("/slider/one", "/slider/odd"):
+            client.subscribe(topic, "std_msgs/Float64")
         client.step(3)
     log = packages.ok("daemon", "logs")
     assert log.count("sensor one: SystemExit: no") == 1
-    assert log.count("it measures nothing more") == 1
+    assert "sensor odd: std_msgs/Float64: no field 'range'" in log
+    assert log.count("it measures nothing more") == 2
     done = packages("spawn", model(tmp_path, '<sensor name="one" type="gone"/>'), "-n", "other")
     assert "the sensor 'gone' of slidectl-bad 1.0 cannot be loaded: ModuleNotFoundError" in refused(done)
     assert "pip uninstall slidectl-bad" in done.stderr
@@ -329,7 +336,7 @@ def test_metadata_that_cannot_be_read_stops_nothing(hello: Installed) -> None:
     hello.add("slidectl-broken", COMMANDS, {})
     (hello.site / "slidectl_broken-1.0.dist-info" / "entry_points.txt").write_text(f"[{COMMANDS}]\nsing\n")
     assert hello.ok("hello") == "hello\n"
-    assert "slidectl_broken-1.0.dist-info cannot be read" in hello("doctor").stdout
+    assert "the entry points of slidectl-broken cannot be read" in hello("doctor").stdout
 
 
 # -- names -------------------------------------------------------------------------------------------------------------
