@@ -115,6 +115,18 @@ def test_it_has_no_open_files_of_its_parent(tmp_path: Path) -> None:
         assert run(look, LIMITS, 100) == b"closed"
 
 
+def test_a_process_without_standard_streams_has_its_result_too(tmp_path: Path) -> None:
+    program = """
+import os
+os.closerange(0, 3)
+from slidectl.confined import Limits, run
+with open("result", "wb") as file:
+    file.write(run(lambda: b"done", Limits(50, 50, 1 << 30), 9))
+"""
+    subprocess.run([sys.executable, "-c", program], cwd=tmp_path, check=True)
+    assert (tmp_path / "result").read_bytes() == b"done"
+
+
 def test_an_exception_that_is_being_handled_changes_nothing_and_a_thread_may_run_it() -> None:
     results = []
 
