@@ -18,7 +18,7 @@ import pytest
 from slidectl.confined import EndedError, Limits, run
 from slidectl.operating_system import LINUX
 
-LIMITS = Limits(cpu_s=1, wall_s=20, new_bytes=1 << 26)
+LIMITS = Limits(cpu_s=1, wall_s=120, new_bytes=1 << 26)
 
 
 def test_the_result_comes_back() -> None:
@@ -64,7 +64,7 @@ def test_a_process_without_a_result_is_told_with_its_reason(
     work: Callable[[], bytes], reason: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(EndedError, match=f"^{reason}$"):
-        run(work, Limits(1, 1 if work is wait else 20, 1 << 26), 1 << 20)
+        run(work, Limits(1, 1 if work is wait else 120, 1 << 26), 1 << 20)
     assert capfd.readouterr() == ("", "")
 
 
