@@ -134,6 +134,8 @@ def _work(work: Callable[[], bytes], limits: Limits, writing: int, parent: int) 
     """Run the process. It never returns into the code of its parent."""
     code = 1
     try:
+        while writing < 3:  # the parent has closed a standard stream, and its number was free
+            writing = os.dup(writing)
         confine(limits, writing, parent)
         gc.freeze()  # a collection that looks at the parent's objects would copy all their memory
         nowhere = os.open(os.devnull, os.O_RDWR)

@@ -17,6 +17,7 @@ EXIT_NO_DAEMON = 3
 EXIT_TIMED_OUT = 4
 EXIT_INTERRUPTED = 130
 
+# Against: names and texts of clients, of any length.
 _LONGEST_SHOWN = 120
 _LONGEST_TEXT = 4000
 _LONGEST_ERROR = 20_000

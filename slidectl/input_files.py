@@ -1,8 +1,8 @@
 """Opens the files that a user or a client names. All of them are opened here: regular files, within a bound.
 
-A FIFO, a device or a socket may block its reader for ever or never end, and a file may be of any size. So the kind and
-the size are checked before anything is read, and what is read is counted: a file may grow, and those in /proc tell no
-size. Standard library only.
+Against: a file that was sent and names another one, and a client that names a path. A FIFO, a device or a socket may
+block its reader for ever or never end, and a file may be of any size. So the kind and the size are checked before
+anything is read, and what is read is counted: a file may grow, and those in /proc tell no size. Standard library only.
 """
 
 from __future__ import annotations

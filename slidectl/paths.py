@@ -1,5 +1,6 @@
 """Paths of files: the private folder of a daemon instance, and the models and configurations that are shipped.
 
+The checks of owners, modes and links are against: a second user of the machine, who may write in the temporary folder.
 Standard library only, and quick to import. Nothing here creates a folder except `make_private`.
 """
 

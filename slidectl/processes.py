@@ -74,6 +74,7 @@ def lock(path: Path) -> int | None:
     """
     while True:
         try:
+            # Without links, against: a second user, who has put one into a folder that others can write.
             fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
         except OSError as error:
             raise _lock_failed("make", path, error) from None

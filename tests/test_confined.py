@@ -18,7 +18,7 @@ import pytest
 from slidectl.confined import EndedError, Limits, run
 from slidectl.operating_system import LINUX
 
-LIMITS = Limits(cpu_s=1, wall_s=20, new_bytes=1 << 26)
+LIMITS = Limits(cpu_s=1, wall_s=120, new_bytes=1 << 26)
 
 
 def test_the_result_comes_back() -> None:
@@ -64,7 +64,7 @@ def test_a_process_without_a_result_is_told_with_its_reason(
     work: Callable[[], bytes], reason: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(EndedError, match=f"^{reason}$"):
-        run(work, Limits(1, 1 if work is wait else 20, 1 << 26), 1 << 20)
+        run(work, Limits(1, 1 if work is wait else 120, 1 << 26), 1 << 20)
     assert capfd.readouterr() == ("", "")
 
 
@@ -113,6 +113,18 @@ def test_it_has_no_open_files_of_its_parent(tmp_path: Path) -> None:
 
         # The pipe of the result may have taken the number of a file that the parent had closed.
         assert run(look, LIMITS, 100) == b"closed"
+
+
+def test_a_process_without_standard_streams_has_its_result_too(tmp_path: Path) -> None:
+    program = """
+import os
+os.closerange(0, 3)
+from slidectl.confined import Limits, run
+with open("result", "wb") as file:
+    file.write(run(lambda: b"done", Limits(50, 50, 1 << 30), 9))
+"""
+    subprocess.run([sys.executable, "-c", program], cwd=tmp_path, check=True)
+    assert (tmp_path / "result").read_bytes() == b"done"
 
 
 def test_an_exception_that_is_being_handled_changes_nothing_and_a_thread_may_run_it() -> None:

@@ -1,6 +1,7 @@
 """Prepares a model for the daemon: expands xacro, finds meshes, fixes or frees the root, notes the sources.
 
-This runs in the client, which reads files and lets xacro evaluate expressions. The result is plain URDF text.
+This runs in the client, which reads files; xacro evaluates expressions in a process of its own. The result is plain
+URDF text.
 """
 
 from __future__ import annotations

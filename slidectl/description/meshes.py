@@ -1,7 +1,7 @@
 """Reads mesh files as triangles: STL (binary and text), OBJ and DAE, with numpy alone.
 
-trimesh takes a second to import, in each process that reads meshes. Mesh files may come from untrusted sources, so all
-sizes and counts are bounded. Nothing is downloaded, and materials, textures and normals are not read.
+trimesh takes a second to import, in each process that reads meshes. All sizes and counts are bounded. Against:
+a mesh that was sent, or that a client names. Nothing is downloaded, and materials, textures and normals are not read.
 
 Of a DAE (COLLADA) file the scene counts: its nodes place the geometries. Units are applied; `<up_axis>` is ignored, as
 in Gazebo and RViz, for which robots are drawn. Nodes can be instanced repeatedly, so a file of 3 kB can describe 10^12

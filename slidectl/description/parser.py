@@ -1,7 +1,7 @@
 """Parses URDF text into a Robot: links, joints, materials, the tree of links, and the masses.
 
-urdfdom's rules say what is mandatory, sdformat's what swapped limits mean. Texts may come from untrusted sources:
-nothing is evaluated, downloaded or written. The robot's report lists what has no effect. `<transmission>` is in
+urdfdom's rules say what is mandatory, sdformat's what swapped limits mean. Nothing is evaluated, downloaded or
+written. Against: a text that a client spawns. The robot's report lists what has no effect. `<transmission>` is in
 transmissions.py, `<gazebo>` in gazebo_tags.py, masses and inertias are in rigid_bodies.py.
 """
 

@@ -34,6 +34,7 @@ SUFFIXES = (".sdf", ".world")
 SCHEME = "model://"
 GROUND_PLANE = "ground_plane"
 SUN = "sun"
+# Against: models that include each other.
 _DEEPEST_INCLUDE = 10
 _MOST_INCLUDES = 1000
 _VARIABLES = ("GAZEBO_MODEL_PATH", "GZ_SIM_RESOURCE_PATH")

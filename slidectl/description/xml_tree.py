@@ -1,6 +1,7 @@
 """Reads XML into a small tree in which every element knows its file and line, and writes it.
 
-Entity declarations, and too large or too deep inputs, are refused; nothing is downloaded. It uses expat, which gives
+Entity declarations, and too large or too deep inputs, are refused; nothing is downloaded. Against: a model that was
+sent, or that a client spawns. It uses expat, which gives
 the line where a tag begins and can refuse entities at their declaration. In written text each tag begins its own line,
 so that a line names one element. This module does not know what tags mean.
 """

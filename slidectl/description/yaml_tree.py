@@ -1,7 +1,8 @@
 """Reads YAML 1.1 text into a tree of parameters, as rosparam does, with file and line in every error.
 
 `deg(90)` and `rad(pi/2)` become radians. Values that no parameter can have (null, a date, a key that is not text) are
-refused; text that looks like another type gives a notice. This module imports yaml: import it lazily.
+refused; text that looks like another type gives a notice. The bounds are against: a file that was sent, whose aliases
+unfold without end or which is nested too deeply for Python. This module imports yaml: import it lazily.
 """
 
 from __future__ import annotations

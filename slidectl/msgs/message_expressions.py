@@ -18,6 +18,7 @@ from slidectl.expressions import FUNCTIONS, MATH, evaluate, parsed
 from slidectl.msgs.field_path import byte_values
 from slidectl.msgs.schema import BYTES, FLOATS, INTEGER_RANGES, TIMES, Field, Schema
 
+# Against: a scenario that was sent. The page in a browser has a lower bound on steps.
 _LONGEST = 4000
 _MOST_STEPS = 10_000_000
 """Higher than for launch files: every array element of the message counts as a step."""

@@ -1,6 +1,7 @@
 """JSON lines: one object per line, in both directions of the socket.
 
-Encoding, decoding and splitting a stream of bytes into lines of bounded length. It knows no socket and no operation.
+Encoding, decoding and splitting a stream of bytes into lines of bounded length. The bounds are against: a client that
+sends without end, or JSON whose values fill the memory. It knows no socket and no operation.
 """
 
 from __future__ import annotations

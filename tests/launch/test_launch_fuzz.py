@@ -15,7 +15,7 @@ from slidectl.errors import SlidectlError
 from slidectl.extensions.launch import loader, node_kinds
 from slidectl.extensions.launch.files import LaunchFile
 from slidectl.extensions.launch.nodes.gazebo import read_world
-from slidectl.extensions.launch.substitution import ExpressionError, evaluate
+from slidectl.extensions.launch.substitution import EvalError, evaluate
 
 TAGS = ["launch", "arg", "param", "rosparam", "include", "group", "node", "remap", "env", "test", "machine", "master",
         "frob"]  # fmt: skip
@@ -118,7 +118,7 @@ def test_any_text_as_a_value(text: str) -> None:
 def test_any_expression(text: str) -> None:
     try:
         evaluate(text, {"a": 1, "b": "two"})
-    except ExpressionError as error:
+    except EvalError as error:
         said(error)
 
 

@@ -11,7 +11,7 @@ from launch_files import Workspace, notices
 from slidectl.confined import Limits
 from slidectl.errors import BadFile
 from slidectl.extensions.launch import substitution
-from slidectl.extensions.launch.substitution import ExpressionError, evaluate
+from slidectl.extensions.launch.substitution import EvalError, evaluate
 
 MEMORY = "takes more than 64 MiB of memory"
 TIME = "takes more than 1 s"
@@ -204,21 +204,21 @@ def test_eval_finds_packages_and_folders_too(workspace: Workspace) -> None:
         ("unknown", "there is no name 'unknown'"),
         ("1()", "is not callable"),
         ("(" * 1500 + ")" * 1500, "valid"),
-        ("1 + " * 2000 + "1", "longer than"),
+        ("1 + " * 20000 + "1", "cannot be computed|not valid"),
     ],
 )
 def test_eval_refuses_what_could_do_harm_or_never_ends(
     monkeypatch: pytest.MonkeyPatch, expression: str, reason: str
 ) -> None:
     monkeypatch.setattr(substitution, "LIMITS", Limits(cpu_s=1, wall_s=60, new_bytes=1 << 26))
-    with pytest.raises(ExpressionError, match=reason):
+    with pytest.raises(EvalError, match=reason):
         evaluate(expression, {"a": "one"})
 
 
 def test_lists_that_double_in_each_turn_come_to_an_end(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(substitution, "LIMITS", Limits(cpu_s=1, wall_s=60, new_bytes=1 << 26))
     doubling = "[[1, 1]] " + " ".join(f"for v{k} in [[v{k - 1}, v{k - 1}]]" for k in range(1, 60))
-    with pytest.raises(ExpressionError, match=f"{MEMORY}|{TIME}"):
+    with pytest.raises(EvalError, match=f"{MEMORY}|{TIME}"):
         evaluate(f"str([v59 for v0 in {doubling}])", {})
 
 

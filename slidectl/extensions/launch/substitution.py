@@ -28,10 +28,9 @@ from slidectl.errors import SlidectlError, closest, listing
 
 COMMANDS = ("find", "env", "optenv", "dirname", "anon", "arg")
 MOST_TEXT = 4 * 2**20
-"""The most characters that all substitutions of one text may insert."""
+"""Against: arguments that repeat each other. The most characters that all substitutions of one text may insert."""
 MOST_SUBSTITUTIONS = 10_000
 """The most substitutions in one text."""
-LONGEST_EXPRESSION = 4000
 LIMITS = Limits(cpu_s=5, wall_s=20, new_bytes=256 << 20)
 """Of an `$(eval ...)`, which runs in a process of its own.
 
@@ -57,7 +56,7 @@ class SubstitutionError(SlidectlError):
     """A `$(...)` is not valid, or names something that does not exist."""
 
 
-class BadEvaluation(ValueError):
+class EvalError(ValueError):
     """An expression cannot be computed. The text is a clause without a subject."""
 
 
@@ -204,7 +203,7 @@ class Substitution:
             value, (anonymous_names, absent) = evaluate(
                 expression, names, lambda: (self.anonymous_names, list(self.absent))
             )
-        except BadEvaluation as error:
+        except EvalError as error:
             raise SubstitutionError(f"$(eval {plain(expression)}) {error}") from None
         self.anonymous_names.update(anonymous_names)
         for package in absent:
@@ -221,18 +220,16 @@ def evaluate(text: str, names: Mapping[str, Any], state: Callable[[], Any] = lam
         The value as text, and what `state` returns after it in that process, by way of JSON.
 
     Raises:
-        BadEvaluation: with the reason, but without the place. SubstitutionError: a function of `names` raised it.
+        EvalError: with the reason, but without the place. SubstitutionError: a function of `names` raised it.
     """
     if "__" in text:
-        raise BadEvaluation("may not contain double underscores")
-    if len(text) > LONGEST_EXPRESSION:
-        raise BadEvaluation(f"is longer than {LONGEST_EXPRESSION} characters")
+        raise EvalError("may not contain double underscores")
 
     def work() -> bytes:
         value = error = None
         try:
             value = _computed(text, names)
-        except BadEvaluation as reason:
+        except EvalError as reason:
             error = [False, str(reason), None]
         except SlidectlError as reason:
             error = [True, reason.message, reason.hint]
@@ -241,12 +238,12 @@ def evaluate(text: str, names: Mapping[str, Any], state: Callable[[], Any] = lam
     try:
         value, error, after = json.loads(confined.run(work, LIMITS, MOST_TEXT))
     except confined.EndedError as error:
-        raise BadEvaluation(f"cannot be computed: {error}") from None
+        raise EvalError(f"cannot be computed: {error}") from None
     except OSError as error:
-        raise BadEvaluation(f"cannot be computed: no process can be started: {error.strerror}") from None
+        raise EvalError(f"cannot be computed: no process can be started: {error.strerror}") from None
     if error is not None:
         is_of_function, reason, hint = error
-        raise SubstitutionError(reason, hint) if is_of_function else BadEvaluation(reason)
+        raise SubstitutionError(reason, hint) if is_of_function else EvalError(reason)
     return value, after
 
 
@@ -256,22 +253,22 @@ def _computed(text: str, names: Mapping[str, Any]) -> str:
     try:
         value = guarded_eval.evaluate(text, symbols, None, (), guarded_eval.FUNCTIONS)
         if callable(value):
-            raise BadEvaluation("gives a function: its arguments are missing")
+            raise EvalError("gives a function: its arguments are missing")
         return str(value)
-    except BadEvaluation:
+    except EvalError:
         raise
     except SyntaxError as error:
-        raise BadEvaluation(f"is not valid: {error.msg}") from None
+        raise EvalError(f"is not valid: {error.msg}") from None
     except NameError as error:
         known = f"there are {', '.join(sorted(names))}, and the names of the math module"
-        raise BadEvaluation(f"there is no name {error.name!r}; {known}" if error.name else str(error)) from None
+        raise EvalError(f"there is no name {error.name!r}; {known}" if error.name else str(error)) from None
     except MemoryError:
-        raise BadEvaluation(f"takes more than {LIMITS.new_bytes >> 20} MiB of memory") from None
+        raise EvalError(f"takes more than {LIMITS.new_bytes >> 20} MiB of memory") from None
     except SlidectlError:
         raise
     except Exception as error:  # the operators and functions of Python may raise any exception
         reason = f"no key {error}" if isinstance(error, KeyError) else str(error) or type(error).__name__
-        raise BadEvaluation(f"cannot be computed: {reason}") from None
+        raise EvalError(f"cannot be computed: {reason}") from None
 
 
 def _of_names(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
@@ -280,7 +277,7 @@ def _of_names(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
     def checked(*values: Any) -> Any:
         for value in values[:1] if name == "optenv" else values:  # the default of optenv may be a number
             if not isinstance(value, str):
-                raise BadEvaluation(f"{name}() takes names, in quotes, and not {value!r}")
+                raise EvalError(f"{name}() takes names, in quotes, and not {value!r}")
         return function(*values)
 
     return checked

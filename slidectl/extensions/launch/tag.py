@@ -28,6 +28,7 @@ Parse = Callable[[bytes, str], Element]
 """Parses the text of a file, given its name in messages, into elements. Raises BadFile."""
 
 CONDITIONS = ("if", "unless")
+# Against: a launch file that was sent, and is checked or read: arguments and includes that repeat each other.
 MOST_TAGS = 20_000
 MOST_TEXT = 64 * 2**20
 """The most characters that all substitutions of a launch may insert."""

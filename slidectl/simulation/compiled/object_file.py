@@ -1,8 +1,8 @@
 """The stored machine code of the cycle, and its loading into this process: by LLVM, without numba.
 
 A file is valid for one version of all its sources; a digest of them is in its name. It is machine code, so it is only
-loaded when it is complete and only the user could have written it: a file damaged by a crash of the machine would end
-the process without a message.
+loaded when it is complete and only the user could have written it. Against: a second user of the machine, and a file
+damaged by a crash, which would end the process without a message.
 """
 
 from __future__ import annotations
