@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+import os
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import suppress
 from typing import Self
@@ -23,6 +24,7 @@ AsyncHandler = Callable[[Message], Awaitable[Message]]
 
 _MOST_UNSENT = 4 * 1024 * 1024
 """Limit of unsent bytes to the daemon; above it `drain` waits."""
+_CHUNK = 64 * 1024
 _MOST_SERVED = 100
 """Limit of unfinished requests of the services that a client provides; further requests fail."""
 
@@ -503,7 +505,13 @@ class _Lines(asyncio.Protocol):
             if self._transport is not None:
                 self._transport.close()
 
-    def connection_lost(self, error: Exception | None) -> None:  # noqa: ARG002
+    def connection_lost(self, error: Exception | None) -> None:
+        if error is not None and self._transport is not None:
+            # A write failed: what the daemon sent before its end, answers and the reason, has not been read yet.
+            connection = self._transport.get_extra_info("socket").fileno()
+            with suppress(OSError):
+                while data := os.read(connection, _CHUNK):
+                    self.data_received(data)
         self._lost()
 
 

@@ -227,6 +227,24 @@ def test_the_end_of_the_daemon_ends_what_waits(runtime: Runtime) -> None:
     assert lost == [True]
 
 
+def test_what_the_daemon_sent_before_its_end_is_read_after_it_too(runtime: Runtime) -> None:
+    runtime.start()
+
+    async def main() -> None:
+        async with AsyncClient(socket=runtime.paths.socket_text) as client:
+            answers: list[Any] = []
+            await client.subscribe("/async/last", "std_msgs/Int32", take=answers.append)
+            with runtime.client() as other:
+                other.publish("/async/last", {"data": 1})
+                other.flush()
+            runtime.stop()  # this task does not wait meanwhile, so nothing is read
+            with pytest.raises(NoDaemon, match="the daemon went away: the daemon was"):
+                await client.call("/slidectl/status")
+            assert [published["msg"] for published in answers] == [{"data": 1}]
+
+    asyncio.run(main())
+
+
 def test_without_a_daemon_it_says_how_to_start_one(runtime: Runtime) -> None:
     async def main() -> None:
         async with AsyncClient(socket=runtime.paths.socket_text):
