@@ -26,7 +26,7 @@ from rosbags.typesys import Stores, get_typestore
 from waiting import eventually
 
 from slidectl import msgs
-from slidectl.extensions.recording import codec
+from slidectl.extensions.recording import codec, recording_files
 from slidectl.extensions.recording.recording_files import BadRecording, create, opened
 
 COMMAND = "/slider/joint1_position_controller/command"
@@ -653,3 +653,24 @@ def test_the_insides_of_rosbags_are_those_that_the_adapter_was_written_for() -> 
     """After an update: read what has changed in them beside recording/rosbags_adapter.py, then take the new number."""
     assert zlib.crc32("".join(map(inspect.getsource, INSIDES)).encode()) == 4179125369
     assert set(reader.decompressors) == {"none", "bz2", "lz4"}
+
+
+@pytest.mark.parametrize("kind", [".bag", ".mcap"])
+def test_a_message_goes_through_the_recorder_and_the_format_to_the_library(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    library = pytest.importorskip("rosbags.rosbag1" if kind == ".bag" else "mcap.writer").Writer
+    layers: list[str] = []
+
+    def write(*_: object) -> None:
+        frame = sys._getframe(1)
+        while frame is not None and "/extensions/recording/" in frame.f_code.co_filename:
+            layers.append(frame.f_code.co_qualname)
+            frame = frame.f_back  # type: ignore[assignment]
+
+    monkeypatch.setattr(library, "write" if kind == ".bag" else "add_message", write)
+    recorder = recording_files.Recorder(tmp_path / f"run{kind}")
+    recorder.add("/x", "std_msgs/Float64")
+    recorder.write("/x", 0, {"data": 1.0})
+    recorder.close()
+    assert layers == [f"_{kind[1:].capitalize()}Writer.write", "Recorder.write"]

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from slidectl.errors import Refused
 from slidectl.extensions.journal.journal import PICTURE
-from slidectl.extensions.recording import codec
-from slidectl.extensions.recording.recording_files import EVERY_CYCLE, SplitFiles
+from slidectl.extensions.recording.recording_files import EVERY_CYCLE, Recorder
 
 if TYPE_CHECKING:
     from slidectl.extensions.journal.journal_replay import Replay
@@ -34,7 +33,7 @@ class ReplayRecording:
         """Raises Refused: the file exists, or cannot be created. UsageError, NoMcap: as recording_files.create."""
         if path.exists():
             raise Refused(f"{path} is there already", "give the recording another name, or remove that file")
-        self._files = SplitFiles(path)
+        self._files = Recorder(path)
         self._trouble: OSError | None = None
         self._begin_s = begin_s
         self._early_ns: range | None = None
@@ -60,7 +59,8 @@ class ReplayRecording:
                 del self._subscriptions[topic]
         for topic, kind in topics.types().items():
             if topic not in self._subscriptions and kind != PICTURE and not self._left_out.fullmatch(topic):
-                write = partial(self._write, topic, codec.of(kind))
+                self._files.add(topic, kind)
+                write = partial(self._write, topic)
                 self._subscriptions[topic] = topics.subscribe(
                     topic, kind, _NODE, partial(write, False), partial(write, True)
                 )
@@ -74,11 +74,11 @@ class ReplayRecording:
         self._has_begun |= self._early_ns is not None and now_ns not in self._early_ns
         return self._has_begun
 
-    def _write(self, topic: str, kind: codec.Codec, latched: bool, message: Any) -> None:
+    def _write(self, topic: str, latched: bool, message: Any) -> None:
         if self._trouble:
             return
         try:
-            self._files.write(topic, kind, latched, self._graph.clock.time_ns, kind.encode(message))
+            self._files.write(topic, self._graph.clock.time_ns, message, latched)
         except OSError as error:  # raised at the end: a publisher must not get it
             self._trouble = error
 

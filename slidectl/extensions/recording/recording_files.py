@@ -12,7 +12,7 @@ import os
 import stat
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -23,6 +23,7 @@ from slidectl import input_files, names, writing
 from slidectl.errors import BadFile, Refused, SlidectlError, UnknownName, UsageError
 from slidectl.extensions.recording import cut_chunks
 from slidectl.extensions.recording.codec import BadDefinition, Codec
+from slidectl.extensions.recording.codec import of as codec_of
 from slidectl.extensions.recording.records import Record, RecordedTopic
 from slidectl.msgs.field_path import Selection, select
 from slidectl.msgs.schema import Schema
@@ -208,8 +209,9 @@ def refuse_unreplaceable(path: Path) -> None:
 class _BagWriter(RecordingWriter):
     def __init__(self, path: Path, compression: str) -> None:
         super().__init__(path)
-        from slidectl.extensions.recording.rosbags_adapter import ChunkWriter
+        from slidectl.extensions.recording.rosbags_adapter import NO_TIME_NS, ChunkWriter
 
+        self._no_time_ns = NO_TIME_NS
         self._writer = ChunkWriter(path, compression, CHUNK)
         self.file = self._writer.file
 
@@ -220,7 +222,7 @@ class _BagWriter(RecordingWriter):
         )
 
     def write(self, topic: Any, time_ns: int, raw: bytes) -> None:
-        self._writer.write(topic, time_ns, raw)
+        self._writer.write(topic, time_ns or self._no_time_ns, raw)
 
     def flush(self) -> None:
         self._writer.flush()
@@ -268,10 +270,11 @@ class _McapWriter(RecordingWriter):
             self.file.close()
 
 
-class SplitFiles:
-    """A recording of at most `length_s` simulated seconds and `size_mb` (10^6 bytes); `split` makes further files.
+class Recorder:
+    """The one way of a message into a recording: it is encoded by the type of its topic, and goes to the file's format.
 
-    A topic is added to a file with its first message.
+    The recording has at most `length_s` simulated seconds and `size_mb` (10^6 bytes); `split` makes further files. A
+    topic is added to a file with its first message.
 
     Args:
         most_files: with `split` the number of last files that are kept; None: all.
@@ -301,7 +304,8 @@ class SplitFiles:
         self._most_files = most_files or math.inf
         self._repeat_latched = repeat_latched
         self._force = force
-        self._latched: dict[str, tuple[Codec, bytes]] = {}
+        self._codecs: dict[str, Codec] = {}
+        self._latched: dict[str, bytes] = {}
         self._numbers = 0
         self.files: list[Path] = []
         self.counts: Counter[str] = Counter()
@@ -330,43 +334,64 @@ class SplitFiles:
             self._numbers += 1
         self._writer = create(path, self._compression, self._force)
         self.files.append(path)
-        self._topics: dict[str, Any] = {}
+        self._handles: dict[str, Any] = {}
         self._begin_ns: int | None = None
         if len(self.files) > self._most_files:
             gone = self.files.pop(0)
             self.bytes -= gone.stat().st_size
             gone.unlink()
 
-    def write(self, topic: str, codec: Codec, latching: bool, time_ns: int, raw: bytes) -> None:
-        """Write a message; `latching`: it was published before the subscription. Raises OSError, Refused."""
-        with self._noting_failure():
-            self._write(topic, codec, latching, time_ns, raw)
+    def add(self, topic: str, type_name: str) -> None:
+        """Add a topic, before its first message. Raises UnknownName: no such type."""
+        self._codecs[topic] = codec_of(type_name)
 
-    def _write(self, topic: str, codec: Codec, latching: bool, time_ns: int, raw: bytes) -> None:
-        if self._ends(time_ns):
-            if not self._split:
-                self.is_full = True
-                return
-            self.close()
-            self._open()
-        if self._begin_ns is None:
-            self._begin_ns = time_ns
-            if self._repeat_latched:
-                for name, (kind, message) in self._latched.items():
-                    self._put(name, kind, True, time_ns, message)
-        if latching or topic in self._latched:
-            self._latched[topic] = codec, raw
-        self._put(topic, codec, latching, time_ns, raw)
+    @property
+    def topics(self) -> Collection[str]:
+        """The topics that were added."""
+        return self._codecs.keys()
+
+    def write(self, topic: str, time_ns: int, message: Any, latching: bool = False) -> None:
+        """Write a message in the shape of the wire protocol; `latching`: it was published before the subscription.
+
+        Raises OSError, Refused: it cannot be written.
+        """
+        raw = self._codecs[topic].encode(message)
+        try:
+            if self._ends(time_ns):
+                if not self._split:
+                    self.is_full = True
+                    return
+                self.close()
+                self._open()
+            if self._begin_ns is None:
+                self._begin(time_ns)
+            if latching or topic in self._latched:
+                self._latched[topic] = raw
+            handle = self._handles.get(topic)
+            if handle is None:
+                handle = self._add(topic, latching)
+            assert self._writer is not None
+            self._writer.write(handle, time_ns, raw)
+        except OSError:
+            self._has_failed = True
+            raise
         self.counts[topic] += 1
         self.first_ns = time_ns if self.first_ns is None else min(self.first_ns, time_ns)
         self.last_ns = max(self.last_ns, time_ns)
 
-    def _put(self, topic: str, codec: Codec, latching: bool, time_ns: int, raw: bytes) -> None:
+    def _begin(self, time_ns: int) -> None:
+        """Begin a file at the time of its first message."""
         assert self._writer is not None
-        handle = self._topics.get(topic)
-        if handle is None:
-            handle = self._topics[topic] = self._writer.add(topic, codec, latching)
-        self._writer.write(handle, time_ns, raw)
+        self._begin_ns = time_ns
+        if self._repeat_latched:
+            for topic, raw in self._latched.items():
+                self._writer.write(self._add(topic, True), time_ns, raw)
+
+    def _add(self, topic: str, latching: bool) -> Any:
+        """Add a topic to the current file. Returns its handle there."""
+        assert self._writer is not None
+        handle = self._handles[topic] = self._writer.add(topic, self._codecs[topic], latching)
+        return handle
 
     def _ends(self, time_ns: int) -> bool:
         if self._length_ns is not None and self._begin_ns is not None and time_ns - self._begin_ns >= self._length_ns:
@@ -377,9 +402,12 @@ class SplitFiles:
 
     def flush(self) -> None:
         """Flush the file. Raises OSError."""
-        with self._noting_failure():
+        try:
             if self._writer is not None:
                 self._writer.flush()
+        except OSError:
+            self._has_failed = True
+            raise
 
     def close(self) -> None:
         """Complete the file. A second call does nothing.
@@ -392,9 +420,11 @@ class SplitFiles:
             return
         writer, self._writer = self._writer, None
         try:
-            with self._noting_failure():
-                if not self._has_failed:
-                    writer.close()
+            if not self._has_failed:
+                writer.close()
+        except OSError:
+            self._has_failed = True
+            raise
         finally:
             if self._has_failed:
                 writer.abandon()
@@ -410,14 +440,6 @@ class SplitFiles:
             return writing.CannotWrite(self.path, error, more=f"; {of_all}, none could be kept in it")
         next_step = f"complete it with: slidectl bag reindex {self.path}"
         return writing.CannotWrite(self.path, error, more=f"; {of_all}, {self.kept} can be read in it", then=next_step)
-
-    @contextmanager
-    def _noting_failure(self) -> Iterator[None]:
-        try:
-            yield
-        except OSError:
-            self._has_failed = True
-            raise
 
 
 # --- reading ----------------------------------------------------------------------------------------------------------

@@ -25,13 +25,13 @@ from rosbags.rosbag1 import Reader, Writer, WriterError, reader
 from slidectl.extensions.recording import cut_chunks
 from slidectl.extensions.recording.records import Record, RecordedTopic
 
-_NO_TIME_NS = 1
+NO_TIME_NS = 1
 """The value for time 0 in a bag, which rosbag does not accept."""
 
 
 def bag_time(time_ns: int) -> int:
     """The recorded time for a time in a bag."""
-    return 0 if time_ns == _NO_TIME_NS else time_ns
+    return 0 if time_ns == NO_TIME_NS else time_ns
 
 
 class ChunkWriter(Writer):
@@ -57,9 +57,6 @@ class ChunkWriter(Writer):
             raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path)) from None
         assert self.bio is not None
         self.file: BinaryIO = self.bio
-
-    def write(self, connection: Any, timestamp: int, data: bytes | memoryview) -> None:
-        super().write(connection, timestamp or _NO_TIME_NS, data)
 
     def write_chunk(self, chunk: Any) -> None:
         """Of a chunk that is in the file the library wants no more than how many messages each topic has in it."""

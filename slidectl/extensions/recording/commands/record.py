@@ -23,8 +23,7 @@ from slidectl.msgs.schema import nanoseconds
 
 if TYPE_CHECKING:
     from slidectl.client import Subscription
-    from slidectl.extensions.recording.codec import Codec
-    from slidectl.extensions.recording.recording_files import SplitFiles
+    from slidectl.extensions.recording.recording_files import Recorder
 
 _LOOK_EVERY_S = 0.2
 _FLUSH_EVERY_S = 1.0
@@ -98,7 +97,7 @@ def record(ctx: Context, /, topics: tuple[str, ...], **given: Any) -> None:
     choice, path = _chosen(topics, **given)
     choice.resolve(ctx)
     from slidectl.cli.detached import Background, pid_file
-    from slidectl.extensions.recording.recording_files import SplitFiles
+    from slidectl.extensions.recording.recording_files import Recorder
     from slidectl.supervision import Interrupts
 
     background = None
@@ -108,11 +107,11 @@ def record(ctx: Context, /, topics: tuple[str, ...], **given: Any) -> None:
         background = Background(ctx.paths, "recording")
         background.fork()
     with Interrupts() as interrupts, pid_file(given["pid_file"]):
-        out = SplitFiles(
+        out = Recorder(
             path, given["compression"], given["duration"], given["size"], given["split"], given["max_splits"],
             given["repeat_latched"], given["force"],
         )  # fmt: skip
-        recorder = _Recorder(ctx, choice, out, given)
+        recorder = _RecordedTopics(ctx, choice, out, given)
         try:
             recorder.begin()
             topics_text = output.count(len(recorder.subscriptions), "topic")
@@ -163,10 +162,10 @@ def _compiled(text: str) -> re.Pattern[str]:
         raise UsageError(f"{text!r} is not a regular expression: {error}") from None
 
 
-class _Recorder:
+class _RecordedTopics:
     """Subscribes to the chosen topics, and writes their messages."""
 
-    def __init__(self, ctx: Context, choice: _Choice, out: SplitFiles, given: dict[str, Any]) -> None:
+    def __init__(self, ctx: Context, choice: _Choice, out: Recorder, given: dict[str, Any]) -> None:
         self._ctx = ctx
         self._choice = choice
         self._out = out
@@ -174,7 +173,6 @@ class _Recorder:
         self._tells_progress = given["progress"]
         self._length_s = None if given["split"] else given["duration"]
         self.subscriptions: dict[str, Subscription] = {}
-        self._codecs: dict[str, Codec] = {}
         self._sleep: str | None = None
         self._topics_call: str | None = None
         self._failure: OSError | SlidectlError | None = None
@@ -194,17 +192,15 @@ class _Recorder:
                 self._ctx.warn(f"nobody publishes {name} yet; it is recorded as soon as somebody does")
 
     def _subscribe_new(self, topics: dict[str, str]) -> None:
-        from slidectl.extensions.recording import codec
-
         for topic, kind in topics.items():
-            if topic not in self._codecs and topic not in self._left_out and self._choice.takes(topic):
+            if topic not in self._out.topics and topic not in self._left_out and self._choice.takes(topic):
                 try:
-                    self._codecs[topic] = codec.of(kind)
+                    self._out.add(topic, kind)
                 except SlidectlError as error:
                     self._left_out.add(topic)
                     self._ctx.warn(f"{topic} is not recorded: {error.message}")
         client = self._ctx.client
-        new = [topic for topic in self._codecs if topic not in self.subscriptions]
+        new = [topic for topic in self._out.topics if topic not in self.subscriptions]
         for topic in new:  # all subscriptions begin at the same time
             self.subscriptions[topic] = client.subscribe(
                 topic, topics[topic], queue_length=_QUEUE, take=self._take, wait=False
@@ -219,9 +215,8 @@ class _Recorder:
         topic = published["topic"]
         if self._failure is not None or (self._limit is not None and self._out.counts[topic] >= self._limit):
             return
-        kind, latching, time_ns = self._codecs[topic], published.get("latch", False), nanoseconds(published["time"])
         try:
-            self._out.write(topic, kind, latching, time_ns, kind.encode(published["msg"]))
+            self._out.write(topic, nanoseconds(published["time"]), published["msg"], published.get("latch", False))
             if self._out.counts.total() == 1:  # a recorder that is killed at once leaves a file that can be read
                 self._out.flush()
         except (OSError, SlidectlError) as error:
