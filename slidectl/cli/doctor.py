@@ -29,6 +29,7 @@ _REGISTRIES = (
     "slidectl.description.sensors:INSTALLED",
     "slidectl.extensions.gateways.gateway_kinds:GATEWAYS",
     "slidectl.extensions.scenarios.commands.step_runner:STEP_KINDS",
+    "slidectl.simulation.feature:INSTALLED",
 )
 """What installed packages may add to, as `module:attribute`."""
 _IMPORT_LIMIT_S = 20.0

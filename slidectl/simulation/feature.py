@@ -8,28 +8,24 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext
-from functools import cache
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from slidectl.control.controller_manager import CallbackGuard
 from slidectl.control.user_classes import HookGuard, import_named, is_of_a_user, raised, watched_for
-from slidectl.errors import BadFile, Refused, SlidectlError, UnknownName, UsageError
+from slidectl.entry_points import Part, PartError, Registry
+from slidectl.errors import BadFile, Refused, SlidectlError, UnknownName
 from slidectl.names import OWN_NODE, is_component, join
 from slidectl.simulation.clock import EACH_STEP_NS
 from slidectl.simulation.cycle import CycleFailed
 
 if TYPE_CHECKING:
-    from importlib.metadata import EntryPoint
-
     from slidectl.control.node_handle import Message
     from slidectl.control.user_modules import UserCode
     from slidectl.simulation.graph import GraphNode
     from slidectl.simulation.simulation import Simulation
     from slidectl.simulation.spawned_robots import SpawnedRobot
 
-ENTRY_POINTS = "slidectl.features"
-"""The entry point group in which an installed package names its features: a name, and `module:Class`."""
 OWN: dict[str, str] = {
     "actions": "slidectl.features.action_server:Actions",
     "rosapi": "slidectl.features.rosapi:Rosapi",
@@ -137,25 +133,31 @@ class FeatureFailed(CycleFailed):
     """A hook of a feature has failed in a cycle."""
 
 
-class BrokenFeature(SlidectlError):
+class BrokenFeature(PartError):
     """A feature of an installed package that a simulation does without; `cause` is the error that it raised."""
 
-    def __init__(self, name: str, package: str, cause: SlidectlError) -> None:
-        super().__init__(f"the feature {name!r} of the package {package} is left out: {cause.message}", cause.hint)
+    def __init__(self, part: Part, cause: SlidectlError) -> None:
+        super().__init__(part, f"the feature {part.name!r} of {part.owner} is left out: {cause.message}")
+        self.hint = cause.hint
         self.cause = cause
 
 
-@cache
-def _installed() -> tuple[EntryPoint, ...]:
-    """The entry points of installed packages. Read once, since this takes 10 ms."""
-    from importlib.metadata import entry_points
+def _expected(found: Any) -> str:
+    is_feature = isinstance(found, type) and issubclass(found, Feature)
+    return "" if is_feature else "class derived from slidectl.simulation.Feature"
 
-    return tuple(entry_points(group=ENTRY_POINTS))
+
+def _bad_name(name: str) -> str:
+    return "" if is_component(name) else "a name is a letter, then letters, digits and '_'"
+
+
+INSTALLED = Registry("slidectl.features", "feature", lambda: OWN, _expected, _bad_name)
+"""The features that installed packages name: a name, and `module:Class`."""
 
 
 def names() -> list[str]:
     """The names of all features: ours in their order, then those of installed packages."""
-    return list(dict.fromkeys([*OWN, *(point.name for point in _installed())]))
+    return [*OWN, *INSTALLED.parts()]
 
 
 def _own_class(name: str) -> type[Feature]:
@@ -164,18 +166,16 @@ def _own_class(name: str) -> type[Feature]:
     return found
 
 
-def _installed_class(point: EntryPoint, code: UserCode) -> type[Feature]:
+def _installed_class(part: Part, code: UserCode) -> type[Feature]:
     """The class that an installed package names.
 
     Raises:
-        UsageError: the name is no name of a feature. BadFile: its code fails. NotAFeature. Refused: it took too long.
+        BadFile: its code fails. NotAFeature. Refused: it took too long.
     """
-    if not is_component(point.name):
-        raise UsageError(f"{point.name!r} is no name of a feature: a letter, then letters, digits and '_'")
-    module = import_named(code, point.module)
-    found = vars(module).get(point.attr)
+    module = import_named(code, part.module)
+    found = vars(module).get(part.attr)
     if not (isinstance(found, type) and issubclass(found, Feature)):
-        raise NotAFeature(point.attr, module.__file__ or point.module)
+        raise NotAFeature(part.attr, module.__file__ or part.module)
     return found
 
 
@@ -220,7 +220,7 @@ class Features:
     def __init__(self, simulation: Simulation) -> None:
         self._simulation = simulation
         self._features: dict[str, Feature] = {}
-        self.broken: list[BrokenFeature] = []
+        self.broken: list[PartError] = []
         """Broken features of installed packages."""
         self._resets: list[Callable[[], None]] = []
 
@@ -228,12 +228,12 @@ class Features:
         """Attach our features and those of installed packages. Broken ones of these are in `broken`."""
         for name in OWN:
             self.attach(_own_class(name), name)
-        for point in _installed():
+        self.broken += INSTALLED.refused()
+        for part in INSTALLED.parts().values():
             try:
-                self.attach(_installed_class(point, self._simulation.types.code), point.name)
+                self.attach(_installed_class(part, self._simulation.types.code), part.name)
             except SlidectlError as error:
-                package = point.dist.name if point.dist is not None else "that names it"
-                self.broken.append(BrokenFeature(point.name, package, error))
+                self.broken.append(BrokenFeature(part, error))
 
     def log_broken(self) -> None:
         """Log what is left out. A driver calls it when the log has a sink."""
@@ -241,8 +241,11 @@ class Features:
             self._simulation.graph.log("error", OWN_NODE, trouble.message)
 
     def attach_these(self, chosen: Sequence[str | type[Feature]]) -> None:
-        """Attach features given by name or class, in this order. Raises UnknownFeature, and as `attach`."""
-        points = {point.name: point for point in _installed()}
+        """Attach features given by name or class, in this order.
+
+        Raises:
+            UnknownFeature. PartError: several packages claim the name. Else as `attach`.
+        """
         for one in chosen:
             if isinstance(one, type):
                 if not issubclass(one, Feature):
@@ -250,8 +253,8 @@ class Features:
                 self.attach(one, one.name or one.__name__)
             elif one in OWN:
                 self.attach(_own_class(one), one)
-            elif one in points:
-                self.attach(_installed_class(points[one], self._simulation.types.code), one)
+            elif (part := INSTALLED.find(one)) is not None:
+                self.attach(_installed_class(part, self._simulation.types.code), one)
             else:
                 raise UnknownFeature(one, names())
 

@@ -424,7 +424,7 @@ simulation = Simulation()
 simulation.spawn(description.load("slider").xml, "slider")
 simulation.step(10)
 found = simulation.features.broken
-broken = {error.message.split("'")[1]: [error.message, type(error.cause).__name__] for error in found}
+broken = {error.part.name: [error.message, type(getattr(error, "cause", error)).__name__] for error in found}
 half = simulation.graph.services.exists("/slidectl/raises/half")
 print(json.dumps([broken, half, "good" in simulation.features, type(simulation.faults).__module__]))
 """
@@ -433,13 +433,11 @@ print(json.dumps([broken, half, "good" in simulation.features, type(simulation.f
         "gone": "BadFile",
         "typo": "BadFile",
         "number": "NotAFeature",
-        "faults": "FeatureNameTaken",
-        "bad-name": "UsageError",
+        "faults": "NameOfSlidectl",
+        "bad-name": "BadPartName",
         "raises": "Refused",
     }
-    assert all(
-        f"the feature {name!r} of the package broken-ones is left out: " in text for name, (text, _) in broken.items()
-    )
+    assert all(f"the feature {name!r} of broken-ones 1.0 is " in text for name, (text, _) in broken.items())
     assert "with_a_typo.py:1: " in broken["typo"][0]
     assert "KeyError: 'later'" in broken["raises"][0]
     assert (half, is_good_there, faults) == (False, True, "slidectl.features.faults")
