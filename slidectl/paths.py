@@ -233,3 +233,26 @@ def share(kind: str) -> Path:
     package = _path(__file__).parent
     inside = package / "share" / kind
     return inside if inside.is_dir() else package.parent / kind
+
+
+def install_command(extra: str) -> str:
+    """The command line that adds an extra, such as `view`, to this installation: from the clone that it came from.
+
+    slidectl is on no package index, where another project might have its name.
+    """
+    from importlib.metadata import PackageNotFoundError, distribution
+    from json import loads
+    from shlex import quote
+    from urllib.parse import unquote, urlsplit
+
+    try:
+        origin = loads(distribution("slidectl").read_text("direct_url.json") or "{}")
+        place = urlsplit(origin.get("url", ""))
+        clone = unquote(place.path)
+        is_editable = bool(origin.get("dir_info", {}).get("editable"))
+    except (PackageNotFoundError, ValueError, AttributeError):
+        return f"pip install '.[{extra}]' in a clone of slidectl"
+    if place.scheme != "file" or not os.path.exists(os.path.join(clone, "pyproject.toml")):
+        return f"pip install '.[{extra}]' in a clone of slidectl"
+    words = quote(f"{clone}[{extra}]")
+    return f"pip install {'-e ' if is_editable else ''}{words}"

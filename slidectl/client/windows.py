@@ -9,7 +9,7 @@ import re
 from collections.abc import Sequence
 from shlex import quote
 
-from slidectl.paths import InstancePaths, command
+from slidectl.paths import InstancePaths, command, install_command
 
 _PAGE = "http://localhost:8080/"
 """Where the page opens unless that port is taken."""
@@ -42,7 +42,7 @@ def instead(package: str, words: Sequence[str], paths: InstancePaths, address: s
         seen = f"{view} shows robots, plots and gains in a browser, and is open: {address}"
     else:
         seen = f"{view} shows robots, plots and gains in a browser ({_PAGE}; slidectl launch opens it with --view)"
-        seen += "" if has_page else ", after pip install 'slidectl[view]'"
+        seen += "" if has_page else f", after {install_command('view')}"
     first = f"there are no windows here; {seen}, {plot} draws curves, {top} shows joints and controllers"
     if package == "rqt_plot":
         return [first, *_plots(words, plot, address or _PAGE)]

@@ -24,7 +24,7 @@ from slidectl.client import Client
 from slidectl.daemon import lifecycle
 from slidectl.errors import SlidectlError
 from slidectl.operating_system import set_timer_slack
-from slidectl.paths import InstancePaths, command
+from slidectl.paths import InstancePaths, command, install_command
 
 OK, LOOK, BROKEN = "ok", "look here", "broken"
 _PYTHON = (3, 11)
@@ -34,9 +34,10 @@ _NEEDED = {
 }  # fmt: skip
 """Distribution -> module."""
 _EXTRAS = {
-    "numba": ("numba", "machine code for the cycle", "pip install 'slidectl[fast]'"),
-    "mcap": ("mcap", "recordings as .mcap", "pip install 'slidectl[mcap]'"),
+    "numba": ("numba", "machine code for the cycle", "fast"),
+    "mcap": ("mcap", "recordings as .mcap", "mcap"),
 }
+"""Distribution -> module, use, extra."""
 _LITTLE_DISK, _NO_DISK = 200 << 20, 1 << 20
 _FEW_FILES, _MANY_FILES = 256, 4096
 _WAKE_UPS = 200
@@ -100,12 +101,12 @@ def _libraries() -> _Found:
         except (ImportError, PackageNotFoundError, OSError) as error:
             yield (BROKEN, f"{name}: {error}", "in the clone of slidectl: pip install --force-reinstall .")
     yield OK, ", ".join(there)
-    for name, (module, use, remedy) in _EXTRAS.items():
+    for name, (module, use, extra) in _EXTRAS.items():
         try:
             import_module(module)
             yield OK, f"{name} {version(name)}: {use}"
         except (ImportError, PackageNotFoundError, OSError):
-            yield OK, f"without {name}: {use}", f"where you want that: {remedy}"
+            yield OK, f"without {name}: {use}", f"where you want that: {install_command(extra)}"
 
 
 def _mujoco() -> _Found:

@@ -115,4 +115,4 @@ def test_a_library_that_is_missing_is_named(slidectl: CommandLine, tmp_path: Pat
         "yourdfpy: not here",
         "in the clone of slidectl: pip install --force-reinstall .",
     ) in found["libraries"]
-    assert any("without mcap" in text and "slidectl[mcap]" in remedy for _, text, remedy in found["libraries"])
+    assert any("without mcap" in text and "[mcap]'" in remedy for _, text, remedy in found["libraries"])

@@ -7,6 +7,7 @@ from typing import Any
 
 from slidectl.entry_points import Part, Registry
 from slidectl.errors import Refused, UnknownName
+from slidectl.paths import install_command
 
 OURS: Mapping[str, str] = {
     "ros1": "slidectl.extensions.gateways.ros1.ros1_gateway:Ros1Gateway",
@@ -61,4 +62,4 @@ def load(kind: str) -> Any:
         if (error.name or "").startswith("slidectl"):
             raise
         needed = f"the {kind} gateway needs the library {error.name}"
-        raise Refused(needed, f"install it: pip install 'slidectl[{kind}]'") from error
+        raise Refused(needed, f"install it: {install_command(kind)}") from error

@@ -27,6 +27,7 @@ from slidectl.extensions.recording.codec import of as codec_of
 from slidectl.extensions.recording.records import Record, RecordedTopic
 from slidectl.msgs.field_path import Selection, select
 from slidectl.msgs.schema import Schema
+from slidectl.paths import install_command
 
 COMPRESSIONS = {".bag": ("none", "bz2", "lz4"), ".mcap": ("none", "lz4", "zstd")}
 EVERY_CYCLE = "/clock|/gazebo/(link|model)_states"
@@ -45,7 +46,7 @@ class NoMcap(Refused):
     """The library for .mcap files is not installed."""
 
     def __init__(self) -> None:
-        super().__init__(".mcap files need the library mcap", "install it: pip install 'slidectl[mcap]', or use .bag")
+        super().__init__(".mcap files need the library mcap", f"install it: {install_command('mcap')}, or use .bag")
 
 
 def _check_mcap() -> None:

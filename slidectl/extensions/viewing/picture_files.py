@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from slidectl import writing
 from slidectl.errors import Refused, UsageError
+from slidectl.paths import install_command
 
-INSTALL = "pip install 'slidectl[video]'"
 FASTEST = {".mp4": 240, ".gif": 50}
 """Maximum pictures per second. GIF times are in hundredths of a second, and viewers show a picture for at least two."""
 
@@ -48,7 +48,7 @@ def check_video(path: Path, size: tuple[int, int], rate: Fraction) -> None:
     try:
         import av  # noqa: F401
     except ImportError:
-        raise Refused("videos need the library PyAV", INSTALL) from None
+        raise Refused("videos need the library PyAV", f"install it: {install_command('video')}") from None
 
 
 class VideoFile:

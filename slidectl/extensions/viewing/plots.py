@@ -18,6 +18,7 @@ import numpy as np
 
 from slidectl.errors import Refused, UsageError
 from slidectl.measures import Array
+from slidectl.paths import install_command
 from slidectl.writing import file_kind
 
 FORMATS = (".svg", ".png", ".pdf", ".html", ".csv")
@@ -40,7 +41,7 @@ class MissingPlotLibrary(Refused):
     """A plotting library is not installed."""
 
     def __init__(self, library: str, what: str) -> None:
-        super().__init__(f"{what} needs the library {library}", "install it: pip install 'slidectl[plot]'")
+        super().__init__(f"{what} needs the library {library}", f"install it: {install_command('plot')}")
 
 
 @dataclass

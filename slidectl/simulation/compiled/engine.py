@@ -11,6 +11,7 @@ import subprocess
 from typing import TYPE_CHECKING
 
 from slidectl.errors import Refused, UsageError
+from slidectl.paths import install_command
 from slidectl.simulation.compiled import object_file
 from slidectl.simulation.graph import WORLD_NODE
 
@@ -110,7 +111,7 @@ class Engine:
 
 def _check_possible() -> None:
     if not object_file.is_possible():
-        raise Refused("the compiled engine needs numba", "install it: pip install 'slidectl[fast]'")
+        raise Refused("the compiled engine needs numba", f"install it: {install_command('fast')}")
 
 
 def _what_failed(code: int) -> str:

@@ -126,7 +126,7 @@ def websocket(ctx: Context, action: str, **options: Any) -> None:
     """Let clients of rosbridge in, over WebSocket.
 
     ACTION is run (until Ctrl-C, the default), start (in the background), stop or status. Needs pip install
-    'slidectl[websocket]'.
+    '.[websocket]' in a clone.
 
     JSON keys: kind, running, pid, address, already (of start), and the counters of status.
     """
@@ -139,7 +139,7 @@ def foxglove(ctx: Context, action: str, **options: Any) -> None:
     """Let the app of Foxglove in.
 
     ACTION is run (until Ctrl-C, the default), start (in the background), stop or status. Needs pip install
-    'slidectl[foxglove]'.
+    '.[foxglove]' in a clone.
 
     JSON keys: kind, running, pid, address, already (of start), and the counters of status.
     """

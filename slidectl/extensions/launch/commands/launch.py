@@ -24,6 +24,7 @@ from slidectl.command_steps import CommandStep, StepEffects, check_not_detached
 from slidectl.errors import Refused, SlidectlError, TimedOut, UsageError
 from slidectl.names import join
 from slidectl.paths import command as to_type
+from slidectl.paths import install_command
 
 if TYPE_CHECKING:
     from slidectl.cli.detached import Background
@@ -146,7 +147,7 @@ def launch(ctx: Context, /, words: tuple[str, ...], packages: tuple[str, ...], *
         launch_text.tell_tasks(ctx, plan, tasks, given["args_of"])
         return
     if opens_page and not open_page.has_page():
-        raise Refused("the page needs the library viser", "install it: pip install 'slidectl[view]'")
+        raise Refused("the page needs the library viser", f"install it: {install_command('view')}")
     _run(ctx, plan, tasks, lookup, title, {**given, "view": opens_page}, master)
 
 

@@ -18,6 +18,7 @@ from slidectl.cli import completion, output
 from slidectl.cli.commands import Variadic, finite, group
 from slidectl.cli.context import Context
 from slidectl.errors import Refused, UsageError
+from slidectl.paths import install_command
 from slidectl.writing import CannotWrite, whole_file, write_whole
 
 if TYPE_CHECKING:
@@ -316,7 +317,7 @@ def _write_parquet(path: Path, rows: Rows, columns: list[str]) -> int:
         from pyarrow import parquet
     except ImportError:
         raise Refused(
-            "Parquet files need the library pyarrow", "install it: pip install 'slidectl[parquet]', or use --csv"
+            "Parquet files need the library pyarrow", f"install it: {install_command('parquet')}, or use --csv"
         ) from None
     content: dict[str, list[Any]] = {column: [] for column in columns}
     for row in rows:

@@ -21,6 +21,7 @@ from slidectl.cli.context import Context
 from slidectl.cli.terminal_progress import progress_bar
 from slidectl.errors import EXIT_INTERRUPTED, EXIT_REFUSED, BadFile, Refused, UsageError, listing
 from slidectl.operating_system import usable_cores
+from slidectl.paths import install_command
 from slidectl.writing import check_writable
 
 if TYPE_CHECKING:
@@ -159,7 +160,7 @@ def _check_pytest() -> None:
     """Raise Refused when a library is not installed with which scenarios run."""
     for module, library in (("pytest", "pytest"), ("xdist", "pytest-xdist")):
         if find_spec(module) is None:
-            raise Refused(f"scenarios run with the library {library}", "install it: pip install 'slidectl[test]'")
+            raise Refused(f"scenarios run with the library {library}", f"install it: {install_command('test')}")
 
 
 # --- choice of cases ------------------------------------------------------------------------------------------------

@@ -10,6 +10,7 @@ import click
 from slidectl.cli.commands import command
 from slidectl.cli.context import DEFAULT_TIMEOUT_S, Context
 from slidectl.errors import Refused, UsageError
+from slidectl.paths import install_command
 
 
 @command(step=None, examples=["slidectl view", "slidectl gui", "slidectl view --port 8090 --read-only --no-open"])
@@ -38,8 +39,8 @@ def view(
     """Show the world in a browser.
 
     Prints the address and serves the page until Ctrl-C. Robots, joints, controllers, gains, plots, topics, services and
-    the log are there, for all browsers that have it open. Needs pip install 'slidectl[view]'. When the daemon ends the
-    page waits for the next one.
+    the log are there, for all browsers that have it open. Needs pip install '.[view]' in a clone. When the daemon ends
+    the page waits for the next one.
 
     The page is for your own browsers on this machine. Another --host needs a --token of at least 8 letters, digits and
     -._~, which may be given as SLIDECTL_TOKEN too.
@@ -54,7 +55,7 @@ def view(
         from slidectl.extensions.viewing.page.guarded_server import AccessGuard, GuardedServer, free_port
     except ModuleNotFoundError as error:
         needed = f"the page needs the library {error.name}"
-        raise Refused(needed, "install it: pip install 'slidectl[view]'") from error
+        raise Refused(needed, f"install it: {install_command('view')}") from error
     from slidectl.extensions.viewing.page.layout import lay_out
     from slidectl.extensions.viewing.page.page import Page
     from slidectl.web_access import check_effects, check_token, check_users_can_be_told, is_loopback, shown_host
