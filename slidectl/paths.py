@@ -236,7 +236,7 @@ def share(kind: str) -> Path:
 
 
 def install_command(extra: str) -> str:
-    """The command line that adds an extra, such as `view`, to this installation: from the clone that it came from.
+    """The command line that adds an extra, such as `view`, to this installation: from the clone or wheel it came from.
 
     slidectl is on no package index, where another project might have its name.
     """
@@ -252,7 +252,8 @@ def install_command(extra: str) -> str:
         is_editable = bool(origin.get("dir_info", {}).get("editable"))
     except (PackageNotFoundError, ValueError, AttributeError):
         return f"pip install '.[{extra}]' in a clone of slidectl"
-    if place.scheme != "file" or not os.path.exists(os.path.join(clone, "pyproject.toml")):
+    is_wheel = clone.endswith(".whl") and os.path.isfile(clone)
+    if place.scheme != "file" or not (is_wheel or os.path.isfile(os.path.join(clone, "pyproject.toml"))):
         return f"pip install '.[{extra}]' in a clone of slidectl"
     words = quote(f"{clone}[{extra}]")
     return f"pip install {'-e ' if is_editable else ''}{words}"
