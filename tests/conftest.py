@@ -51,7 +51,14 @@ def _share_cache(config: pytest.Config) -> None:
     if not hasattr(config, "workerinput"):
         config.stash[_CACHE] = pytest.MonkeyPatch()
         config.stash[_CACHE].setenv("XDG_CACHE_HOME", tempfile.mkdtemp(prefix="slidectl-cache-"))
-        _copy_cycles(config.cache.mkdir("slidectl-compiled"), _compiled())
+        if (before := _cycles_of_runs(config)) is not None:
+            _copy_cycles(before, _compiled())
+
+
+def _cycles_of_runs(config: pytest.Config) -> Path | None:
+    """The folder that runs hand on; None where pytest keeps nothing."""
+    cache: pytest.Cache | None = getattr(config, "cache", None)
+    return cache.mkdir("slidectl-compiled") if cache is not None else None
 
 
 def _compiled() -> Path:
@@ -90,7 +97,8 @@ def pytest_unconfigure(config: pytest.Config) -> None:
     """A compilation that is still under way finds its folder gone, and ends."""
     if _CACHE in config.stash:
         with suppress(OSError):
-            _copy_cycles(_compiled(), config.cache.mkdir("slidectl-compiled"))
+            if (after := _cycles_of_runs(config)) is not None:
+                _copy_cycles(_compiled(), after)
         shutil.rmtree(os.environ["XDG_CACHE_HOME"], ignore_errors=True)
         config.stash[_CACHE].undo()
 

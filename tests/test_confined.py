@@ -54,7 +54,7 @@ def fail() -> bytes:
         (lambda: b"", "the process that read it failed"),
         (lambda: b"x" * (3 << 20), "it comes to more than 1 MiB"),
         pytest.param(
-            lambda: bytes(1 << 28),
+            lambda: bytes(1 << 29),
             "the process that read it failed",
             marks=pytest.mark.skipif(not LINUX, reason="the memory of a process is not bounded here"),
         ),
@@ -64,7 +64,7 @@ def test_a_process_without_a_result_is_told_with_its_reason(
     work: Callable[[], bytes], reason: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(EndedError, match=f"^{reason}$"):
-        run(work, Limits(1, 1 if work is wait else 120, 1 << 26), 1 << 20)
+        run(work, Limits(1, 1 if work is wait else 120, 1 << 28), 1 << 20)
     assert capfd.readouterr() == ("", "")
 
 

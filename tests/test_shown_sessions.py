@@ -216,6 +216,7 @@ def test_no_block_of_a_page_stands_there_unrun() -> None:
     assert {name: count for name, count in others.items() if count and name != "commands.md"} == {
         "architecture.md": 1,  # a picture
         "ci.md": 5,  # test_deployment.py, test_pythons.py
+        "extending.md": 3,  # the files of the example package: test_cli_installed_packages.py
         "index.md": 1,  # pip: test_pythons.py
         "install.md": 3,  # pip
         "pytest.md": 1,  # what pytest prints

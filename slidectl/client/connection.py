@@ -164,12 +164,12 @@ class GraphClient:
         self._publish(topic, message, type, latch, **({} if latch else {"unheard": True}))
         self._published = True
 
-    def _publish(self, topic: str, message: Message, type: str | None, latch: bool, **options: object) -> str:
-        """Send a publish object with these options. Returns its id."""
+    def _publish(self, topic: str, message: Message, type_name: str | None, latch: bool, **options: object) -> str:
+        """Send a publish object with these options, such as `type`. Returns its id."""
         if not topic.startswith("/"):
-            topic = self._full("topic", topic, "subscribers", type)
-        if type is not None or latch:
-            self.advertise(topic, type, latch)
+            topic = self._full("topic", topic, "subscribers", type_name)
+        if type_name is not None or latch:
+            self.advertise(topic, type_name, latch)
         publish_id, line = self._peer.publish(topic, message, **options)
         self._send_line(line)
         return publish_id

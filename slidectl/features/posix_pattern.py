@@ -1,37 +1,38 @@
-"""POSIX extended regular expressions of clients, by Python's `re`, with a limit on time.
+"""POSIX extended regular expressions with bounded cost: a client's pattern must not block the world.
 
-Against: a client whose pattern takes exponential time, and would block the world. `re` looks for signals while it
-matches, so a timer of processor time ends it; that timer is not the one of the limit on users' code.
+Python's `re` has another grammar, and some patterns take exponential time in it. Here each part of a pattern maps all
+its possible start positions to all its possible end positions: no path through the text is followed twice, and the
+positions are counted.
 """
 
 from __future__ import annotations
 
-import re
-import signal
-from collections.abc import Iterator
-from contextlib import contextmanager
-from types import FrameType
+import string
+from collections.abc import Callable
 
 from slidectl.errors import UsageError, quoted
 
-MOST_S = 0.2
-"""Processor time of one search, s."""
-_LONGEST = 1000
+MOST_STEPS = 200_000
+"""The most steps of one pattern, over all texts: some tenths of a second."""
 _MOST_REPEATS = 255
 _CLASSES = {
-    "alpha": "a-zA-Z", "digit": "0-9", "alnum": "a-zA-Z0-9", "upper": "A-Z", "lower": "a-z", "space": r"\s",
-    "blank": r" \t", "punct": r"!-/:-@\[-`{-~", "xdigit": "0-9a-fA-F", "print": " -~", "graph": "!-~",
-    "cntrl": r"\x00-\x1f\x7f",
-}  # fmt: skip
-_TOKEN = re.compile(
-    r"\\(?P<sign>.)"
-    r"|\[(?P<other>\^?)(?P<bracket>\]?(?:\[:\w*:\]|[^]])*)\]"
-    r"|(?P<repeat>[*+?]|\{\d{1,3}(?:,\d{0,3})?\})"
-    r"|(?P<plain>[^\\[{])",
-    re.DOTALL,
-)
-_IN_BRACKET = re.compile(r"\[:(?P<name>\w*):\]|(?P<sign>[^-])|-", re.DOTALL)
-_SIGNS = {"(": "(?:", "^": r"\A", "$": r"\Z", ".": ".", "|": "|", ")": ")"}
+    "alpha": str.isalpha,
+    "digit": lambda sign: sign in string.digits,
+    "alnum": str.isalnum,
+    "upper": str.isupper,
+    "lower": str.islower,
+    "space": str.isspace,
+    "blank": lambda sign: sign in " \t",
+    "punct": lambda sign: sign in string.punctuation,
+    "xdigit": lambda sign: sign in string.hexdigits,
+    "print": str.isprintable,
+    "graph": lambda sign: sign.isprintable() and not sign.isspace(),
+    "cntrl": lambda sign: ord(sign) < 32 or ord(sign) == 127,
+}
+Accepts = Callable[[str], bool]
+"""True when a single character matches."""
+Part = Callable[[str, set[int]], set[int]]
+"""A part of the pattern: maps start positions in a text to end positions. 0 is before the first character."""
 
 
 class PosixPattern:
@@ -39,75 +40,156 @@ class PosixPattern:
 
     def __init__(self, text: str) -> None:
         self._text = text
-        if len(text) > _LONGEST:
-            raise UsageError(f"the pattern {quoted(text)} is longer than {_LONGEST} characters", "write a simpler one")
+        self._at = 0
+        self._steps = 0
         try:
-            with _limited():
-                self._pattern = re.compile(self._translated(), re.DOTALL)
-        except (re.error, OverflowError) as error:
-            raise self._error(str(error)) from None
-        except (RecursionError, TimeoutError):
-            raise UsageError(f"the pattern {quoted(text)} is too large", "write a simpler one") from None
+            self._whole = self._alternatives()
+        except RecursionError:
+            raise self._too_large() from None
+        if self._at < len(text):
+            raise self._error("')' without '('")
 
     def is_in(self, text: str) -> bool:
-        """True when some part of the text matches. Raises UsageError: it takes too long."""
+        """True when some part of the text matches. Raises UsageError: it takes too long, or is too large."""
         try:
-            with _limited():
-                return self._pattern.search(text) is not None
-        except (MemoryError, TimeoutError):
-            raise UsageError(f"the pattern {quoted(self._text)} takes too long", "write a simpler one") from None
+            return bool(self._whole(text, set(range(len(text) + 1))))
+        except RecursionError:
+            raise self._too_large() from None
+
+    def _count(self, starts: set[int]) -> None:
+        self._steps += 1 + len(starts)
+        if self._steps > MOST_STEPS:
+            raise UsageError(f"the pattern {quoted(self._text)} takes too long", "write a simpler one")
+
+    def _too_large(self) -> UsageError:
+        return UsageError(f"the pattern {quoted(self._text)} is too large", "write a simpler one")
 
     def _error(self, why: str) -> UsageError:
         return UsageError(f"{quoted(self._text)} is no POSIX extended regular expression: {why}")
 
-    def _translated(self) -> str:
-        """The pattern for Python, which has other classes of characters, anchors and escapes."""
-        parts: list[str] = []
-        at = 0
-        is_repeated = False
-        while at < len(self._text):
-            token = _TOKEN.match(self._text, at)
-            if token is None:
-                raise self._error(f"nothing ends what begins with {self._text[at : at + 10]!r}")
-            at = token.end()
-            if token["repeat"]:
-                if any(int(count) > _MOST_REPEATS for count in re.findall(r"\d+", token["repeat"])):
-                    raise self._error(f"{_MOST_REPEATS} is the most times")
-                if is_repeated:  # POSIX leaves open what it means; in Python it means something else
-                    raise self._error(f"a repeat of a repeat: {token['repeat']}")
-                parts.append(token["repeat"])
-            elif token["bracket"] is not None:
-                parts.append(f"[{token['other']}{_IN_BRACKET.sub(self._bracket_part, token['bracket'])}]")
-            elif token["sign"]:
-                parts.append(re.escape(token["sign"]))
+    # The grammar
+
+    def _peek(self) -> str:
+        return self._text[self._at : self._at + 1]
+
+    def _next(self) -> str:
+        self._at += 1
+        return self._text[self._at - 1 : self._at]
+
+    def _alternatives(self) -> Part:
+        branches = [self._branch()]
+        while self._peek() == "|":
+            self._at += 1
+            branches.append(self._branch())
+        return lambda text, starts: set().union(*(branch(text, starts) for branch in branches))
+
+    def _branch(self) -> Part:
+        parts: list[Part] = []
+        while (sign := self._peek()) and sign not in "|)":
+            if sign in "*+?{":
+                raise self._error(f"nothing before {sign!r} to repeat")
+            part = self._atom()
+            while (sign := self._peek()) and sign in "*+?{":
+                self._at += 1
+                least, most = {"*": (0, None), "+": (1, None), "?": (0, 1)}.get(sign) or self._counts()
+                part = self._times(part, least, most)
+            parts.append(part)
+
+        def ends(text: str, places: set[int]) -> set[int]:
+            for part in parts:
+                places = part(text, places)
+            return places
+
+        return ends
+
+    def _atom(self) -> Part:
+        sign = self._next()
+        if sign == "(":
+            inside = self._alternatives()
+            if self._next() != ")":
+                raise self._error("'(' without ')'")
+            return inside
+        if sign == "^":
+            return lambda _, starts: starts & {0}
+        if sign == "$":
+            return lambda text, starts: starts & {len(text)}
+        if sign == "[":
+            return self._one(self._bracket())
+        if sign == ".":
+            return self._one(lambda _: True)
+        if sign == "\\" and not (sign := self._next()):
+            raise self._error("it ends with '\\'")
+        return self._one(sign.__eq__)
+
+    def _bracket(self) -> Accepts:
+        """The content of `[...]`."""
+        is_other = self._peek() == "^"
+        self._at += is_other
+        accepted: list[Accepts] = []
+        while self._peek() != "]" or not accepted:
+            sign = self._next()
+            if not sign:
+                raise self._error("'[' without ']'")
+            if sign == "[" and self._peek() in (":", ".", "="):
+                accepted.append(self._named())
+            elif self._peek() == "-" and self._text[self._at + 1 : self._at + 2] not in ("]", ""):
+                self._at += 1
+                accepted.append(self._range(sign, self._next()))
             else:
-                parts.append(_SIGNS.get(token["plain"]) or re.escape(token["plain"]))
-            is_repeated = bool(token["repeat"])
-        return "".join(parts)
+                accepted.append(sign.__eq__)
+        self._at += 1
+        return lambda sign: any(one(sign) for one in accepted) is not is_other
 
-    def _bracket_part(self, part: re.Match[str]) -> str:
-        if part["name"] is not None:
-            if part["name"] not in _CLASSES:
-                raise self._error(f"classes of characters are {', '.join(f'[:{one}:]' for one in _CLASSES)}")
-            return _CLASSES[part["name"]]
-        return re.escape(part["sign"]) if part["sign"] else "-"
+    def _named(self) -> Accepts:
+        kind = self._next()
+        name, end, _ = self._text[self._at :].partition(f"{kind}]")
+        if kind != ":" or not end or name not in _CLASSES:
+            raise self._error(f"classes of characters are {', '.join(f'[:{one}:]' for one in _CLASSES)}")
+        self._at += len(name) + 2
+        return _CLASSES[name]
 
+    def _range(self, first: str, last: str) -> Accepts:
+        if last < first:
+            raise self._error(f"the range {first}-{last} is the wrong way round")
+        return lambda sign: first <= sign <= last
 
-@contextmanager
-def _limited() -> Iterator[None]:
-    """Raise TimeoutError inside after MOST_S. Without effect outside of the main thread, which the daemon has alone."""
-    try:
-        before = signal.signal(signal.SIGVTALRM, _end)
-    except ValueError:
-        yield
-        return
-    signal.setitimer(signal.ITIMER_VIRTUAL, MOST_S)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
-        signal.signal(signal.SIGVTALRM, before)
+    def _counts(self) -> tuple[int, int | None]:
+        """The content of `{...}`."""
+        text, end, _ = self._text[self._at :].partition("}")
+        least, comma, most = text.partition(",")
+        numbers = [least] if not comma else [least, most or "0"]
+        if not end or not all(one.isascii() and one.isdigit() and len(one) < 4 for one in numbers):
+            raise self._error("a number of times is {N}, {N,} or {N,M}")
+        low, high = int(least), int(most) if most else None if comma else int(least)
+        if max(low, high or 0) > _MOST_REPEATS or (high is not None and high < low):
+            raise self._error(f"{{{text}}} is no number of times; {_MOST_REPEATS} is the most")
+        self._at += len(text) + 1
+        return low, high
 
+    # Matching
 
-def _end(_number: int, _frame: FrameType | None) -> None:
-    raise TimeoutError
+    def _one(self, accepts: Accepts) -> Part:
+        """A part that matches a single character."""
+
+        def ends(text: str, starts: set[int]) -> set[int]:
+            self._count(starts)
+            return {at + 1 for at in starts if at < len(text) and accepts(text[at])}
+
+        return ends
+
+    def _times(self, part: Part, least: int, most: int | None) -> Part:
+        def ends(text: str, places: set[int]) -> set[int]:
+            for _ in range(least):
+                if not places:
+                    break
+                self._count(places)  # count empty matches too
+                places = part(text, places)
+            reached, left = places, None if most is None else most - least
+            while places and left != 0:
+                self._count(places)
+                places = part(text, places) - reached
+                reached = reached | places
+                left = left and left - 1
+            return reached
+
+        return ends

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 from cli_ros_world import Session, SlideWorld, slide_world, usage
+from daemon_fixture import send
 
 from slidectl.client import Client
 
@@ -160,7 +161,7 @@ def test_without_a_verb_the_list_of_verbs_goes_to_stdout_with_exit_code_64(slide
 
 def called(slide: SlideWorld, provider: Client) -> subprocess.Popen[str]:
     """A `rosservice call` whose request has reached the provider, which does not answer."""
-    provider._send(op="advertise_service", service="/slide/slow", type="std_srvs/Empty")
+    send(provider, op="advertise_service", service="/slide/slow", type="std_srvs/Empty")
     provider.flush()
     calling = slide.shell.slidectl.start("ros", "rosservice", "call", "/slide/slow")
     assert any(wire.get("op") == "call_service" for wire in provider.events(20.0))
@@ -186,10 +187,10 @@ def test_a_provider_that_goes_away_fails_the_call(slide: SlideWorld) -> None:
 def test_wait_waits_for_a_service_that_comes_later(slide: SlideWorld) -> None:
     waiting = slide.shell.slidectl.start("ros", "rosservice", "call", "--wait", "/slide/later")
     with slide.daemon.client() as provider:
-        provider._send(op="advertise_service", service="/slide/later", type="std_srvs/Empty")
+        send(provider, op="advertise_service", service="/slide/later", type="std_srvs/Empty")
         for wire in provider.events(20.0):
             if wire.get("op") == "call_service":
-                provider._send(op="service_response", id=wire["id"], service=wire["service"], values={}, result=True)
+                send(provider, op="service_response", id=wire["id"], service=wire["service"], values={}, result=True)
                 break
         assert waiting.communicate(timeout=30) == ("\n", "")
     assert waiting.returncode == 0
