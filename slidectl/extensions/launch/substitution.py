@@ -11,6 +11,7 @@ value is used, so that a path stays one word. roslaunch splits such a path into 
 
 from __future__ import annotations
 
+import ast
 import json
 import math
 import os
@@ -54,6 +55,15 @@ _ABSENT_PACKAGE = re.compile(f"{_ABSENT}([^{_ABSENT}]*){_ABSENT}")
 
 class SubstitutionError(SlidectlError):
     """A `$(...)` is not valid, or names something that does not exist."""
+
+
+_SIMPLE_LENGTH, _SHORT = 1000, 10_000
+"""The most characters of a simple expression, and of a text in it."""
+_SIMPLE = (
+    ast.Expression, ast.Constant, ast.Name, ast.Load, ast.BoolOp, ast.boolop, ast.UnaryOp, ast.Not, ast.USub, ast.UAdd,
+    ast.BinOp, ast.Add, ast.Sub, ast.Div, ast.Compare, ast.cmpop, ast.IfExp, ast.Call,
+)  # fmt: skip
+"""Parts of simple expressions. Calls are of the functions of launch files: `arg`, `find` and the like."""
 
 
 class EvalError(ValueError):
@@ -212,7 +222,7 @@ class Substitution:
 
 
 def evaluate(text: str, names: Mapping[str, Any], state: Callable[[], Any] = lambda: None) -> tuple[str, Any]:
-    """Evaluate an expression of Python, with a guard, in a process of its own.
+    """Evaluate an expression of Python, with a guard, and in a process of its own where it may take long.
 
     It may use `names`, the names of the math module, and Python's own functions.
 
@@ -224,6 +234,11 @@ def evaluate(text: str, names: Mapping[str, Any], state: Callable[[], Any] = lam
     """
     if "__" in text:
         raise EvalError("may not contain double underscores")
+    if _is_simple(text, names):
+        try:
+            return _computed(text, names), state()
+        except SlidectlError as reason:
+            raise SubstitutionError(reason.message, reason.hint) from None
 
     def work() -> bytes:
         value = error = None
@@ -245,6 +260,24 @@ def evaluate(text: str, names: Mapping[str, Any], state: Callable[[], Any] = lam
         is_of_function, reason, hint = error
         raise SubstitutionError(reason, hint) if is_of_function else EvalError(reason)
     return value, after
+
+
+def _is_simple(text: str, names: Mapping[str, Any]) -> bool:
+    """True when the expression cannot take long or much memory: it compares, adds and chooses among short values.
+
+    Most expressions of launch files are such, and a process for each would cost milliseconds.
+    """
+    if len(text) > _SIMPLE_LENGTH or any(isinstance(one, str) and len(one) > _SHORT for one in names.values()):
+        return False
+    try:
+        tree = ast.parse(text.strip(), mode="eval")
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        return False
+    return all(
+        isinstance(node, _SIMPLE)
+        and (not isinstance(node, ast.Call) or (isinstance(node.func, ast.Name) and callable(names.get(node.func.id))))
+        for node in ast.walk(tree)
+    )
 
 
 def _computed(text: str, names: Mapping[str, Any]) -> str:
