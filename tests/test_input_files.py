@@ -154,6 +154,7 @@ ELSEWHERE = {
     "operating_system.py": "/proc, and files in memory, which are written",
     "msgs/definitions.py": "the package's own definitions of messages",
     "physics/rendering.py": "a file in memory for another process",
+    "paths.py": "what pip wrote about the installation",
     "processes.py": "locks and logs of the instance, which slidectl wrote",
     "extensions/scenarios/pytest_plugin.py": "the log of the instance, which slidectl wrote",
     "extensions/scenarios/case_process.py": "a pipe to the parent, a log that is written, and /dev/null",
