@@ -177,7 +177,7 @@ PROGRAMS = [
     if not _is_typed(program, page)
 ]
 SLIDER = (
-    "slidectl daemon start --rtf max",
+    "slidectl daemon start --rtf 20",  # as fast as it can be, a motion is over before a busy machine goes on here
     "slidectl spawn slider --controllers config/slider_control.yaml"
     " --start joint_state_controller joint1_position_controller",
 )
