@@ -16,6 +16,7 @@ import json
 import math
 import os
 import re
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -270,7 +271,9 @@ def _is_simple(text: str, names: Mapping[str, Any]) -> bool:
     if len(text) > _SIMPLE_LENGTH or any(isinstance(one, str) and len(one) > _SHORT for one in names.values()):
         return False
     try:
-        tree = ast.parse(text.strip(), mode="eval")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the user cannot act on Python's warnings about this code
+            tree = ast.parse(text.strip(), mode="eval")
     except (SyntaxError, ValueError, RecursionError, MemoryError):
         return False
     return all(
