@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ast
 import builtins
+import importlib
 import string
 import warnings
 from collections.abc import Callable, Mapping
@@ -55,8 +56,18 @@ def evaluate(text: str, symbols: Any, names: Any, dotted: tuple[type[Any], ...],
         warnings.simplefilter("ignore")  # the user cannot act on Python's warnings about this code
         tree = _Guard().visit(ast.parse(str.strip(text), "<expression>", "eval"))
         code = compile(ast.fix_missing_locations(tree), "<expression>", "eval")
-    symbols.update(__builtins__={**functions, _GUARD: _attributes(dotted)})
+    symbols.update(__builtins__={**functions, _GUARD: _attributes(dotted), "__import__": _import})
     return eval(code, symbols, names)
+
+
+def _import(name: str, *_: Any) -> Any:
+    """For Python itself, from 3.12 on: it computes with very large numbers in a module. Expressions cannot name this.
+
+    Raises ImportError: it is another module.
+    """
+    if name != "_pylong":
+        raise ImportError(f"expressions here import nothing, and not {name!r}")
+    return importlib.import_module(name)
 
 
 def type_of(value: Any) -> type:
