@@ -243,11 +243,14 @@ def _installed() -> tuple[dict[str, dict[str, list[Part]]], list[BadMetadata]]:
     unreadable: dict[str, BadMetadata] = {}
     seen: set[str] = set()
     for folder in _metadata_folders():
+        points_file = os.path.join(folder, "entry_points.txt")
         try:
-            with open(os.path.join(folder, "entry_points.txt"), "rb") as file:
+            if not os.path.isfile(points_file):  # most packages have none; a FIFO would wait
+                continue
+            with open(points_file, "rb") as file:
                 if b"[" + _GROUP.encode() not in file.read():
                     continue
-        except OSError:  # most packages have none
+        except OSError:
             continue
         from importlib.metadata import Distribution, distribution
         from pathlib import Path

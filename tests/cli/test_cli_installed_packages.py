@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import socket
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -337,6 +338,13 @@ def test_metadata_that_cannot_be_read_stops_nothing(hello: Installed) -> None:
     (hello.site / "slidectl_broken-1.0.dist-info" / "entry_points.txt").write_text(f"[{COMMANDS}]\nsing\n")
     assert hello.ok("hello") == "hello\n"
     assert "the entry points of slidectl-broken cannot be read" in hello("doctor").stdout
+
+
+def test_a_file_of_entry_points_that_never_ends_is_passed_over(hello: Installed) -> None:
+    for name, make in (("fifo", os.mkfifo), ("folder", os.mkdir), ("loop", lambda path: os.symlink(path, path))):
+        (hello.site / f"{name}-1.0.dist-info").mkdir()
+        make(hello.site / f"{name}-1.0.dist-info" / "entry_points.txt")
+    assert hello.ok("hello") == "hello\n"
 
 
 # -- names -------------------------------------------------------------------------------------------------------------
