@@ -27,7 +27,7 @@ from slidectl.daemon import lifecycle
 from slidectl.daemon.options import DaemonOptions
 from slidectl.operating_system import LINUX, PORTABLE
 from slidectl.processes import holder
-from slidectl.wire.lines import encode
+from slidectl.wire.json_lines import encode
 
 ROOT = Path(__file__).parent.parent
 

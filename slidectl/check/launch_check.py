@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from slidectl import description, names, paths
-from slidectl.check import kinds, model, scenes
+from slidectl.check import file_kinds, model, scenes
 from slidectl.check.controllers import ControllerCheck, ParameterFile
 from slidectl.check.findings import Findings
 from slidectl.check.model import Model
@@ -501,7 +501,7 @@ class _LaunchCheck:
 
 def _is_robot(text: str) -> bool:
     try:
-        return text.lstrip("\ufeff \t\r\n").startswith("<") and kinds.of_text(text.encode(), "") == "model"
+        return text.lstrip("\ufeff \t\r\n").startswith("<") and file_kinds.of_text(text.encode(), "") == "model"
     except BadFile:
         return False
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slidectl import names, values
+from slidectl import names, typed_values
 from slidectl.cli import completion, output, robots
 from slidectl.cli.commands import group
 from slidectl.cli.context import Context
@@ -104,7 +104,7 @@ def send(ctx: Context, name: str, goal: str, wait: bool, feedback: bool) -> None
     cancels the goal, and --timeout (4) leaves it under way. JSON keys: id, and of a goal that has ended state, status,
     text, result.
     """
-    fields = values.read(goal)
+    fields = typed_values.read(goal)
     if not isinstance(fields, dict):
         raise UsageError(f"the GOAL {goal!r} is no mapping of fields", "write '{field: value}'; {} for the defaults")
     with _open(ctx, name) as chosen:

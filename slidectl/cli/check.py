@@ -77,7 +77,7 @@ def check(
     controller. JSON keys: file, line, verdict, subject, text.
     """
     ctx: Context = click_context.obj
-    from slidectl.check.run import check as run
+    from slidectl.check.dispatch import check as run
     from slidectl.cli.daemon import module_or_file
     from slidectl.description.missing import Missing
 

@@ -16,7 +16,7 @@ from slidectl.cli.published_topics import look_up_published
 from slidectl.cli.topic_streams import Event, Stream, Target, look_up_when_there
 from slidectl.errors import TimedOut, UnknownName, Unused, UsageError
 from slidectl.msgs.field_path import Selection, select
-from slidectl.msgs.forms import CsvForm, YamlForm
+from slidectl.msgs.message_text import CsvForm, YamlForm
 from slidectl.msgs.schema import Schema, nanoseconds
 
 if TYPE_CHECKING:

@@ -112,7 +112,7 @@ def as_json(value: Any) -> str:
     try:
         return json.dumps(value, ensure_ascii=False, allow_nan=False)
     except ValueError:
-        from slidectl.wire.lines import numbers_of_json
+        from slidectl.wire.json_lines import numbers_of_json
 
         return numbers_of_json(json.dumps(value, ensure_ascii=False))
 

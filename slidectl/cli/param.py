@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slidectl import names, values
+from slidectl import names, typed_values
 from slidectl.cli import completion, output
 from slidectl.cli.commands import group
 from slidectl.cli.context import Context
@@ -113,7 +113,7 @@ def set_parameter(ctx: Context, name: str, value: str | None, textfile: str | No
     """
     if (value is None) == (textfile is None):
         raise UsageError("give a VALUE or -t FILE")
-    content = values.text_of(textfile) if textfile is not None else typed(value or "")
+    content = typed_values.text_of(textfile) if textfile is not None else typed(value or "")
     full = _name_to_set(ctx, name, new)
     created = store(ctx, settings(content, full), known_only=not new)
     if full != names.join(ctx.namespace, name):
@@ -193,7 +193,7 @@ def load(ctx: Context, file: str, namespace: str | None) -> None:
 
     shown = "stdin" if file == "-" else file
     inside = names.check_parameter(names.join(ctx.namespace, (namespace or "").rstrip("/") or ctx.namespace))
-    tree = parameters_in(ctx, values.text_of(file), shown, namespace is not None)
+    tree = parameters_in(ctx, typed_values.text_of(file), shown, namespace is not None)
     if tree == {}:
         ctx.say(f"{shown} holds no parameters")
     elif namespace is not None and _names_all_of(tree, inside):
@@ -250,10 +250,14 @@ def get_value(ctx: Context, full: str) -> Any:
 def typed(text: str) -> Any:
     """The value of a command-line word: YAML, angles converted to radians, '' for no text. Raises UsageError."""
     if "deg" not in text and "rad" not in text:
-        return "" if text == "" else values.read(text)
+        return "" if text == "" else typed_values.read(text)
     from slidectl.description import angles
 
-    return values.read_yaml(text, values.shown(text), angles=True) if angles.may_be_in(text) else values.read(text)
+    return (
+        typed_values.read_yaml(text, typed_values.shown(text), angles=True)
+        if angles.may_be_in(text)
+        else typed_values.read(text)
+    )
 
 
 def parameters_in(ctx: Context, text: str, file: str, may_be_list: bool) -> Any:
@@ -295,7 +299,7 @@ def _scalar(value: Any) -> str | None:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
-        from slidectl.msgs.forms import is_plain
+        from slidectl.msgs.message_text import is_plain
 
         return value if is_plain(value) else None
     if isinstance(value, int | float) and _PLAIN_NUMBER.match(repr(value)):

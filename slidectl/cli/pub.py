@@ -21,7 +21,7 @@ from slidectl.cli.topic_streams import SUBSCRIBERS, Target, details, look_up, us
 from slidectl.errors import BadFile, SlidectlError, TimedOut, UnknownName, Unused, UsageError
 from slidectl.msgs.fill import fill, mentions_clock
 from slidectl.msgs.schema import Schema
-from slidectl.values import check_quotes, documents_of, documents_on_stdin, is_numeric, read
+from slidectl.typed_values import check_quotes, documents_of, documents_on_stdin, is_numeric, read
 
 Values = Sequence[Any]
 """The content of a message: one mapping of fields, or one value for each field."""

@@ -15,9 +15,9 @@ from slidectl.cli.pub import message_of
 from slidectl.command_steps import CommandStep
 from slidectl.errors import Refused, UsageError
 from slidectl.msgs.fill import field_paths
-from slidectl.msgs.forms import YamlForm
+from slidectl.msgs.message_text import YamlForm
 from slidectl.msgs.schema import Typedefs, from_typedefs
-from slidectl.values import check_quotes, documents_on_stdin, read
+from slidectl.typed_values import check_quotes, documents_on_stdin, read
 
 CALL_TIMEOUT_S = 60.0
 

@@ -22,7 +22,7 @@ from slidectl.cli.main import guard, invoke, root
 from slidectl.errors import EXIT_DONE, EXIT_INTERRUPTED, EXIT_NO_DAEMON, UsageError
 from slidectl.input_files import opened_text
 from slidectl.paths import with_package
-from slidectl.values import bounded
+from slidectl.typed_values import bounded
 
 _LEAVE = ("exit", "quit")
 _DAEMON_CHANGES = frozenset(("daemon", "launch"))

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slidectl import names, values
+from slidectl import names, typed_values
 from slidectl.cli import completion
 from slidectl.cli.action import cancel_goals, run
 from slidectl.cli.commands import Variadic, group, simulated_seconds
@@ -164,14 +164,14 @@ def state(ctx: Context, controller: str) -> None:
 
 def read_goal(file: str) -> Message:
     """The FollowJointTrajectoryGoal of a file; `-` is standard input. Raises BadFile, UsageError."""
-    text, shown = values.text_of(file).removeprefix("\ufeff"), "stdin" if file == "-" else file
+    text, shown = typed_values.text_of(file).removeprefix("\ufeff"), "stdin" if file == "-" else file
     ending = file.lower().rpartition(".")[2]
     if ending == "csv":
         goal = _from_csv(text, shown)
     elif ending == "json":
         goal = _from_document(_from_json(text, shown), shown)
     else:
-        documents = list(values.read_documents(text, "file", shown)) or [None]
+        documents = list(typed_values.read_documents(text, "file", shown)) or [None]
         if len(documents) > 1:
             raise BadFile(f"holds {len(documents)} YAML documents where one was expected", shown)
         goal = _from_document(documents[0], shown)

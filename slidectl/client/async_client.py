@@ -16,7 +16,7 @@ from typing import Self
 from slidectl import names, paths
 from slidectl.errors import NoDaemon, Refused, SlidectlError, TimedOut, UnknownName, Unused
 from slidectl.operating_system import peer
-from slidectl.wire.lines import BadLine, LineBuffer, decode
+from slidectl.wire.json_lines import BadLine, LineBuffer, decode
 from slidectl.wire.messages import SYNCHRONIZE, Message, reasons_of, resolved, values_of
 from slidectl.wire.peers import ClientPeer, Inbox, check_daemon_user, nobody_answers, went_away
 

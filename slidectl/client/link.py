@@ -14,7 +14,7 @@ from typing import Any, Protocol
 from slidectl.errors import NoDaemon, TimedOut
 from slidectl.operating_system import peer
 from slidectl.paths import InstancePaths, check_socket, command
-from slidectl.wire.lines import LineBuffer, decode
+from slidectl.wire.json_lines import LineBuffer, decode
 from slidectl.wire.peers import check_daemon_user, nobody_answers, went_away
 
 _CHUNK = 64 * 1024

@@ -16,8 +16,8 @@ import time
 from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING, Any
 
+from slidectl.daemon.instance_files import InstanceFiles
 from slidectl.daemon.options import Start
-from slidectl.daemon.place import Place
 from slidectl.errors import EXIT_DONE, Refused, SlidectlError
 from slidectl.logfile import LogFile
 from slidectl.operating_system import end_with
@@ -71,7 +71,7 @@ def _begin(start: Start, stack: ExitStack) -> Daemon | None:
     sys.set_int_max_str_digits(_LONGEST_NUMBER)
     if start.parent is not None and not end_with(start.parent, signal.SIGTERM):
         return None
-    place = Place(start.paths)
+    place = InstanceFiles(start.paths)
     if not start.foreground:
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
         os.chdir("/")

@@ -20,7 +20,7 @@ from slidectl.daemon.session import Session
 from slidectl.errors import NoDaemon, Refused, TimedOut
 from slidectl.names import OWN_NODE
 from slidectl.simulation.simulation import Simulation
-from slidectl.wire.lines import LineBuffer, decode
+from slidectl.wire.json_lines import LineBuffer, decode
 from slidectl.wire.peers import went_away
 
 _CHUNK = 64 * 1024

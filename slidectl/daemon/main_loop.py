@@ -17,9 +17,9 @@ import slidectl
 from slidectl.control.node_handle import Message
 from slidectl.daemon import host_wrappers
 from slidectl.daemon.daemon_host import DaemonHost
+from slidectl.daemon.instance_files import InstanceFiles, InstanceInUse
 from slidectl.daemon.options import Start
 from slidectl.daemon.pacing import Pacer
-from slidectl.daemon.place import InstanceInUse, Place
 from slidectl.daemon.server import Server
 from slidectl.errors import SlidectlError
 from slidectl.event_loop import READ, EventLoop
@@ -44,7 +44,9 @@ _PROPERTIES = {"rtf": "speed", "timestep": "timestep", "gravity": "gravity"}
 class Daemon:
     """Created when the lock is held and the socket is bound; `run` returns when it is stopped."""
 
-    def __init__(self, start: Start, place: Place, listener: socket.socket, log: LogFile, began_s: float) -> None:
+    def __init__(
+        self, start: Start, place: InstanceFiles, listener: socket.socket, log: LogFile, began_s: float
+    ) -> None:
         self._start = start
         self._place = place
         self._place_trouble = ""

@@ -19,7 +19,7 @@ from typing import Any, Protocol
 from slidectl.errors import MessageRefused
 from slidectl.simulation.loop import RunState
 from slidectl.simulation.topics import Topics, TopicSubscription
-from slidectl.wire.lines import LONGEST_LINE, encode
+from slidectl.wire.json_lines import LONGEST_LINE, encode
 
 DEFAULT_QUEUE = 1000
 MOST_QUEUE = 100_000

@@ -22,7 +22,7 @@ from slidectl.names import OWN_NODE
 from slidectl.operating_system import peer
 from slidectl.simulation.graph import Graph
 from slidectl.simulation.loop import RunState
-from slidectl.wire.lines import BadLine, LineBuffer, encode
+from slidectl.wire.json_lines import BadLine, LineBuffer, encode
 from slidectl.wire.peers import why_not_client
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ from slidectl.simulation.pending import Pending
 from slidectl.simulation.services import Service
 from slidectl.simulation.topics import TopicPublisher
 from slidectl.wire import messages
-from slidectl.wire.lines import LONGEST_LINE, encode
+from slidectl.wire.json_lines import LONGEST_LINE, encode
 from slidectl.wire.messages import LEVELS, Message, shortened
 
 if TYPE_CHECKING:

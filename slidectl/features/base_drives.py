@@ -42,7 +42,7 @@ class RunningDrive:
         self._robot = robot
         self._drive = drive
         # A spawn may set another namespace for the robot than its control plugin does.
-        follows = drive.namespace in (None, namespace_of(robot.paper, robot.name))
+        follows = drive.namespace in (None, namespace_of(robot.description, robot.name))
         self._namespace = robot.namespace if follows else str(drive.namespace)
         self._wanted = (0.0, 0.0, 0.0)
         """Commanded velocities: forwards and to the left in m/s, about the vertical in rad/s."""
@@ -51,7 +51,7 @@ class RunningDrive:
         self._timer = Timer(0, self._update)
         """Active when an update is to come."""
         self._timer.active = False
-        robot.taken.callback(lambda: self._timer.cancel())  # lambda: `_timer` may have been replaced by then
+        robot.cleanup.callback(lambda: self._timer.cancel())  # lambda: `_timer` may have been replaced by then
         robot.node.subscribe(self._absolute(drive.command_topic), "geometry_msgs/Twist", self._receive)
         if drive.has_odometry:
             self._publish(drive.odometry_topic, "nav_msgs/Odometry", drive.odometry_rate_hz, self._odometry)
@@ -77,7 +77,7 @@ class RunningDrive:
     def _publish(self, topic: str, kind: str, rate_hz: float, build: Callable[[], Message]) -> None:
         node, graph = names.join(self._robot.namespace, "gazebo"), self._simulation.graph
         self._topics.append(PeriodicTopic(graph, self._absolute(topic), kind, node, period_ns_of(rate_hz), build))
-        self._robot.taken.callback(self._topics[-1].close)
+        self._robot.cleanup.callback(self._topics[-1].close)
 
     def _receive(self, message: Message) -> None:
         velocities = (message["linear"]["x"], message["linear"]["y"], message["angular"]["z"])
@@ -92,7 +92,7 @@ class RunningDrive:
 
     def _place(self) -> tuple[Pose, float, float, float]:
         """The pose of the base and its velocities forwards, to the left and about the vertical; from the world."""
-        name, root = self._robot.name, self._robot.paper.root
+        name, root = self._robot.name, self._robot.description.root
         pose, (linear, angular) = self._world.link_pose(name, root), self._world.link_twist(name, root)
         yaw = to_rpy(pose[1])[2]
         forwards = math.cos(yaw) * linear[0] + math.sin(yaw) * linear[1]
@@ -243,7 +243,7 @@ class PlanarDrive(RunningDrive):
         if 0.0 <= self._timeout_s < (self._simulation.time_ns - self._wanted_ns) / SECOND:
             self.reset()
         forwards, left, turning = self._wanted
-        name, root = self._robot.name, self._robot.paper.root
+        name, root = self._robot.name, self._robot.description.root
         yaw = to_rpy(self._world.link_pose(name, root)[1])[2]
         x = forwards * math.cos(yaw) - left * math.sin(yaw)
         y = left * math.cos(yaw) + forwards * math.sin(yaw)
@@ -268,12 +268,12 @@ class Drives(Feature):
     def on_spawn(self, robot: SpawnedRobot) -> None:
         """Start the drives of a robot."""
         running: list[RunningDrive] = []
-        for drive in robot.paper.drives:
+        for drive in robot.description.drives:
             if isinstance(drive, WheelDrive):
                 running.append(WheelMotors(self._simulation, robot, drive))
-            elif isinstance(drive, PlanarMove) and robot.paper.is_fixed_to_world:
+            elif isinstance(drive, PlanarMove) and robot.description.is_fixed_to_world:
                 text = f"{robot.name}: it is fixed to the world; the plugin {drive.name!r} has no effect"
                 robot.warnings.append(text)
             elif isinstance(drive, PlanarMove):
                 running.append(PlanarDrive(self._simulation, robot, drive))
-        robot.kept["drives"] = running
+        robot.saved["drives"] = running

@@ -49,7 +49,7 @@ class Entities:
         known = [
             f"{robot.name}::{part}"
             for robot in self._robots
-            for part in (robot.paper.links if kind == "link" else robot.paper.joints)
+            for part in (robot.description.links if kind == "link" else robot.description.joints)
         ]
         matches = [full for full in known if full == name or ("::" not in name and full.endswith(f"::{name}"))]
         if not matches:
@@ -65,7 +65,7 @@ class Entities:
 
     def model_frame(self, robot: str) -> Frame:
         """Pose and twist of a robot: that of its root link. Raises UnknownName."""
-        return self.link_frame(robot, self._robots.get(robot).paper.root)
+        return self.link_frame(robot, self._robots.get(robot).description.root)
 
     def frame(self, name: str) -> Frame:
         """A frame of reference: the world, a model, or a link. Raises UnknownName, AmbiguousName."""
@@ -79,7 +79,7 @@ class Entities:
         Raises UnknownName, and Refused: a twist for a robot fixed to the world, or numbers that are not finite.
         """
         robot, present = self._robots.get(name), self.model_frame(name)
-        if robot.paper.is_fixed_to_world and moving not in (None, STILL):
+        if robot.description.is_fixed_to_world and moving not in (None, STILL):
             raise Refused(f"{name!r} is fixed to the world and cannot have a twist", "leave the twist out")
         seen = seen_from(present, viewer)
         there = into_world(Frame(place or seen.pose, moving or seen.twist), viewer)
@@ -121,7 +121,7 @@ class Entities:
 
         Resolved with the robots (SpawnedRobot).
         """
-        meshes = list(dict.fromkeys(source for one, _ in read for source in hulls.sources(one.paper)))
+        meshes = list(dict.fromkeys(source for one, _ in read for source in hulls.sources(one.description)))
         if not meshes:
             return Pending.of(self._spawn_now(read, {}))
 

@@ -1,4 +1,4 @@
-"""Injected faults of sensors, commands, joints, loads, controllers and topics; the services `/slidectl/fault/*`.
+"""Injected faults of sensors, commands, joints, masses, controllers and topics; the services `/slidectl/fault/*`.
 
 The effect of a fault depends on its seed and the simulated time only: every run gives the same bits. The interpreter
 runs the cycle of a robot while it has faults that are not over; robots and topics without faults are not touched.
@@ -23,7 +23,7 @@ from slidectl.effects import Effect
 from slidectl.errors import Refused, SlidectlError, UnknownName, UsageError, quoted
 from slidectl.fault_kinds import KINDS, OPTIONS, QUANTITIES, REQUIRED, check_span, checked_options
 from slidectl.physics import World
-from slidectl.physics.changes import Change, JointFriction, Payload, StuckJoint
+from slidectl.physics.model_changes import Change, JointFriction, Payload, StuckJoint
 from slidectl.simulation.clock import NEVER, SECOND, Timer
 from slidectl.simulation.feature import Feature
 
@@ -714,7 +714,7 @@ class Faults(Feature):
         parts: dict[str, Callable[[SpawnedRobot], Any]] = {
             "joint": lambda robot: robot.parts.hardware.interfaces(),
             "moving joint": lambda robot: robot.body.joints,
-            "link": lambda robot: [link for link in robot.paper.links if link != "world"],
+            "link": lambda robot: [link for link in robot.description.links if link != "world"],
         }
         return {f"/{robot.name}/{part}": (robot, part) for robot in robots for part in parts[kind](robot)}
 

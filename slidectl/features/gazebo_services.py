@@ -133,18 +133,18 @@ class GazeboServices(Feature):
 
     def _model_properties(self, request: Message) -> Answer:
         robot = self._robots.get(request["model_name"])
-        paper = robot.paper
+        model = robot.description
         shapes = [
             shape.name or f"{link.name}_collision{f'_{index}' if index else ''}"
-            for link in paper.links.values()
+            for link in model.links.values()
             for index, shape in enumerate(link.collisions)
         ]
         fields = {
             "parent_model_name": "world",
-            "canonical_body_name": paper.root,
-            "body_names": list(paper.links),
+            "canonical_body_name": model.root,
+            "body_names": list(model.links),
             "geom_names": shapes,
-            "joint_names": list(paper.joints),
+            "joint_names": list(model.joints),
             "is_static": robot.kind == "static",
         }
         return f"got the properties of {request['model_name']!r}", fields
@@ -185,7 +185,7 @@ class GazeboServices(Feature):
     def _set_link_state(self, state: Message) -> Answer:
         """Move a root link. Other links are held by joints and cannot be moved."""
         robot, link = self._entities.find("link", state["link_name"])
-        root = self._robots.get(robot).paper.root
+        root = self._robots.get(robot).description.root
         if link != root:
             raise Refused(
                 f"{robot}::{link} hangs on a joint; only the root link {robot}::{root} can be put somewhere",
@@ -195,7 +195,7 @@ class GazeboServices(Feature):
 
     def _link_properties(self, request: Message) -> Answer:
         robot, name = self._entities.find("link", request["link_name"])
-        link = self._robots.get(robot).paper.links[name]
+        link = self._robots.get(robot).description.links[name]
         fields: Message = {"gravity_mode": not link.surface.turn_gravity_off}
         if link.inertial is not None:
             inertial = link.inertial
@@ -206,7 +206,7 @@ class GazeboServices(Feature):
 
     def _joint_properties(self, request: Message) -> Answer:
         robot, name = self._entities.find("joint", request["joint_name"])
-        joint = self._robots.get(robot).paper.joints[name]
+        joint = self._robots.get(robot).description.joints[name]
         fields: Message = {"type": JOINT_TYPES[joint.type]}
         if name in self._world.body(robot).joints:
             position, velocity, _ = self._world.joint_state(robot, name)
@@ -243,7 +243,7 @@ class GazeboServices(Feature):
         reference = self._entities.frame(request["reference_frame"]).pose
         force, torque = rotate(reference[1], force), rotate(reference[1], torque)
         point = compose(reference, (vector(request["reference_point"]), IDENTITY))[0]
-        inertial = self._robots.get(robot).paper.links[link].inertial
+        inertial = self._robots.get(robot).description.links[link].inertial
         local = inertial.origin.xyz if inertial else (0.0, 0.0, 0.0)
         centre_of_mass = compose(self._world.link_pose(robot, link), (local, IDENTITY))[0]
         return force, add(torque, cross(subtract(point, centre_of_mass), force))
@@ -289,7 +289,7 @@ class GazeboServices(Feature):
         return _states({name: self._entities.model_frame(name) for name in self._robots.names()})
 
     def _link_states(self) -> Message:
-        links = [(robot.name, link) for robot in self._robots for link in robot.paper.links if link != "world"]
+        links = [(robot.name, link) for robot in self._robots for link in robot.description.links if link != "world"]
         return _states({f"{robot}::{link}": self._entities.link_frame(robot, link) for robot, link in links})
 
 

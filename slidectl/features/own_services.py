@@ -263,21 +263,21 @@ class OwnServices(Feature):
 
     def _robot_info(self, robot: SpawnedRobot) -> Message:
         """The robot as slidectl/RobotInfo."""
-        paper = robot.paper
+        model = robot.description
         commanded = robot.parts.hardware.interfaces() if robot.is_controlled else {}
-        position, attitude = self._simulation.world.link_pose(robot.name, paper.root)
+        position, attitude = self._simulation.world.link_pose(robot.name, model.root)
         return {
             "name": robot.name,
             "namespace": robot.namespace,
             "kind": robot.kind,
-            "fixed": paper.is_fixed_to_world,
-            "links": list(paper.links),
-            "joints": [self._joint_info(robot, joint, commanded) for joint in paper.joints.values()],
+            "fixed": model.is_fixed_to_world,
+            "links": list(model.links),
+            "joints": [self._joint_info(robot, joint, commanded) for joint in model.joints.values()],
             "controllers": list(robot.parts.manager.names()) if robot.is_controlled else [],
             "pose": [*map(float, position), *map(float, attitude)],
             "report": [
                 {"verdict": n.verdict, "subject": n.subject, "text": n.text, "file": n.file, "line": n.line or 0}
-                for n in paper.report
+                for n in model.report
             ],
             "estop": robot.emergency_stop,
             "frozen": robot.name in self._simulation.world.frozen,
@@ -307,7 +307,7 @@ class OwnServices(Feature):
     def _scene(self, request: Message) -> Message:
         """The data for drawing the world, all from the same time."""
         world, robots = self._simulation.world, list(self._robots)
-        places = [(robot.name, link) for robot in robots for link in robot.paper.links if link != "world"]
+        places = [(robot.name, link) for robot in robots for link in robot.description.links if link != "world"]
         contacts = list(sensing.contacts(world)) if request["contacts"] else []
         return {
             "time": self._graph.clock.seconds,
@@ -324,7 +324,7 @@ class OwnServices(Feature):
 
     def _joint_states(self, _: Message) -> Message:
         """The state of all joints, for frequent calls; `list_robots` returns more and takes much longer."""
-        places = [(robot.name, one.name) for robot in self._robots for one in robot.paper.joints.values()
+        places = [(robot.name, one.name) for robot in self._robots for one in robot.description.joints.values()
                   if one.type in MOVING]  # fmt: skip
         states = [self._simulation.world.joint_state(*place) for place in places]
         columns = zip(*states, strict=True) if states else ((), (), ())

@@ -85,7 +85,7 @@ class SensorTopic:
             period_ns_of(sensor.rate_hz, simulation.timestep_ns),
             build[type(sensor)],
         )
-        robot.taken.callback(self._topic.close)
+        robot.cleanup.callback(self._topic.close)
 
     def _header(self) -> Message:
         return header_of(self._simulation.time_ns, self._sensor.frame)
@@ -224,10 +224,10 @@ class CameraTopics:
         topic, info = (_inside(robot.namespace, topic) for topic in (camera.topic, camera.info_topic))
         self.topic = topic
         self._pictures = PeriodicTopic(simulation.graph, topic, "sensor_msgs/Image", node, period_ns, self._take)
-        robot.taken.callback(self._pictures.close)
+        robot.cleanup.callback(self._pictures.close)
         self._info = PeriodicTopic(simulation.graph, info, "sensor_msgs/CameraInfo", node, period_ns, self._geometry)
-        robot.taken.callback(self._info.close)
-        robot.taken.callback(self._cancel)
+        robot.cleanup.callback(self._info.close)
+        robot.cleanup.callback(self._cancel)
 
     def _header(self) -> Message:
         return header_of(self._simulation.time_ns, self._camera.frame)
@@ -331,13 +331,13 @@ class Sensors(Feature):
         self._simulation = simulation
 
     def on_spawn(self, robot: SpawnedRobot) -> None:
-        robot.kept["sensors"] = [
+        robot.saved["sensors"] = [
             CameraTopics(self._simulation, robot, sensor)
             if isinstance(sensor, Camera)
             else OtherSensorTopic(self._simulation, robot, sensor)
             if isinstance(sensor, OtherSensor)
             else SensorTopic(self._simulation, robot, sensor)
-            for sensor in robot.paper.sensors
+            for sensor in robot.description.sensors
             if sensor.topic
         ]
 
@@ -357,5 +357,5 @@ class Sensors(Feature):
 
 
 def _cameras(robot: SpawnedRobot) -> list[CameraTopics]:
-    sensors = robot.kept.get("sensors", [])
+    sensors = robot.saved.get("sensors", [])
     return [sensor for sensor in sensors if isinstance(sensor, CameraTopics)] if isinstance(sensors, list) else []

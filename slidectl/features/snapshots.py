@@ -4,7 +4,7 @@ Loading first restores robots and controllers, by deleting and creating those th
 parts again; then it restores the numbers. When the same robots and controllers exist, it only restores the numbers.
 Speed and pause do not change; nor do clients: their waits keep the remaining time.
 
-Code that adds a part to a robot must register it in `SpawnedRobot.kept`. A feature declares its own state.
+Code that adds a part to a robot must register it in `SpawnedRobot.saved`. A feature declares its own state.
 """
 
 from __future__ import annotations
@@ -69,10 +69,10 @@ class SpawnedAs:
 
     def parsed(self) -> ParsedRobot:
         """The parsed robot, to be spawned again."""
-        paper = description.parse(source_note.join(self.xml, self.note), may_use_files=self.may_use_files)
+        model = description.parse(source_note.join(self.xml, self.note), may_use_files=self.may_use_files)
         place = names.check(self.namespace)
         return ParsedRobot(
-            self.name, place, paper, self.xml, self.note, self.caller, self.is_controlled, self.may_use_files
+            self.name, place, model, self.xml, self.note, self.caller, self.is_controlled, self.may_use_files
         )
 
     def is_like(self, other: SpawnedAs) -> bool:
@@ -260,7 +260,7 @@ def _tree_of(robot: SpawnedRobot) -> dict[str, Any]:
         **({"hardware": parts.hardware, "manager": parts.manager, "cycle": parts.cycle} if robot.is_controlled else {}),
         "start": robot.body.start,
         "command_warning": robot.node.command_warning,
-        "kept": robot.kept,
+        "kept": robot.saved,
         "calls": robot.node.calls_below(),
     }
 

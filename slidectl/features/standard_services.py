@@ -47,7 +47,7 @@ MOST_SPAWNED = 100
 """The most entities that one request may spawn: the world waits while their files are read."""
 _PACKAGE = "simulation_interfaces"
 _INFO = "entity"
-"""The key in `SpawnedRobot.kept` of a robot's data for these services."""
+"""The key in `SpawnedRobot.saved` of a robot's data for these services."""
 _NOT_ONE = 1e-3
 """The largest accepted deviation of an orientation's length from 1."""
 _CATEGORIES = {"robot": "CATEGORY_ROBOT", "model": "CATEGORY_OBJECT", "static": "CATEGORY_STATIC_OBJECT"}
@@ -261,7 +261,7 @@ class StandardServices(Feature):
     def _state(self, robot: SpawnedRobot) -> Message:
         """The state as simulation_interfaces/EntityState."""
         frame = self._entities.model_frame(robot.name)
-        acceleration = sensing.link_acceleration(self._world, robot.name, robot.paper.root)
+        acceleration = sensing.link_acceleration(self._world, robot.name, robot.description.root)
         return {
             "header": header_of(self._simulation.time_ns, "world"),
             "pose": pose_message(frame.pose),
@@ -277,7 +277,7 @@ class StandardServices(Feature):
             for flag, field in (("set_twist", "twist"), ("set_acceleration", "acceleration"))
             if request[flag] and any(any(part.values()) for part in state[field].values())
         ]
-        if robot.paper.is_fixed_to_world and pushes:
+        if robot.description.is_fixed_to_world and pushes:
             raise FailedRequest("RESULT_OPERATION_FAILED", f"{name!r} is fixed to the world and cannot move")
         try:
             place = _valid_pose(state["pose"]) if request["set_pose"] else None
@@ -444,7 +444,7 @@ def _values(message: Message) -> str:
 
 def _kept(robot: SpawnedRobot) -> dict[str, Any]:
     """The robot's data for these services; snapshots save it."""
-    kept = robot.kept.setdefault(_INFO, {})
+    kept = robot.saved.setdefault(_INFO, {})
     assert isinstance(kept, dict)
     return kept
 

@@ -44,18 +44,18 @@ class StatePublishers(Feature):
             return
         parameters = self._simulation.parameters
         others = {frame for publisher in self._publishers.values() for frame in publisher.frames()}
-        shares_frames = not others.isdisjoint(set(robot.paper.links) - {"world"})
+        shares_frames = not others.isdisjoint(set(robot.description.links) - {"world"})
         prefix = ""
         if shares_frames and not tf_prefix(self._simulation, robot):
             prefix = robot.namespace.strip("/") or robot.name
             chosen = names.join(robot.namespace, f"{NODE}/tf_prefix")  # further up it would apply to other robots too
             parameters.set(chosen, prefix, derived=True)
             robot.made_parameters.append(chosen)
-            robot.taken.callback(lambda: parameters.delete(chosen) if parameters.has(chosen) else None)
+            robot.cleanup.callback(lambda: parameters.delete(chosen) if parameters.has(chosen) else None)
             text = f"{robot.name}: another robot has frames of the same names; these are {prefix}/LINK on /tf"
             robot.node.log("info", text)
         self._publishers[robot.name] = StatePublisher(self._simulation, robot, prefix)
-        robot.taken.callback(self._publishers.pop, robot.name)
+        robot.cleanup.callback(self._publishers.pop, robot.name)
 
 
 class StatePublisher:
@@ -69,20 +69,20 @@ class StatePublisher:
         self._simulation = simulation
         self._robot = robot
         self._chosen = chosen
-        self._moving = [joint for joint in robot.paper.joints.values() if joint.type != "fixed"]
-        self._fixed = [joint for joint in robot.paper.joints.values() if joint.type == "fixed"]
+        self._moving = [joint for joint in robot.description.joints.values() if joint.type != "fixed"]
+        self._fixed = [joint for joint in robot.description.joints.values() if joint.type == "fixed"]
         self._node = names.join(robot.namespace, NODE)
         self._prefix = ""
         self._period_ns = 0
         self._tf: PeriodicTopic | None = None
         self._static: TopicPublisher | None = None
-        robot.taken.callback(self._silence)
+        robot.cleanup.callback(self._silence)
         self._configure()
-        robot.taken.callback(simulation.parameters.watch(self._node, self._configure))
+        robot.cleanup.callback(simulation.parameters.watch(self._node, self._configure))
 
     def frames(self) -> set[str]:
         """All frames except the world's."""
-        return {self._frame(link) for link in self._robot.paper.links} - {"world"}
+        return {self._frame(link) for link in self._robot.description.links} - {"world"}
 
     def _silence(self) -> None:
         for publisher in (self._tf, self._static):

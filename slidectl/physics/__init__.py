@@ -14,7 +14,7 @@ except Exception as error:
         raise
     raise Refused(f"MuJoCo cannot be used with MUJOCO_GL={os.environ['MUJOCO_GL']}: {error}", "unset it") from None
 
-from slidectl.physics.body import Body
+from slidectl.physics.attached_robot import AttachedRobot
 from slidectl.physics.mujoco_library import EngineError, take_warnings
 from slidectl.physics.robot_hw import MujocoRobotHW
 from slidectl.physics.world import GRAVITY, HUGE, Diverged, Overlap, World
@@ -22,7 +22,7 @@ from slidectl.physics.world import GRAVITY, HUGE, Diverged, Overlap, World
 __all__ = [
     "GRAVITY",
     "HUGE",
-    "Body",
+    "AttachedRobot",
     "Diverged",
     "EngineError",
     "MujocoRobotHW",

@@ -38,8 +38,8 @@ from slidectl.description.robot import (
 from slidectl.description.transmissions import driving
 from slidectl.errors import Refused, SlidectlError
 from slidectl.physics import surfaces
+from slidectl.physics.collisions import ORDINARY, self_colliding
 from slidectl.physics.hulls import Hull, Hulls, source_of
-from slidectl.physics.touching import ORDINARY, self_colliding
 from slidectl.rotations import (
     ORIGIN,
     Pose,

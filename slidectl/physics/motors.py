@@ -19,7 +19,7 @@ import mujoco
 import numpy as np
 
 from slidectl.physics import mujoco_library
-from slidectl.physics.body import Array, Body
+from slidectl.physics.attached_robot import Array, AttachedRobot
 
 UNBOUNDED = 1e15
 """The bound of a motor without bound, N or N·m. A larger one causes rounding errors in the solver."""
@@ -46,7 +46,7 @@ _STAGES = ("mj_step1", "mj_fwdActuation", "mj_fwdAcceleration", "mj_fwdConstrain
 _IMPEDANCE = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 
 
-MotorsState = tuple[dict[Body, dict[str, float]], Array]
+MotorsState = tuple[dict[AttachedRobot, dict[str, float]], Array]
 """Bounds of efforts by robot and joint, and velocities by dof."""
 
 
@@ -57,7 +57,7 @@ class Motors:
     """
 
     def __init__(self) -> None:
-        self._bounds: dict[Body, dict[str, float]] = {}
+        self._bounds: dict[AttachedRobot, dict[str, float]] = {}
         self.velocities: Array = np.zeros(0)
         self._dofs: Array = np.zeros(0, dtype=int)
         self._coordinates = self._rows = self._dofs
@@ -71,18 +71,18 @@ class Motors:
         """True when no joint has a motor."""
         return not self._bounds
 
-    def has(self, body: Body) -> bool:
+    def has(self, body: AttachedRobot) -> bool:
         """True when the robot has motors."""
         return body in self._bounds
 
-    def put_of(self, body: Body, most_efforts: dict[str, float]) -> None:
+    def put_of(self, body: AttachedRobot, most_efforts: dict[str, float]) -> None:
         """Set the motors of the robot. Joints with an effort of 0 get none. Call `bind` afterwards."""
         self._bounds.pop(body, None)
         bounds = {joint: min(effort, UNBOUNDED) for joint, effort in most_efforts.items() if effort > 0.0}
         if bounds:
             self._bounds[body] = bounds
 
-    def of(self, body: Body) -> dict[str, float]:
+    def of(self, body: AttachedRobot) -> dict[str, float]:
         """The robot's motors: the largest effort, N or N·m, by joint."""
         return dict(self._bounds.get(body, {}))
 
@@ -91,7 +91,7 @@ class Motors:
         model.dof_frictionloss[self._dofs] = 0.0
         model.dof_invweight0[self._dofs] = self._weights
 
-    def drop(self, body: Body) -> None:
+    def drop(self, body: AttachedRobot) -> None:
         """Remove the motors of a robot, which has its old indices. Call `bind` afterwards, with a model without it."""
         self._bounds.pop(body, None)
         self.velocities = np.delete(self.velocities, body.dofs)

@@ -11,7 +11,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from slidectl.physics.body import LinkPlace
+from slidectl.physics.attached_robot import LinkPlace
 from slidectl.rotations import Pose, Vector, add, compose, cross, rotate, xyzw
 
 Twist = tuple[Vector, Vector]

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from slidectl.control.hardware_interface import JointStateHandle
 from slidectl.description.robot import TransmissionInfo
-from slidectl.physics.body import Body
+from slidectl.physics.attached_robot import AttachedRobot
 from slidectl.physics.builder import loaded
 
 
@@ -27,7 +27,7 @@ class ActuatorState(NamedTuple):
 class RealTransmission:
     """One transmission of a robot in the world."""
 
-    def __init__(self, body: Body, info: TransmissionInfo) -> None:
+    def __init__(self, body: AttachedRobot, info: TransmissionInfo) -> None:
         """Raises BadTransmission: the loaders of ros_control refuse it."""
         self._maths, joints, self._actuators = loaded(body.robot, body.name, info)
         self.joints = [joint.name for joint in joints]
@@ -35,7 +35,7 @@ class RealTransmission:
         self.is_limited = min(self._most) < math.inf
         self.bind(body)
 
-    def bind(self, body: Body) -> None:
+    def bind(self, body: AttachedRobot) -> None:
         """Find the joints after a rebuild of the model."""
         self._dofs = [body.place(joint).dof for joint in self.joints]
 

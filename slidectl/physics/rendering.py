@@ -23,9 +23,9 @@ import numpy as np
 from slidectl.description import link_colours
 from slidectl.errors import Refused
 from slidectl.operating_system import memory_file
-from slidectl.physics.body import Array
+from slidectl.physics.attached_robot import Array
+from slidectl.physics.collisions import link_of
 from slidectl.physics.software_pictures import SoftwareDrawer
-from slidectl.physics.touching import link_of
 from slidectl.rotations import Pose, rotate
 
 if TYPE_CHECKING:

@@ -46,9 +46,9 @@ from slidectl.description.robot import ForceTorque, Imu, Joint, Robot, Sensor, T
 from slidectl.description.transmissions import driving
 from slidectl.errors import Refused, SlidectlError, closest, listing, quoted
 from slidectl.physics import sensing
-from slidectl.physics.body import Body, JointPlace
+from slidectl.physics.applied_forces import EffortTruncation, truncated
+from slidectl.physics.attached_robot import AttachedRobot, JointPlace
 from slidectl.physics.builder import BadTransmission
-from slidectl.physics.loads import EffortTruncation, truncated
 from slidectl.physics.real_transmissions import ActuatorState, RealTransmission
 from slidectl.physics.world import World
 
@@ -73,7 +73,7 @@ class UnsupportedInterface(BadTransmission):
 class MissingJoint(BadTransmission):
     """A transmission drives a joint that does not exist, or that is fixed, planar or floating."""
 
-    def __init__(self, body: Body, transmission: TransmissionInfo, joint: str) -> None:
+    def __init__(self, body: AttachedRobot, transmission: TransmissionInfo, joint: str) -> None:
         super().__init__(
             body.name, transmission, f"no joint {joint!r} that moves", f"such joints: {listing(body.joints)}"
         )
@@ -146,7 +146,7 @@ class HardwareJoint:
             self.handle.lowest, self.handle.highest = max(self.handle.lowest, -most), min(self.handle.highest, most)
 
 
-def hardware_joints(body: Body) -> list[HardwareJoint]:
+def hardware_joints(body: AttachedRobot) -> list[HardwareJoint]:
     """The joints that transmissions drive, in the order of the file (see `driving`): one for each joint and interface.
 
     Of several interfaces of a joint only the first counts, with or without its prefix. Of a real transmission all that
@@ -351,7 +351,7 @@ class MujocoRobotHW(RobotHW):
         UnsupportedInterface, MissingJoint: a transmission cannot be simulated. BadLimits: limits that no handle takes.
     """
 
-    def __init__(self, world: World, body: Body, robot: Robot, node: NodeHandle, namespace: str) -> None:
+    def __init__(self, world: World, body: AttachedRobot, robot: Robot, node: NodeHandle, namespace: str) -> None:
         super().__init__()
         self.robot = robot
         self._world = world

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from slidectl.control.hardware_interface import ForceTorqueData, ImuData
 from slidectl.description.robot import ForceTorque, Imu, Sensor
-from slidectl.physics.touching import link_of
+from slidectl.physics.collisions import link_of
 from slidectl.rotations import (
     ORIGIN,
     Pose,

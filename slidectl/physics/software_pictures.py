@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from slidectl import rasteriser
-from slidectl.physics.body import Array
+from slidectl.physics.attached_robot import Array
 from slidectl.rasteriser import Plane, Rasteriser, Viewpoint
 from slidectl.rotations import Pose, matrix
 

@@ -19,11 +19,11 @@ import numpy as np
 from slidectl.description.robot import Robot
 from slidectl.errors import Refused, SlidectlError, UnknownName, listing
 from slidectl.physics import hulls, mujoco_library
-from slidectl.physics.body import Body
+from slidectl.physics.applied_forces import JointForce, Loads, Wrench
+from slidectl.physics.attached_robot import AttachedRobot
+from slidectl.physics.collisions import depths, link_of
 from slidectl.physics.hulls import Hulls
-from slidectl.physics.loads import JointForce, Loads, Wrench
 from slidectl.physics.observer import Observer, Twist
-from slidectl.physics.touching import depths, link_of
 from slidectl.physics.world_spec import Settings, WorldSpec
 from slidectl.rotations import ORIGIN, Pose, Vector, normalized
 
@@ -49,8 +49,9 @@ _OF_MODEL = {
     "dof_invweight0": "dof",
     "tendon_invweight0": "tendon",
 }
-"""Arrays of MjData and MjModel that a rebuild copies, with the kind of their rows (see `Body.part`). Those of the model
-are the poses of roots and each robot's own weights."""
+"""Arrays of MjData and MjModel that a rebuild copies, with the kind of their rows (see `AttachedRobot.part`).
+
+Those of the model are the poses of roots and each robot's own weights."""
 _OF_LAST_STEP = ("cacc", "cfrc_int", "xpos", "xquat", "xmat", "xipos", "ximat", "subtree_com", "cvel")
 """Results of the last step that sensors use. They cannot be computed from the state after the step."""
 _PLACED = ("body_pos", "body_quat")
@@ -94,8 +95,8 @@ class Views(NamedTuple):
 class _State(NamedTuple):
     """The state of a world, restored when attaching or detaching a robot fails."""
 
-    bodies: dict[str, Body]
-    frozen: list[Body]
+    bodies: dict[str, AttachedRobot]
+    frozen: list[AttachedRobot]
     model: Any
     data: Any
     loads: dict[str, Any]
@@ -125,9 +126,9 @@ class World:
     def __init__(self, timestep: float = 0.001, gravity: Vector = GRAVITY, ground: bool = True) -> None:
         mujoco_library.prepare()
         self._settings = Settings(positive(timestep), finite(gravity), ground)
-        self._bodies: dict[str, Body] = {}
+        self._bodies: dict[str, AttachedRobot] = {}
         self._listeners: list[Callable[[], None]] = []
-        self._frozen: list[Body] = []
+        self._frozen: list[AttachedRobot] = []
         """Robots that diverged; see `freeze`."""
         self.loads = Loads()
         self.clock: Callable[[], int] = lambda: round(float(self.data.time + self._settings.timestep) * 1e9)
@@ -138,7 +139,7 @@ class World:
 
     # -- robots ----------------------------------------------------------------------------------------------------
 
-    def attach(self, robot: Robot, name: str, pose: Pose = ORIGIN, hulls_read: Hulls | None = None) -> Body:
+    def attach(self, robot: Robot, name: str, pose: Pose = ORIGIN, hulls_read: Hulls | None = None) -> AttachedRobot:
         """Add a robot to the world under `name`, all or nothing. The motion of the others does not change.
 
         `hulls_read` has the hulls of its meshes; without it their files are read now.
@@ -150,7 +151,7 @@ class World:
         if name in self._bodies:
             raise Refused(f"a robot named {name!r} is in the world already", "give another name, or delete it first")
         known = hulls.read_all(robot) if hulls_read is None else hulls_read
-        body = Body(name, robot, finite_pose(pose), known)
+        body = AttachedRobot(name, robot, finite_pose(pose), known)
         spec = WorldSpec(self._settings, (body,))
         model = spec.compile(name)
         body.bind(model, None)
@@ -162,7 +163,9 @@ class World:
         return body
 
     @contextmanager
-    def attached(self, robot: Robot, name: str, pose: Pose = ORIGIN, hulls_read: Hulls | None = None) -> Iterator[Body]:
+    def attached(
+        self, robot: Robot, name: str, pose: Pose = ORIGIN, hulls_read: Hulls | None = None
+    ) -> Iterator[AttachedRobot]:
         """As `attach`, but an exception of the block removes the robot. Make no step in the block.
 
         The removal restores the former model: nothing is compiled, so it cannot fail.
@@ -190,7 +193,7 @@ class World:
         """The names of the robots, in the order of attaching."""
         return list(self._bodies)
 
-    def body(self, name: str) -> Body:
+    def body(self, name: str) -> AttachedRobot:
         """The robot attached under `name`. Raises UnknownName."""
         try:
             return self._bodies[name]
@@ -201,7 +204,9 @@ class World:
         """Call back whenever `model`, `data` or `step` is replaced."""
         self._listeners.append(callback)
 
-    def _rebuild(self, bodies: dict[str, Body], model: Any, spec: WorldSpec | None, gone: Body | None = None) -> None:
+    def _rebuild(
+        self, bodies: dict[str, AttachedRobot], model: Any, spec: WorldSpec | None, gone: AttachedRobot | None = None
+    ) -> None:
         """Replace robots and model. `bodies` are the former ones without `gone`, followed by a new one, if any.
 
         If anything fails, a listener too, the former world is restored.
@@ -606,7 +611,7 @@ class World:
         self.loads.keep(lambda force: isinstance(force, JointForce) or force.body is not body or force.link != link)
         self._loads_changed()
 
-    def set_motors(self, body: Body, most_efforts: dict[str, float]) -> None:
+    def set_motors(self, body: AttachedRobot, most_efforts: dict[str, float]) -> None:
         """Drive these joints and `lasting_motors` by motors, each with at most this effort (N or N·m), and no others.
 
         `loads.motors.velocities` has their desired velocities.
@@ -624,7 +629,7 @@ class World:
         self._bind_loads()
         self._announce()
 
-    def add_motors(self, body: Body, most_efforts: dict[str, float]) -> None:
+    def add_motors(self, body: AttachedRobot, most_efforts: dict[str, float]) -> None:
         """Add motors that stay as long as the robot is in the world; `set_motors` does not remove them."""
         body.lasting_motors |= most_efforts
         self.set_motors(body, self.loads.motors.of(body))
@@ -652,7 +657,7 @@ def positive(timestep: float) -> float:
     return float(timestep)
 
 
-def carry_over(model: Any, data: Any, new_model: Any, new_data: Any, gone: Body | None) -> None:
+def carry_over(model: Any, data: Any, new_model: Any, new_data: Any, gone: AttachedRobot | None) -> None:
     """Copy all state on which the motion of the robots depends. `gone` is in the old world only."""
     for old, new, arrays in ((data, new_data, _OF_DATA), (model, new_model, _OF_MODEL)):
         for name, kind in arrays.items():

@@ -14,9 +14,9 @@ import mujoco
 
 from slidectl.errors import SlidectlError
 from slidectl.physics import mujoco_library
-from slidectl.physics.body import Body
+from slidectl.physics.attached_robot import AttachedRobot
 from slidectl.physics.builder import RobotBuilder, put_friction
-from slidectl.physics.touching import put_robots
+from slidectl.physics.collisions import put_robots
 from slidectl.rotations import Vector
 
 GROUND = "ground_plane"
@@ -54,18 +54,18 @@ class Settings:
 class WorldSpec:
     """The specification of a world with robots. After an error it must not be used further."""
 
-    def __init__(self, settings: Settings, bodies: Iterable[Body] = ()) -> None:
+    def __init__(self, settings: Settings, bodies: Iterable[AttachedRobot] = ()) -> None:
         """Raises as `add` does."""
         self._settings = settings
         self._spec = _empty(settings.ground)
         for body in bodies:
             self.add(body)
 
-    def add(self, body: Body) -> None:
+    def add(self, body: AttachedRobot) -> None:
         """Add a robot after the others. Raises BadInertia, BadJoint, BadShape."""
         RobotBuilder(self._spec, body.robot, body.name, body.hulls).build(body.spawn_pose)
 
-    def remove(self, body: Body) -> None:
+    def remove(self, body: AttachedRobot) -> None:
         """Remove a robot, with its meshes and the constraints on its joints (mimic joints)."""
         self._spec.delete(self._spec.body(f"{body.name}/{body.robot.root}"))
         for mesh in [mesh for mesh in self._spec.meshes if mesh.name.startswith(f"{body.name}/")]:

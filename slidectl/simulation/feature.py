@@ -288,7 +288,7 @@ class Features:
         if (on_spawn := _hook(feature, "on_spawn", code)) is not None:
             simulation.robots.on_spawn.append(on_spawn)
         if (on_delete := _hook(feature, "on_delete", code)) is not None:
-            simulation.robots.on_spawn.append(lambda robot: robot.taken.callback(on_delete, robot))
+            simulation.robots.on_spawn.append(lambda robot: robot.cleanup.callback(on_delete, robot))
         if (reset := _hook(feature, "reset", code)) is not None:
             self._resets.append(reset)
         if (before := _cycle_hook(feature, "before_cycle", code)) is not None:

@@ -122,7 +122,7 @@ class OtherSensorTopic:
             period_ns_of(sensor.rate_hz, simulation.timestep_ns),
             self._measure,
         )
-        robot.taken.callback(topic.close)
+        robot.cleanup.callback(topic.close)
 
     def _measure(self) -> Message | None:
         """The message; None after the first error of the kind's code, which the log has."""

@@ -25,7 +25,7 @@ from slidectl.description.robot import ControlPlugin, Robot, check_position
 from slidectl.effects import Effect
 from slidectl.errors import BadFile, Refused, UnknownName
 from slidectl.physics import EngineError, Overlap, World
-from slidectl.physics.body import Body
+from slidectl.physics.attached_robot import AttachedRobot
 from slidectl.physics.hulls import Hull, Hulls
 from slidectl.physics.hulls import sources as mesh_sources
 from slidectl.physics.robot_hw import MujocoRobotHW
@@ -66,13 +66,13 @@ class SpawnedRobot:
 
     saved_attributes: ClassVar[None] = None
 
-    body: Body
+    body: AttachedRobot
     services: ManagerServices
 
     def __init__(self, parsed: ParsedRobot, node: GraphNode, serial: int) -> None:
         self.name = parsed.name
         self.namespace = parsed.namespace
-        self.paper = parsed.paper
+        self.description = parsed.description
         self.xml = parsed.xml
         self.note = parsed.note
         self.caller = parsed.caller
@@ -84,14 +84,14 @@ class SpawnedRobot:
         self.node = node
         self.serial = serial
         """A number that no other robot of this world has or had."""
-        self.taken = ExitStack()
+        self.cleanup = ExitStack()
         """The cleanup callbacks of all that was added to the robot; called in reverse order."""
         self.parts = ControlParts()
         self.on_reset: list[Callable[[], None]] = []
         """Called when the robot is reset to its state at spawn, after the world."""
         self.on_emergency_stop: list[Callable[[], None]] = []
         """Called when an emergency stop begins."""
-        self.kept: dict[str, object] = {}
+        self.saved: dict[str, object] = {}
         """Objects that a snapshot saves in addition to hardware, manager and cycle, by name."""
         self.made_parameters: list[str] = []
         """Parameters that its spawn has set; its deletion removes them."""
@@ -103,8 +103,8 @@ class SpawnedRobot:
         """`robot`, `model` (without a controller manager), or `static` (a model that does not move)."""
         if self.is_controlled:
             return "robot"
-        moving = any(joint.type != "fixed" for joint in self.paper.joints.values())
-        return "model" if moving or not self.paper.is_fixed_to_world else "static"
+        moving = any(joint.type != "fixed" for joint in self.description.joints.values())
+        return "model" if moving or not self.description.is_fixed_to_world else "static"
 
     def check_controlled(self) -> None:
         """Raise Refused for a model without a controller manager."""
@@ -174,7 +174,7 @@ class ParsedRobot(NamedTuple):
 
     name: str
     namespace: str
-    paper: Robot
+    description: Robot
     xml: str
     note: str
     """The origins of its lines, and the places of its meshes."""
@@ -221,7 +221,7 @@ class Robots:
         self._robots: dict[str, SpawnedRobot] = {}
         self._serials = count(1)
         self.on_spawn: list[Callable[[SpawnedRobot], object]] = []
-        """Called with each new robot. They register their cleanup in `SpawnedRobot.taken`, after each step: a later
+        """Called with each new robot. They register their cleanup in `SpawnedRobot.cleanup`, after each step: a later
         step may fail."""
         self.sources = Sources()
 
@@ -273,20 +273,20 @@ class Robots:
         # A note says where meshes are: a client that may name no files gives none, and gets none.
         note = (note or self.sources.get(source_note.digest(urdf))) if may_use_files else ""
         read = self._types.code.host.read
-        paper = description.parse(source_note.join(urdf, note), may_use_files=may_use_files, read=read)
-        asked = (names.join("/", namespace).rstrip("/") or "/") if namespace else description.namespace_of(paper, name)
+        model = description.parse(source_note.join(urdf, note), may_use_files=may_use_files, read=read)
+        asked = (names.join("/", namespace).rstrip("/") or "/") if namespace else description.namespace_of(model, name)
         place = names.check(asked)
-        plugin = paper.plugin or ControlPlugin()
+        plugin = model.plugin or ControlPlugin()
         how = self._loop.graph.parameters.get(names.join(place, TRANSMISSIONS), None)
         if plugin.transmissions is None and how is not None:
             urdf, note = source_note.split(description.with_transmissions(source_note.join(urdf, note), str(how)))
-            paper = description.parse(source_note.join(urdf, note), may_use_files=may_use_files, read=read)
+            model = description.parse(source_note.join(urdf, note), may_use_files=may_use_files, read=read)
         try:
             self._types.hardware.check_known(plugin.robot_sim_type)
         except UnknownName as error:
             raise BadFile(error.message, plugin.file or DESCRIPTION, plugin.line, error.hint) from None
-        is_controlled = not is_model or paper.plugin is not None or bool(paper.transmissions)
-        parsed = ParsedRobot(chosen, place, paper, urdf, note, self._loop.graph.caller, is_controlled, may_use_files)
+        is_controlled = not is_model or model.plugin is not None or bool(model.transmissions)
+        parsed = ParsedRobot(chosen, place, model, urdf, note, self._loop.graph.caller, is_controlled, may_use_files)
         self._check_namespace(parsed)
         return parsed
 
@@ -296,27 +296,27 @@ class Robots:
         self._check_namespace(parsed)
         self._loop.between_cycles("spawn a robot")
         robot = SpawnedRobot(parsed, self._loop.graph.node(parsed.namespace), next(self._serials))
-        with self._world.attached(parsed.paper, parsed.name, pose, hulls) as robot.body, robot.taken:
-            robot.taken.callback(robot.node.shutdown)
+        with self._world.attached(parsed.description, parsed.name, pose, hulls) as robot.body, robot.cleanup:
+            robot.cleanup.callback(robot.node.shutdown)
             if robot.is_controlled:
                 self._bring_up_control(robot)
             for bring_up in self.on_spawn:
                 bring_up(robot)
-            robot.taken.callback(self._forget, robot)
+            robot.cleanup.callback(self._forget, robot)
             self._robots[robot.name] = robot
             self._tell_loop()
-            for notice in robot.paper.report:
+            for notice in robot.description.report:
                 if notice.verdict in _SEVERITIES:
                     robot.node.log(_SEVERITIES[notice.verdict], f"{robot.name}: {notice}")
             _warn_of_filled_hollows(robot)
             _warn_of_overlaps(robot, self._world)
-            robot.taken = robot.taken.pop_all()
+            robot.cleanup = robot.cleanup.pop_all()
         if parsed.note:
             self.sources.put(source_note.digest(parsed.xml), parsed.note)
         return robot
 
     def _bring_up_control(self, robot: SpawnedRobot) -> None:
-        loop, parts, plugin = self._loop, robot.parts, robot.paper.plugin or ControlPlugin()
+        loop, parts, plugin = self._loop, robot.parts, robot.description.plugin or ControlPlugin()
         _put_description(robot, loop.graph.parameters)
         parts.hardware = self._hardware(robot, plugin.robot_sim_type)
         parts.hardware.read(robot.node.now_ns(), 0.0)
@@ -328,8 +328,8 @@ class Robots:
             topic, period_ns = names.join(robot.namespace, "actuator_states"), SECOND // ACTUATOR_RATE_HZ
             build = partial(_actuator_states, robot)
             states = PeriodicTopic(loop.graph, topic, "sensor_msgs/JointState", robot.node.name, period_ns, build)
-            robot.taken.callback(states.close)
-            robot.kept["actuator_states"] = states
+            robot.cleanup.callback(states.close)
+            robot.saved["actuator_states"] = states
         if plugin.estop_topic is not None:
 
             def take_emergency_stop(message: Message) -> None:
@@ -340,7 +340,7 @@ class Robots:
     def _hardware(self, robot: SpawnedRobot, sim_type: str) -> MujocoRobotHW:
         """The simulated hardware. Raises BadFile: an unsuitable class. Refused: a user's class failed. Else as
         `MujocoRobotHW`."""
-        places = self._world, robot.body, robot.paper, robot.node, robot.namespace
+        places = self._world, robot.body, robot.description, robot.node, robot.namespace
         cls = self._types.hardware.find(sim_type)
         if cls is None:
             return MujocoRobotHW(*places)
@@ -361,7 +361,7 @@ class Robots:
         self._world.detach(name)
         try:
             with ExitStack() as ending:  # calls in reverse order, and all of them even if one fails
-                ending.callback(robot.taken.close)
+                ending.callback(robot.cleanup.close)
                 if robot.is_controlled:
                     robot.manager.stop_running(robot.node.now_ns())
         except Exception as error:
@@ -449,7 +449,7 @@ def _put_description(robot: SpawnedRobot, parameters: Parameters) -> None:
         elif parameters.has(name):
             parameters.delete(name)
 
-    robot.taken.callback(take_back)
+    robot.cleanup.callback(take_back)
 
 
 def _actuator_states(robot: SpawnedRobot) -> Message:
@@ -478,7 +478,7 @@ def _control_period(plugin: ControlPlugin, step_ns: int, robot: SpawnedRobot) ->
 
 def _warn_of_filled_hollows(robot: SpawnedRobot) -> None:
     """Log and keep in `robot.warnings` the meshes that collide as their hulls, although they should as their faces."""
-    for source in mesh_sources(robot.paper):
+    for source in mesh_sources(robot.description):
         hull = robot.body.hulls.get(source)
         if isinstance(hull, Hull) and hull.fills_hollows:
             text = "has too many faces to collide as they are: its convex hull does, and its hollows are filled"

@@ -18,7 +18,7 @@ from typing import Any
 
 from slidectl import __version__, names
 from slidectl.errors import AmbiguousName, Reason, Refused, SlidectlError, UnknownName, Unused, UsageError, listing
-from slidectl.wire.lines import BadLine, check_size, decode
+from slidectl.wire.json_lines import BadLine, check_size, decode
 
 Message = dict[str, Any]
 

@@ -15,7 +15,7 @@ from typing import Any
 from slidectl import __version__
 from slidectl.errors import MessageRefused, NoDaemon, Refused
 from slidectl.paths import InstancePaths, command
-from slidectl.wire.lines import encode_bounded
+from slidectl.wire.json_lines import encode_bounded
 from slidectl.wire.messages import Message, refusal
 
 DEFAULT_QUEUE = 1000

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from check_texts import Check, Lines
 
-from slidectl.check.run import check
+from slidectl.check.dispatch import check
 from slidectl.description import Packages
 
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from slidectl import description
 from slidectl.check import Findings
-from slidectl.check.run import check
+from slidectl.check.dispatch import check
 from slidectl.description import Packages
 from slidectl.description.controllers_file import read
 from slidectl.errors import SlidectlError
@@ -84,7 +84,7 @@ def spawned(source: Path | str) -> tuple[Simulation | None, list[tuple[object, .
         simulation.spawn(document.xml, "bot")
     except SlidectlError:
         return None, []
-    notices = (*document.report, *simulation.robots.get("bot").paper.report)
+    notices = (*document.report, *simulation.robots.get("bot").description.report)
     return simulation, [(n.verdict, n.file, n.line, n.subject) for n in notices]
 
 

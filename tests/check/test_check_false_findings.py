@@ -9,7 +9,7 @@ import pytest
 from check_texts import INERTIAL, PLUGIN, Check, Lines, cart, transmission
 
 from slidectl import description
-from slidectl.check.run import check
+from slidectl.check.dispatch import check
 from slidectl.description import Packages
 from slidectl.simulation import Simulation
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from check_texts import BALL, INERTIAL, LIMIT, PLUGIN, Check, Lines, cart, driven_cart, transmission
 
-from slidectl.check.run import check
+from slidectl.check.dispatch import check
 from slidectl.description import Packages
 from slidectl.errors import BadFile, UnknownName
 

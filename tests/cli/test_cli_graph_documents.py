@@ -11,7 +11,7 @@ from cli_graph_types import schema
 from slidectl.errors import UsageError
 from slidectl.msgs.fill import fill, mentions_clock
 from slidectl.msgs.message_expressions import Numbers
-from slidectl.values import split
+from slidectl.typed_values import split
 
 
 @pytest.mark.parametrize(

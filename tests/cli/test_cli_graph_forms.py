@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from slidectl import msgs
 from slidectl.msgs.field_path import select
-from slidectl.msgs.forms import CsvForm, YamlForm, quoted
+from slidectl.msgs.message_text import CsvForm, YamlForm, quoted
 from slidectl.msgs.schema import from_typedefs
 
 HEADER = {"seq": 1, "stamp": {"secs": 1795219421, "nsecs": 932599067}, "frame_id": "base"}

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slidectl import values
+from slidectl import typed_values
 from slidectl.errors import UsageError
 
 
@@ -52,14 +52,14 @@ from slidectl.errors import UsageError
     ],
 )
 def test_a_value_is_read_as_it_was_meant(text: str, value: Any) -> None:
-    read = values.read(text)
+    read = typed_values.read(text)
     assert read == value
     assert type(read) is type(value)
 
 
 def test_dot_nan_is_not_a_number() -> None:
-    assert math.isnan(values.read(".nan"))
-    assert values.read("nan") == "nan"
+    assert math.isnan(typed_values.read(".nan"))
+    assert typed_values.read("nan") == "nan"
 
 
 @pytest.mark.parametrize(
@@ -78,7 +78,7 @@ def test_dot_nan_is_not_a_number() -> None:
 )  # fmt: skip
 def test_text_that_is_no_value_is_refused_with_the_reason(text: str, reason: str) -> None:
     with pytest.raises(UsageError) as caught:
-        values.read(text)
+        typed_values.read(text)
     assert reason in str(caught.value)
 
 
@@ -88,20 +88,20 @@ WORDS = ["1", "-", "1.5", "e", "E+1", ":", " ", "0", "no", "null", "~", "data", 
 @given(st.lists(st.sampled_from(WORDS), max_size=6).map("".join))
 def test_the_short_way_reads_what_yaml_reads(text: str) -> None:
     try:
-        expected: Any = values.read_yaml(text)
+        expected: Any = typed_values.read_yaml(text)
     except UsageError:
         return
-    assert repr(values.read(text)) == repr(expected)
+    assert repr(typed_values.read(text)) == repr(expected)
 
 
 @given(st.floats(allow_nan=False, allow_infinity=False) | st.integers())
 def test_any_number_is_read_back(number: float) -> None:
-    assert values.read(repr(number)) == number
-    assert values.read(f"data: {number!r}") == {"data": number}
+    assert typed_values.read(repr(number)) == number
+    assert typed_values.read(f"data: {number!r}") == {"data": number}
 
 
 def test_everyday_values_do_not_load_yaml() -> None:
     texts = ["1.0", "-5.0", "1e-3", "true", "hello", "data: 1.0", "{data: 1.0}", "[1, 2]", '{"data": 1}', ""]
-    reading = f"import sys\nfrom slidectl.values import read\nfor text in {texts!r}: read(text)\n"
+    reading = f"import sys\nfrom slidectl.typed_values import read\nfor text in {texts!r}: read(text)\n"
     script = reading + "sys.exit('yaml' in sys.modules)"
     subprocess.run([sys.executable, "-c", script], check=True)

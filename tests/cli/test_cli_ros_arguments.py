@@ -12,7 +12,7 @@ from cli_graph_types import schema
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slidectl import values
+from slidectl import typed_values
 from slidectl.cli.context import Context
 from slidectl.extensions.ros_commands import genpy
 from slidectl.extensions.ros_commands.arguments import (
@@ -184,5 +184,5 @@ def test_a_wrong_type_is_explained_in_genpys_words(kind: str, value: Any, text: 
 @given(st.text(alphabet=" '\"\\:#{},ab1%\n\té"))
 def test_quoted_text_in_a_mapping_is_what_yaml_says(text: str) -> None:
     for line in (f"name: '{text}'", f'name: "{text}"', f"{{name: '{text}'}}"):
-        shortcut = values._pair(line)
-        assert shortcut is values._UNKNOWN or shortcut == yaml.safe_load(line)
+        shortcut = typed_values._pair(line)
+        assert shortcut is typed_values._UNKNOWN or shortcut == yaml.safe_load(line)

@@ -22,7 +22,7 @@ from rosbridge_wire import Wire
 
 from slidectl import Client, description
 from slidectl.errors import SlidectlError
-from slidectl.wire.lines import LONGEST_LINE
+from slidectl.wire.json_lines import LONGEST_LINE
 
 Connect = Callable[[], Wire]
 NESTED = b"[" * 600 + b"NaN" + b"]" * 600

@@ -10,15 +10,15 @@ from pathlib import Path
 
 import pytest
 
-from slidectl.daemon.place import Place
+from slidectl.daemon.instance_files import InstanceFiles
 from slidectl.errors import Refused
 from slidectl.logfile import LogFile
 from slidectl.paths import InstancePaths
 from slidectl.processes import holder
 
 
-def place(folder: Path) -> Place:
-    return Place(InstancePaths(folder, folder / "socket"))
+def place(folder: Path) -> InstanceFiles:
+    return InstanceFiles(InstancePaths(folder, folder / "socket"))
 
 
 @pytest.fixture
@@ -30,8 +30,9 @@ def folder(tmp_path: Path) -> Path:
 def lock_in_another_process(folder: Path) -> subprocess.Popen[str]:
     """A process that holds the lock until its stdin is closed."""
     script = (
-        "import sys; from slidectl.daemon.place import Place; from slidectl.paths import InstancePaths\n"
-        "print(Place(InstancePaths(sys.argv[1], 'socket')).take(), flush=True); sys.stdin.read()"
+        "import sys; from slidectl.daemon.instance_files import InstanceFiles\n"
+        "from slidectl.paths import InstancePaths\n"
+        "print(InstanceFiles(InstancePaths(sys.argv[1], 'socket')).take(), flush=True); sys.stdin.read()"
     )
     process = subprocess.Popen(
         [sys.executable, "-c", script, str(folder)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True

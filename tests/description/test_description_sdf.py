@@ -46,11 +46,11 @@ def test_a_free_box_is_a_robot_of_one_link_at_the_pose_of_the_model_and_the_link
 def test_a_static_model_hangs_on_the_world_and_keeps_the_poses_of_its_links() -> None:
     inside = "<static>true</static><pose>0 0 5 0 0 0</pose>" + box() + box("shelf", more="<pose>0 0 1 0 0 0</pose>")
     (model,) = scene(inside).models
-    paper = robot(model)
+    robot_model = robot(model)
     assert model.is_static
-    assert paper.is_fixed_to_world
+    assert robot_model.is_fixed_to_world
     assert model.pose[0] == (0.0, 0.0, 5.0)
-    assert paper.joints["world_to_shelf"].origin.xyz == (0.0, 0.0, 1.0)
+    assert robot_model.joints["world_to_shelf"].origin.xyz == (0.0, 0.0, 1.0)
 
 
 def test_shapes_masses_friction_and_gravity_are_taken() -> None:
@@ -61,8 +61,8 @@ def test_shapes_masses_friction_and_gravity_are_taken() -> None:
         <surface><friction><ode><mu>0.7</mu><mu2>0.6</mu2></ode></friction></surface></collision>
       <visual name="b"><geometry><cylinder><radius>0.1</radius><length>2</length></cylinder></geometry>
         <material><ambient>1 0 0 1</ambient></material></visual></link>"""
-    paper = robot(scene(inside).models[0])
-    link = paper.links["l"]
+    robot_model = robot(scene(inside).models[0])
+    link = robot_model.links["l"]
     assert link.inertial is not None
     assert (link.inertial.mass, link.inertial.inertia) == (3.0, (1.0, 0.0, 0.0, 2.0, 0.0, 2.5))
     assert link.inertial.origin.xyz == (0.0, 0.0, 0.1)
@@ -95,9 +95,9 @@ def test_shapes_of_a_child_stay_where_they_were_when_its_frame_goes_to_the_joint
         + """<joint name="hinge" type="revolute"><parent>base</parent><child>door</child><pose>0.5 0 0 0 0 0</pose>
           <axis><xyz>0 0 1</xyz></axis></joint>"""
     )
-    paper = robot(scene(inside).models[0])
-    assert paper.joints["hinge"].type == "continuous"
-    assert paper.links["door"].collisions[0].origin.xyz == (-0.5, 0.0, 0.0)
+    robot_model = robot(scene(inside).models[0])
+    assert robot_model.joints["hinge"].type == "continuous"
+    assert robot_model.links["door"].collisions[0].origin.xyz == (-0.5, 0.0, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -163,9 +163,9 @@ def test_a_nested_model_is_part_of_the_model_around_it() -> None:
         + f'<model name="arm"><pose>0 0 1 0 0 0</pose>{box("hand")}</model>'
         + '<joint name="weld" type="fixed"><parent>base</parent><child>arm::hand</child></joint>'
     )
-    paper = robot(scene(inside).models[0])
-    assert paper.joints["weld"].child == "arm::hand"
-    assert paper.joints["weld"].origin.xyz == (0.0, 0.0, 1.0)
+    robot_model = robot(scene(inside).models[0])
+    assert robot_model.joints["weld"].child == "arm::hand"
+    assert robot_model.joints["weld"].origin.xyz == (0.0, 0.0, 1.0)
 
 
 def test_a_mesh_is_found_by_its_model_and_has_its_scale(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

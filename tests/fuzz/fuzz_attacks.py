@@ -22,7 +22,7 @@ from fuzz_tcpros import TcprosStreams
 from fuzz_xmlrpc import XmlRpcCalls
 
 from slidectl import description
-from slidectl.check import run as checking
+from slidectl.check import dispatch
 from slidectl.description import Packages
 from slidectl.errors import SlidectlError, UsageError
 from slidectl.features.posix_pattern import PosixPattern
@@ -142,7 +142,7 @@ class Files:
         packages = Packages({"here": self.folder}, start=self.folder)
         try:
             with limited():
-                findings = checking.check(words, {}, packages, files, None, ask_others=False)
+                findings = dispatch.check(words, {}, packages, files, None, ask_others=False)
         except SlidectlError:
             return "refused"
         if findings.broken:

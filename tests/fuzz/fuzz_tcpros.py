@@ -15,7 +15,7 @@ from slidectl import msgs
 from slidectl.errors import BadMessage, SlidectlError
 from slidectl.extensions.gateways.ros1.ros1_types import ros1_type
 from slidectl.extensions.gateways.ros1.tcpros import Fields, TcprosConnection, encode_header, frame
-from slidectl.wire.lines import LONGEST_LINE, encode
+from slidectl.wire.json_lines import LONGEST_LINE, encode
 
 STREAMS = 100
 """Of one case."""

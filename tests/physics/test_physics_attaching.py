@@ -14,7 +14,7 @@ from physics_robots import arm, at, block, box_inertial, box_shape, one_joint, t
 from slidectl.description.robot import Joint, Link, Mesh, Mimic, Robot, Shape
 from slidectl.errors import SlidectlError
 from slidectl.physics import World
-from slidectl.physics.body import Body
+from slidectl.physics.attached_robot import AttachedRobot
 from slidectl.physics.world_spec import Settings, WorldSpec
 
 ROBOTS: dict[str, Robot] = {"arm": arm(2), "block": block(), "one": one_joint("revolute"), "more": arm(3)}
@@ -29,7 +29,7 @@ def numbers(model: Any) -> dict[str, Any]:
 def at_once(names: list[str], gravity: float = -9.8) -> Any:
     """The model of these robots, built in one go, with the weights that they have when they are alone."""
     settings = Settings(0.001, (0.0, 0.0, gravity), True)
-    bodies = [Body(name, ROBOTS[name], at(float(place), 0.0, 1.0)) for place, name in enumerate(names)]
+    bodies = [AttachedRobot(name, ROBOTS[name], at(float(place), 0.0, 1.0)) for place, name in enumerate(names)]
     for body in bodies:
         body.bind(WorldSpec(settings, (body,)).compile(), None)
     model = WorldSpec(settings, bodies).compile()

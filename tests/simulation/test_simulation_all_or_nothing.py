@@ -14,7 +14,7 @@ from sim_robots import cart, command, drive_up, logged, put_probe, state, switch
 from slidectl.errors import Refused, SlidectlError
 from slidectl.names import join
 from slidectl.physics import hulls, world
-from slidectl.physics.body import Body
+from slidectl.physics.attached_robot import AttachedRobot
 from slidectl.physics.world_spec import WorldSpec
 from slidectl.simulation import Simulation, spawned_robots
 from slidectl.simulation.compiled import object_file
@@ -147,14 +147,14 @@ def fails_once(patch: pytest.MonkeyPatch, owner: Any, name: str) -> None:
 OF_DELETIONS = {
     "MuJoCo's compilation": (WorldSpec, "compile"),
     "taking it out of the specification": (WorldSpec, "remove"),
-    "finding the robots again": (Body, "bind"),
-    "a listener of a robot": (Body, "announce"),
+    "finding the robots again": (AttachedRobot, "bind"),
+    "a listener of a robot": (AttachedRobot, "announce"),
     "the memory of the state": (mujoco, "MjData"),
     "carrying over the state": (world, "carry_over"),
 }
 OF_SPAWNS = {
     "carrying over the state": (world, "carry_over"),
-    "putting it there": (Body, "put_at_spawn"),
+    "putting it there": (AttachedRobot, "put_at_spawn"),
     "bringing it up": (spawned_robots.Robots, "_bring_up_control"),
     "its hardware": (spawned_robots, "MujocoRobotHW"),
     "its manager": (spawned_robots, "ControllerManager"),
@@ -228,7 +228,7 @@ def test_whoever_fails_when_a_robot_goes_does_not_keep_it(mesh: Path, engine: st
     assert switch(simulation, start=["probe"], namespace="/m")
     loaded: Any = robot.manager.get("probe")
     loaded.stopping = failing(ZeroDivisionError("in stopping"))
-    robot.taken.callback(failing(MemoryError("in a part")))
+    robot.cleanup.callback(failing(MemoryError("in a part")))
     robot.node.watch_param("anything", lambda: None)
     robot.node._taken.append(failing(OSError("in a publisher")))
     simulation.delete("m")

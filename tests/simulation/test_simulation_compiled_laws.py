@@ -25,7 +25,7 @@ from slidectl.control.laws import Columns  # noqa: E402
 from slidectl.control.limits import JointLimits, LimitHandle, SoftJointLimits  # noqa: E402
 from slidectl.control.pid import Pid, next_command, next_command_from, pid_law  # noqa: E402
 from slidectl.physics import robot_hw  # noqa: E402
-from slidectl.physics.loads import truncated  # noqa: E402
+from slidectl.physics.applied_forces import truncated  # noqa: E402
 from slidectl.physics.robot_hw import Drive  # noqa: E402
 from slidectl.simulation.compiled import tables  # noqa: E402
 from slidectl.simulation.compiled.compiler import column_type, register_laws  # noqa: E402

@@ -106,7 +106,7 @@ def test_odometry_of_the_world_is_where_the_cart_is() -> None:
 def test_without_legacy_mode_false_the_cart_turns_the_other_way_and_it_is_said() -> None:
     simulation = Simulation()
     robot = simulation.spawn(cart("plugin", ("<legacyMode>false</legacyMode>", "")), "cart")
-    assert "without <legacyMode>false</legacyMode>" in "".join(map(str, robot.paper.report))
+    assert "without <legacyMode>false</legacyMode>" in "".join(map(str, robot.description.report))
     drive(simulation, "/cart/cmd_vel", yaw=0.5)
     simulation.step(1000)
     assert place(simulation, "cart", "base_link")[2] < -0.3
@@ -194,7 +194,7 @@ def test_a_plugin_lets_a_joint_follow_and_what_it_says_goes_before_a_mimic_tag()
     simulation = Simulation(gravity=(0.0, 0.0, 0.0))
     xml = box(links + joints + MIMIC.format("lead", "tail", -2.0, "<hasPID/>"))
     robot = simulation.spawn(xml, "box", pose=((0.0, 0.0, 5.0), (0.0, 0.0, 0.0, 1.0)))
-    said = [(notice.verdict, notice.text) for notice in robot.paper.report]
+    said = [(notice.verdict, notice.text) for notice in robot.description.report]
     assert [verdict for verdict, _ in said] == ["ignored", "wrong"]
     simulation.robots.put_joints("box", ["lead"], [0.2])
     assert simulation.world.joint_state("box", "tail")[0] == pytest.approx(0.1 - 2.0 * 0.2)
@@ -212,9 +212,9 @@ def test_a_plugin_that_cannot_let_a_joint_follow_is_refused_or_has_no_effect() -
     parts = links + joint.format("lead", "continuous")
     with pytest.raises(BadFile, match="<multiplier> is 'inf', which is not a finite number"):
         description.parse(box(parts + joint.format("tail", "continuous") + MIMIC.format("lead", "tail", "inf", "")))
-    paper = description.parse(box(parts + joint.format("tail", "fixed") + MIMIC.format("lead", "tail", 1, "")))
-    assert "'tail' is fixed and cannot follow; the plugin has no effect" in paper.report[-1].text
-    assert paper.joints["tail"].mimic is None
+    robot_model = description.parse(box(parts + joint.format("tail", "fixed") + MIMIC.format("lead", "tail", 1, "")))
+    assert "'tail' is fixed and cannot follow; the plugin has no effect" in robot_model.report[-1].text
+    assert robot_model.joints["tail"].mimic is None
 
 
 @pytest.mark.parametrize(

@@ -194,7 +194,7 @@ def test_a_scan_takes_what_gazebo_takes_a_fraction_of_a_sample_and_a_turn_backwa
     simulation.step(100)
     assert scans[-1]["angle_increment"] == pytest.approx(-math.pi / 4)
     assert scans[-1]["ranges"][0] == pytest.approx(1.9, abs=0.01)
-    said = " ".join(notice.text for notice in robot.paper.report)
+    said = " ".join(notice.text for notice in robot.description.report)
     assert "5.7 is taken as 5" in said
     assert "the scan goes backwards" in said
 
@@ -208,9 +208,9 @@ def test_a_scan_takes_what_gazebo_takes_a_fraction_of_a_sample_and_a_turn_backwa
     ],
 )
 def test_a_sensor_that_measures_nothing_is_reported(more: str) -> None:
-    paper = description.parse(urdf(more))
-    assert not paper.sensors
-    assert paper.report[-1].verdict in ("ignored", "wrong")
+    robot_model = description.parse(urdf(more))
+    assert not robot_model.sensors
+    assert robot_model.report[-1].verdict in ("ignored", "wrong")
 
 
 @pytest.mark.parametrize("kind", ["<type>none</type>", "<type>uneven</type>"])

@@ -157,7 +157,7 @@ def test_by_default_the_joint_alone_counts_and_what_does_not_is_said() -> None:
     simulation = spawned(rails(simple(10.0, limit(2.0, 0.05)), "gazebo"), j1=50.0)
     assert state(simulation, "j1")[2] == 50.0
     assert state(simulation, "j1")[1] == pytest.approx(50.0 * 1e-3 / sum(MASSES))
-    texts = [str(notice) for notice in simulation.robots.get("rails").paper.report]
+    texts = [str(notice) for notice in simulation.robots.get("rails").description.report]
     assert sum("counts only with real transmissions" in text for text in texts) == 2
 
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slidectl.wire.lines import BadLine, LineBuffer, decode, encode
+from slidectl.wire.json_lines import BadLine, LineBuffer, decode, encode
 
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),

@@ -17,7 +17,7 @@ from slidectl.errors import (
     UsageError,
 )
 from slidectl.wire import messages
-from slidectl.wire.lines import LONGEST_LINE, BadLine, decode, encode
+from slidectl.wire.json_lines import LONGEST_LINE, BadLine, decode, encode
 from slidectl.wire.peers import ClientPeer, Inbox
 
 

@@ -1,7 +1,8 @@
 """Messages and requests from the YAML of a command line, a file or stdin, with the error texts of genpy and PyYAML.
 
-slidectl.values reads the values, msgs.fill fills them in. After an error, PyYAML reads the text again for its report,
-and this module walks the types to find genpy's error. Field names are genpy's paths: `pose.position.x`, `position[]`.
+slidectl.typed_values reads the values, msgs.fill fills them in. After an error, PyYAML reads the text again for its
+report, and this module walks the types to find genpy's error. Field names are genpy's paths: `pose.position.x`,
+`position[]`.
 """
 
 from __future__ import annotations
@@ -11,10 +12,10 @@ from io import StringIO
 from itertools import chain
 from typing import TYPE_CHECKING, Any, TextIO
 
-from slidectl import values as typed_values
+from slidectl import typed_values
 from slidectl.errors import BadMessage, SlidectlError
 from slidectl.msgs.schema import FLOATS, INTEGER_RANGES, TIMES, Field, Schema, Typedefs, from_typedefs
-from slidectl.values import bounded
+from slidectl.typed_values import bounded
 
 if TYPE_CHECKING:
     from slidectl.cli.context import Context
@@ -129,7 +130,7 @@ def _leaves(value: Any) -> Iterator[Any]:
 def as_yaml(typedefs: Typedefs, message: Message) -> str:
     """The message as `-v` shows it; fields that were not given have their defaults."""
     from slidectl import msgs
-    from slidectl.msgs.forms import YamlForm
+    from slidectl.msgs.message_text import YamlForm
 
     schema = from_typedefs(typedefs)
     return YamlForm(schema).printer(schema.root)(msgs.check(schema.root, message))

@@ -189,7 +189,7 @@ def list_parameters(ctx: Context, argv: Sequence[str]) -> None:
 
 def load(ctx: Context, argv: Sequence[str]) -> None:
     """Set the parameters of a YAML file or of stdin, below a namespace."""
-    from slidectl.values import text_of
+    from slidectl.typed_values import text_of
 
     parser = Parser("rosparam", "rosparam load [options] file [namespace]", _VERBOSE)
     given = parser.parse(argv, 1, 2, "invalid arguments. Please specify a file name or - for stdin", _TOO_MANY)

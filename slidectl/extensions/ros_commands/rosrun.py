@@ -31,7 +31,7 @@ from slidectl.extensions.launch.nodes.left_out import LeftOut
 from slidectl.extensions.launch.plan import LaunchPlan, Location, Node, Remap, Setting
 from slidectl.extensions.ros_commands.arguments import Failure, Parser, option, without_remappings
 from slidectl.extensions.ros_commands.command import program, run
-from slidectl.values import read
+from slidectl.typed_values import read
 from slidectl.writing import reason, write_whole
 
 if TYPE_CHECKING:

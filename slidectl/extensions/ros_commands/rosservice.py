@@ -13,7 +13,7 @@ from slidectl.errors import EXIT_REFUSED, Refused, TimedOut, UnknownName, closes
 from slidectl.extensions.ros_commands import genpy
 from slidectl.extensions.ros_commands.arguments import Failure, Parser, Tool, below, option, resolve, without_remappings
 from slidectl.msgs.schema import Typedefs
-from slidectl.values import check_quotes
+from slidectl.typed_values import check_quotes
 
 _FAILED = 2
 _NOT_AVAILABLE = "ERROR: Service [{}] is not available."

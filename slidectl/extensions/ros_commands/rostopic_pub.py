@@ -28,7 +28,7 @@ from slidectl.extensions.ros_commands.arguments import (
     without_remappings,
 )
 from slidectl.input_files import read_text
-from slidectl.values import check_quotes
+from slidectl.typed_values import check_quotes
 
 _ONCE = "-1"
 _PAYLOAD = 2

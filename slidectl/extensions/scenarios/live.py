@@ -24,7 +24,7 @@ from slidectl.extensions.scenarios.case_run import Stage
 from slidectl.extensions.scenarios.scenario_file import Case
 from slidectl.extensions.scenarios.stages import LOG_LINES
 from slidectl.extensions.scenarios.step_commands import Commands
-from slidectl.wire.lines import encode
+from slidectl.wire.json_lines import encode
 
 _ANSWER_S = 60.0
 """Wall seconds for an answer that needs no simulated time."""

@@ -13,7 +13,7 @@ from slidectl.control.angular_distance import unwrapped
 from slidectl.control.hardware_interface import is_finite
 from slidectl.control.laws import law
 from slidectl.control.limits import enforce
-from slidectl.physics.loads import truncated
+from slidectl.physics.applied_forces import truncated
 from slidectl.physics.motors import (
     ACTUATION,
     BOUND,

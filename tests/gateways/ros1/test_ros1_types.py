@@ -13,7 +13,7 @@ from random_messages import all_types, bytes_of, md5_of, random_message
 from slidectl.errors import BadMessage
 from slidectl.extensions.gateways.ros1.ros1_types import ros1_type
 from slidectl.extensions.recording.codec import BadDefinition, Codec
-from slidectl.wire.lines import encode
+from slidectl.wire.json_lines import encode
 
 
 def test_all_types_have_the_bytes_that_rosbags_gives_them_and_come_back_the_same() -> None:

@@ -11,7 +11,7 @@ import struct
 from typing import Any, NamedTuple
 
 from slidectl.errors import UsageError, cut, quoted
-from slidectl.wire.lines import encode
+from slidectl.wire.json_lines import encode
 
 SUBPROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")
 """The names used by Foxglove's SDK and app, and by older clients. The frames are the same."""

@@ -57,7 +57,7 @@ from slidectl.msgs.schema import SCALAR, TIMES, nanoseconds
 from slidectl.paths import InstancePaths
 from slidectl.web_access import check_effects
 from slidectl.wire.bounds import HeldBytes
-from slidectl.wire.lines import encode, numbers_of_json
+from slidectl.wire.json_lines import encode, numbers_of_json
 
 Message = dict[str, Any]
 

@@ -18,7 +18,7 @@ from slidectl.errors import Refused, SlidectlError, TimedOut, UsageError
 from slidectl.extensions.gateways.strangers import Strangers
 from slidectl.operating_system import keepalive
 from slidectl.wire.bounds import HeldBytes
-from slidectl.wire.lines import LONGEST_LINE
+from slidectl.wire.json_lines import LONGEST_LINE
 
 T = TypeVar("T")
 Fields = dict[str, str]

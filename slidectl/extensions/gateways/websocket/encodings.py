@@ -22,7 +22,7 @@ from slidectl import msgs
 from slidectl.errors import UsageError
 from slidectl.extensions.gateways.ros1.ros1_types import ros1_type
 from slidectl.msgs.schema import BYTES, CODES, FLOATS, PRIMITIVES, SCALAR, Field
-from slidectl.wire.lines import decode
+from slidectl.wire.json_lines import decode
 
 COMPRESSIONS = ("none", "png", "cbor", "cbor-raw")
 """If a browser subscribes a topic several times, the last one in this order is used."""

@@ -22,7 +22,7 @@ from slidectl.extensions.gateways.websocket.encodings import (
     encoder,
     fragments,
 )
-from slidectl.wire.lines import BadLine, check_size, decode, encode
+from slidectl.wire.json_lines import BadLine, check_size, decode, encode
 
 Message = dict[str, Any]
 

@@ -25,7 +25,7 @@ from slidectl.extensions.gateways.websocket.rosbridge_session import RosbridgeSe
 from slidectl.extensions.gateways.websocket_listener import ListenerConnection, ListenerOptions, WebSocketListener
 from slidectl.paths import InstancePaths
 from slidectl.web_access import check_effects
-from slidectl.wire.lines import LONGEST_LINE
+from slidectl.wire.json_lines import LONGEST_LINE
 
 _NODE = "/rosbridge_websocket"
 _UNREAD = 256 * 1024

@@ -18,10 +18,10 @@ from slidectl.client import Client
 from slidectl.errors import NoDaemon, Refused, SlidectlError, UsageError, cut
 from slidectl.extensions.viewing.page.page import SCROLLED, Page, Panel, WorldState, offer
 from slidectl.msgs.fill import Time, field_paths, fill
-from slidectl.msgs.forms import YamlForm
 from slidectl.msgs.message_expressions import Numbers
+from slidectl.msgs.message_text import YamlForm
 from slidectl.msgs.schema import FLOATS, SCALAR, Field, Schema, from_typedefs, nanoseconds
-from slidectl.values import read
+from slidectl.typed_values import read
 
 _NONE = "none"
 _SECOND = 10**9

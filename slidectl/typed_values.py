@@ -18,7 +18,7 @@ from typing import Any, TextIO
 
 from slidectl.errors import BadFile, UsageError
 from slidectl.input_files import opened_text
-from slidectl.wire.lines import LONGEST_LINE
+from slidectl.wire.json_lines import LONGEST_LINE
 
 _WORDS = re.compile(r"[A-Za-z_/][A-Za-z0-9_/.-]*( [A-Za-z0-9_/.-]+)*\Z")
 # `data: 1.0`, `{data: 1.0}` and `name: 'a controller'`, as in every tutorial. No escapes, nothing nested.

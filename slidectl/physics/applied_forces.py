@@ -16,7 +16,7 @@ import numpy as np
 
 from slidectl.control.laws import law
 from slidectl.description.robot import Joint
-from slidectl.physics.body import Array, Body
+from slidectl.physics.attached_robot import Array, AttachedRobot
 from slidectl.physics.motors import Motors
 from slidectl.rotations import Vector, add, cross
 
@@ -65,7 +65,7 @@ class JointForce:
     It acts from `start_ns` up to and including `start_ns + duration_ns`; a negative duration never ends.
     """
 
-    body: Body
+    body: AttachedRobot
     joint: str
     effort: float
     start_ns: int
@@ -76,7 +76,7 @@ class JointForce:
 class Wrench:
     """Force (N) and torque (N·m), in the world's axes, at the centre of mass of one link. Times as in JointForce."""
 
-    body: Body
+    body: AttachedRobot
     link: str
     force: Vector
     torque: Vector
@@ -119,7 +119,7 @@ class Loads:
         self.joint_forces = [force for force in self.joint_forces if keep(force)]
         self.wrenches = [wrench for wrench in self.wrenches if keep(wrench)]
 
-    def forget(self, body: Body) -> None:
+    def forget(self, body: AttachedRobot) -> None:
         """Remove all forces and motors of a robot that is detached. Call `bind` afterwards."""
         self.keep(lambda force: force.body is not body)
         self.motors.drop(body)
@@ -154,7 +154,7 @@ class Loads:
             "acted_wrenches": None if wrenches is None else wrenches.copy(),
         }
 
-    def restore(self, state: dict[str, Any], bodies: Mapping[str, Body]) -> None:
+    def restore(self, state: dict[str, Any], bodies: Mapping[str, AttachedRobot]) -> None:
         """Restore the state. Call `bind` afterwards, then `restore_last_step` if results of that step are needed."""
         self.joint_forces = [JointForce(bodies[name], *rest) for name, *rest in state["joint_forces"]]
         self.wrenches = [Wrench(bodies[name], *rest) for name, *rest in state["wrenches"]]

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from slidectl import names
-from slidectl.check import controllers, kinds, model, scenes
+from slidectl.check import controllers, file_kinds, model, scenes
 from slidectl.check.findings import Findings
 from slidectl.control import registry
 from slidectl.description import controllers_file, models, sdf
@@ -77,11 +77,11 @@ def check(
     return findings
 
 
-def _resolved(words: Sequence[str], text: bytes | None, packages: Packages) -> tuple[kinds.Kind, Sequence[str]]:
+def _resolved(words: Sequence[str], text: bytes | None, packages: Packages) -> tuple[file_kinds.Kind, Sequence[str]]:
     """The kind and the path for the words. PACKAGE FILE becomes a path, except for a launch file: launch finds that."""
     source = words[0]
     if len(words) > 1 and source not in models.shipped() and not is_file(Path(source)):
-        if kinds.of_name(words[1]) in ("launch", None):
+        if file_kinds.of_name(words[1]) in ("launch", None):
             return "launch", words
         from slidectl.extensions.launch import files
 
@@ -90,13 +90,13 @@ def _resolved(words: Sequence[str], text: bytes | None, packages: Packages) -> t
 
 
 def _refuse_what_does_not_fit(
-    kind: kinds.Kind, words: Sequence[str], arguments: Mapping[str, str], parameter_files: Sequence[Path]
+    kind: file_kinds.Kind, words: Sequence[str], arguments: Mapping[str, str], parameter_files: Sequence[Path]
 ) -> None:
     """Raise UsageError for words, files and arguments that a file of this kind does not take."""
     source = words[0]
     if kind != "launch" and len(words) > 1:
         hint = "slidectl check --help shows the order of arguments"
-        if kind == "model" and kinds.of_name(words[1]) == "controllers":
+        if kind == "model" and file_kinds.of_name(words[1]) == "controllers":
             hint = f"a file of controllers stands behind an option: --controllers {words[1]}"
         raise UsageError(f"{words[1]!r} is not KEY:=VALUE", hint)
     if kind != "model" and parameter_files:
@@ -130,17 +130,17 @@ def _tree(text: bytes, file: str) -> Tree | None:
         return None
 
 
-def _kind(source: str, text: bytes | None) -> kinds.Kind:
+def _kind(source: str, text: bytes | None) -> file_kinds.Kind:
     """The kind of one word; an unknown name is taken for a model. Raises BadFile: XML of an unknown kind."""
     if text is not None:
-        return kinds.of_text(text, source)
+        return file_kinds.of_text(text, source)
     if source.startswith(sdf.SCHEME):
         return "scene"
     path = Path(os.path.expanduser(source))
     if source in models.shipped():
         return "model"
     if is_file(path) or path.suffix:
-        return kinds.of_name(path.name) or kinds.of_text(models.read_file(path), str(path))
+        return file_kinds.of_name(path.name) or file_kinds.of_text(models.read_file(path), str(path))
     from slidectl.extensions.launch import files
 
     return "launch" if source in files.shipped() else "model"

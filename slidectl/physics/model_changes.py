@@ -17,7 +17,7 @@ from slidectl.errors import Refused
 from slidectl.rotations import IDENTITY, Vector, add, compose
 
 if TYPE_CHECKING:
-    from slidectl.physics.body import Body, LinkPlace
+    from slidectl.physics.attached_robot import AttachedRobot, LinkPlace
     from slidectl.physics.robot_hw import MujocoRobotHW
     from slidectl.physics.world import World
 
@@ -28,7 +28,7 @@ class StuckJoint:
     saved_attributes: ClassVar[tuple[str, ...]] = ("_dynamics",)
     saved_or_none: ClassVar[tuple[str, ...]] = ("_position", "_lasting")
 
-    def __init__(self, world: World, body: Body, hardware: MujocoRobotHW, joint: str) -> None:
+    def __init__(self, world: World, body: AttachedRobot, hardware: MujocoRobotHW, joint: str) -> None:
         self._world = world
         self._body = body
         self._hardware = hardware
@@ -85,7 +85,9 @@ class JointFriction:
 
     saved_or_none: ClassVar[tuple[str, ...]] = ("_before",)
 
-    def __init__(self, world: World, body: Body, joint: str, friction: float | None, damping: float | None) -> None:
+    def __init__(
+        self, world: World, body: AttachedRobot, joint: str, friction: float | None, damping: float | None
+    ) -> None:
         self._world = world
         self._body = body
         self._joint = joint
@@ -136,7 +138,7 @@ class Payload:
 
     saved_or_none: ClassVar[tuple[str, ...]] = ("_before",)
 
-    def __init__(self, world: World, body: Body, link: str, mass: float, at: Vector) -> None:
+    def __init__(self, world: World, body: AttachedRobot, link: str, mass: float, at: Vector) -> None:
         self._world = world
         self._body = body
         self._link = link

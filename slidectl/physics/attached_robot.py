@@ -1,6 +1,6 @@
 """One robot in the world: the indices of its links, joints and state in MuJoCo's arrays, and changes of that state.
 
-A Body stays valid over rebuilds of the model: `bind` finds its indices again. It makes no steps.
+A AttachedRobot stays valid over rebuilds of the model: `bind` finds its indices again. It makes no steps.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Weights(NamedTuple):
     tendons: Array
 
 
-class Body:
+class AttachedRobot:
     """A robot that is attached under `name`."""
 
     def __init__(self, name: str, robot: Robot, pose: Pose, hulls: Hulls | None = None) -> None:

@@ -20,7 +20,7 @@ class InstanceInUse(Refused):
     """Another daemon uses this place."""
 
 
-class Place:
+class InstanceFiles:
     """The files of one daemon, from `take` to `give_back`."""
 
     def __init__(self, paths: InstancePaths) -> None:
