@@ -26,7 +26,7 @@ test: $(STAMP)  ## all tests, four at a time: most wait for processes
 	@$(BIN)/python -m pytest -n 4 --dist loadfile $(ARGS)
 
 quick: $(STAMP) lint types  ## lint, types, and the tests that are not slow and start no processes, in a minute
-	@$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow and not process" $(ARGS)
+	@$(BIN)/python -m pytest -n 2 --dist loadfile --hypothesis-profile quick -m "not slow and not process" $(ARGS)
 
 most: $(STAMP)  ## the tests that are not slow; with another Python: PYTHON=python3.13 VENV=.venv-3.13
 	@$(BIN)/python -m pytest -n 4 --dist loadfile -m "not slow" $(ARGS)

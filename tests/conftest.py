@@ -20,6 +20,7 @@ from kinds_of_tests import marks_left_out, marks_of
 settings.register_profile(
     "slidectl", deadline=None, suppress_health_check=[HealthCheck.too_slow], database=None, derandomize=True
 )
+settings.register_profile("quick", settings.get_profile("slidectl"), max_examples=20)
 settings.load_profile("slidectl")
 
 _CACHE = pytest.StashKey[pytest.MonkeyPatch]()

@@ -13,8 +13,8 @@ FOREIGN = (
 """They start programs that are not part of slidectl: ROS 1, Node, Chromium, shells."""
 PROCESS = (
     *FOREIGN, "cli/*", "client/*", "daemon/*", "fuzz/*", "gateways/*", "viewing/*",
-    "launch/test_launch_supervision.py", "test_docs.py", "test_extending_page.py", "test_operating_system.py",
-    "test_portable_ways.py",
+    "description/test_description_xacro_hostile.py", "launch/test_launch_supervision.py", "test_confined.py",
+    "test_docs.py", "test_extending_page.py", "test_operating_system.py", "test_portable_ways.py",
     "test_pytest_plugin.py", "test_python_page.py", "test_pythons.py", "test_scenarios_page.py", "test_test_runs.py",
 )  # fmt: skip
 """They start processes: daemons, commands, gateways."""

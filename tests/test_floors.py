@@ -7,7 +7,9 @@ import re
 import subprocess
 import sys
 from collections import Counter
+from functools import cache
 from graphlib import TopologicalSorter
+from itertools import chain
 from pathlib import Path
 
 PACKAGE = Path(__file__).parent.parent / "slidectl"
@@ -152,6 +154,7 @@ REACHES = {
 }
 
 
+@cache
 def modules() -> list[Path]:
     return [
         path
@@ -176,15 +179,21 @@ def room_of(path: Path) -> str:
     return room(path.relative_to(PACKAGE).with_suffix("").parts)
 
 
-def imported(path: Path, types: bool = True) -> set[str]:
+@cache
+def tree_of(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+@cache
+def imported(path: Path, types: bool = True) -> frozenset[str]:
     """Dotted names of all that the file imports, inside functions too; `types`: for type checking too."""
     found: set[str] = set()
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    if not types:
-        tree.body = [
-            node for node in tree.body if not (isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test))
-        ]
-    for node in ast.walk(tree):
+    parts: list[ast.AST] = [
+        node
+        for node in tree_of(path).body
+        if types or not (isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test))
+    ]
+    for node in chain.from_iterable(map(ast.walk, parts)):
         if isinstance(node, ast.Import):
             found.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.module:
@@ -192,9 +201,10 @@ def imported(path: Path, types: bool = True) -> set[str]:
             found.add(node.module)
             if node.module.split(".")[0] == "slidectl":
                 found.update(f"{node.module}.{alias.name}" for alias in node.names)
-    return found
+    return frozenset(found)
 
 
+@cache
 def rooms_used(path: Path) -> set[str]:
     rooms = {room(tuple(name.split(".")[1:])) for name in imported(path) if name.startswith("slidectl.")}
     return rooms & FLOORS.keys()
@@ -332,7 +342,7 @@ def test_a_class_name_and_a_module_name_stand_once_in_the_package() -> None:
     classes = Counter(
         node.name
         for path in modules()
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for node in ast.walk(tree_of(path))
         if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
     )
     stems = Counter(path.stem for path in modules() if not path.stem.startswith("__"))

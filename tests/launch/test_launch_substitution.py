@@ -169,6 +169,7 @@ def test_eval_finds_packages_and_folders_too(workspace: Workspace) -> None:
         workspace.value("$(eval arg('nope'))")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("expression", "reason"),
     [
@@ -215,6 +216,7 @@ def test_eval_refuses_what_could_do_harm_or_never_ends(
         evaluate(expression, {"a": "one"})
 
 
+@pytest.mark.slow
 def test_lists_that_double_in_each_turn_come_to_an_end(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(substitution, "LIMITS", Limits(cpu_s=1, wall_s=60, new_bytes=1 << 26))
     doubling = "[[1, 1]] " + " ".join(f"for v{k} in [[v{k - 1}, v{k - 1}]]" for k in range(1, 60))

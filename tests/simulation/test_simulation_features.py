@@ -351,6 +351,7 @@ def run(code: str, *folders: Path) -> Any:
     return json.loads(done.stdout)
 
 
+@pytest.mark.process
 def test_an_installed_feature_has_a_topic_and_a_service_counts_is_saved_and_reset(tmp_path: Path) -> None:
     install(EXAMPLE, tmp_path / "site")
     code = """
@@ -376,6 +377,7 @@ print(json.dumps([heard, loaded, answer, simulation.spawn_counter.count, len(sim
     assert (loaded, answer, count, broken) == (2, "2 spawns forgotten", 0, 0)
 
 
+@pytest.mark.process
 def test_broken_features_of_packages_are_named_and_the_world_starts_without_them(tmp_path: Path) -> None:
     package = tmp_path / "package"
     package.mkdir()
