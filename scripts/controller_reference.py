@@ -59,6 +59,11 @@ $ slidectl delete arm
 arm: deleted
 ```
 
+![The desired and the actual position of a joint through three points, with the path tolerance](pictures/trajectory.svg)
+
+Between the points of a goal the controller follows a spline through their positions and velocities. The error must stay
+within the path tolerance on the way, and within the goal tolerance at the end.
+
 An action has five topics: `goal` and `cancel` for the client; `status` (five times a second, and at each change),
 `feedback` and `result` for the server. A goal without an id gets one, an empty `cancel` is for all goals, and a new
 goal preempts the one before.
