@@ -58,11 +58,11 @@ class SpawnedAs:
             robot.namespace,
             robot.xml,
             robot.is_controlled,
-            robot.body.spawn_pose,
+            robot.attached.spawn_pose,
             robot.note,
             robot.caller,
             robot.may_use_files,
-            robot.body.hulls,
+            robot.attached.hulls,
             list(robot.made_parameters),
             list(robot.parts.manager.loaded()) if robot.is_controlled else [],
         )
@@ -258,7 +258,7 @@ def _tree_of(robot: SpawnedRobot) -> dict[str, Any]:
     return {
         "actions": robot.node.servers_below(),
         **({"hardware": parts.hardware, "manager": parts.manager, "cycle": parts.cycle} if robot.is_controlled else {}),
-        "start": robot.body.start,
+        "start": robot.attached.start,
         "command_warning": robot.node.command_warning,
         "kept": robot.saved,
         "calls": robot.node.calls_below(),

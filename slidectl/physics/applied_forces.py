@@ -65,7 +65,7 @@ class JointForce:
     It acts from `start_ns` up to and including `start_ns + duration_ns`; a negative duration never ends.
     """
 
-    body: AttachedRobot
+    robot: AttachedRobot
     joint: str
     effort: float
     start_ns: int
@@ -76,7 +76,7 @@ class JointForce:
 class Wrench:
     """Force (N) and torque (N·m), in the world's axes, at the centre of mass of one link. Times as in JointForce."""
 
-    body: AttachedRobot
+    robot: AttachedRobot
     link: str
     force: Vector
     torque: Vector
@@ -90,7 +90,7 @@ def _is_over(force: JointForce | Wrench, now_ns: int) -> bool:
     return force.duration_ns >= 0 and now_ns > force.start_ns + force.duration_ns
 
 
-class Loads:
+class AppliedForces:
     """External forces that have not ended, motors, and the efforts of both on joints in the last step."""
 
     def __init__(self) -> None:
@@ -102,7 +102,7 @@ class Loads:
         self.has_efforts = False
         """False while all efforts are 0."""
         self._acted: tuple[float, Array | None] = (-1.0, None)
-        """MuJoCo's time after the last step with external forces, and their wrenches on bodies."""
+        """MuJoCo's time after the last step with external forces, and their wrenches on robots."""
 
     @property
     def has_forces(self) -> bool:
@@ -119,11 +119,11 @@ class Loads:
         self.joint_forces = [force for force in self.joint_forces if keep(force)]
         self.wrenches = [wrench for wrench in self.wrenches if keep(wrench)]
 
-    def forget(self, body: AttachedRobot) -> None:
+    def forget(self, robot: AttachedRobot) -> None:
         """Remove all forces and motors of a robot that is detached. Call `bind` afterwards."""
-        self.keep(lambda force: force.body is not body)
-        self.motors.drop(body)
-        self.efforts = np.delete(self.efforts, body.dofs)
+        self.keep(lambda force: force.robot is not robot)
+        self.motors.drop(robot)
+        self.efforts = np.delete(self.efforts, robot.dofs)
 
     def bind(self, model: Any, data: Any) -> None:
         """Use this model. All robots are bound to it already."""
@@ -137,16 +137,16 @@ class Loads:
     def snapshot(self) -> dict[str, Any]:
         """The state as plain data and arrays of numbers, with robots by name, for `restore`."""
         time, wrenches = self._acted
-        forces = [[one.body.name, one.joint, one.effort, one.start_ns, one.duration_ns] for one in self.joint_forces]
+        forces = [[one.robot.name, one.joint, one.effort, one.start_ns, one.duration_ns] for one in self.joint_forces]
         pushes = [
-            [one.body.name, one.link, one.force, one.torque, one.start_ns, one.duration_ns, one.source]
+            [one.robot.name, one.link, one.force, one.torque, one.start_ns, one.duration_ns, one.source]
             for one in self.wrenches
         ]
         bounds, velocities = self.motors.captured()
         return {
             "joint_forces": forces,
             "wrenches": pushes,
-            "motors": {body.name: of_body for body, of_body in bounds.items()},
+            "motors": {robot.name: of_robot for robot, of_robot in bounds.items()},
             "velocities": velocities,
             "efforts": self.efforts.copy(),
             "has_efforts": self.has_efforts,
@@ -154,11 +154,11 @@ class Loads:
             "acted_wrenches": None if wrenches is None else wrenches.copy(),
         }
 
-    def restore(self, state: dict[str, Any], bodies: Mapping[str, AttachedRobot]) -> None:
+    def restore(self, state: dict[str, Any], robots: Mapping[str, AttachedRobot]) -> None:
         """Restore the state. Call `bind` afterwards, then `restore_last_step` if results of that step are needed."""
-        self.joint_forces = [JointForce(bodies[name], *rest) for name, *rest in state["joint_forces"]]
-        self.wrenches = [Wrench(bodies[name], *rest) for name, *rest in state["wrenches"]]
-        self.motors.put(({bodies[name]: joints for name, joints in state["motors"].items()}, state["velocities"]))
+        self.joint_forces = [JointForce(robots[name], *rest) for name, *rest in state["joint_forces"]]
+        self.wrenches = [Wrench(robots[name], *rest) for name, *rest in state["wrenches"]]
+        self.motors.restore(({robots[name]: joints for name, joints in state["motors"].items()}, state["velocities"]))
         self.efforts = state["efforts"].copy()
 
     def restore_last_step(self, state: dict[str, Any]) -> None:
@@ -172,7 +172,7 @@ class Loads:
         self.has_efforts = not self.motors.is_empty
 
     def wrenches_of_step(self, data: Any) -> Array | None:
-        """The external wrenches on bodies in the last step, as xfrc_applied; None: there were none."""
+        """The external wrenches on robots in the last step, as xfrc_applied; None: there were none."""
         time, forces = self._acted
         return forces if time == data.time else None
 
@@ -200,11 +200,11 @@ class Loads:
         self.keep(lambda force: not _is_over(force, now_ns))
         for force in self.joint_forces:
             if now_ns >= force.start_ns:
-                place = force.body.joints[force.joint]
+                place = force.robot.joints[force.joint]
                 effort = EffortTruncation.of(place.joint).cut(force.effort, float(data.qvel[place.dof]))
                 data.qfrc_applied[place.dof] += effort
                 efforts[place.dof] += effort
-        acting = [(wrench, wrench.body.links[wrench.link]) for wrench in self.wrenches if now_ns >= wrench.start_ns]
+        acting = [(wrench, wrench.robot.links[wrench.link]) for wrench in self.wrenches if now_ns >= wrench.start_ns]
         if any(link.arm is not None for _, link in acting):
             mujoco.mj_kinematics(model, data)  # the present attitudes; the step computes them again
         for wrench, link in acting:

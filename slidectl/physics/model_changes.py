@@ -28,9 +28,9 @@ class StuckJoint:
     saved_attributes: ClassVar[tuple[str, ...]] = ("_dynamics",)
     saved_or_none: ClassVar[tuple[str, ...]] = ("_position", "_lasting")
 
-    def __init__(self, world: World, body: AttachedRobot, hardware: MujocoRobotHW, joint: str) -> None:
+    def __init__(self, world: World, robot: AttachedRobot, hardware: MujocoRobotHW, joint: str) -> None:
         self._world = world
-        self._body = body
+        self._robot = robot
         self._hardware = hardware
         self._joint = joint
         self._position: float | None = None
@@ -48,13 +48,13 @@ class StuckJoint:
 
     def hold(self) -> None:
         """Apply the change. Call this before each step, after all commands to the joint."""
-        place, world = self._body.place(self._joint), self._world
+        place, world = self._robot.place(self._joint), self._world
         if self._position is None:
             self._position = world.data.qpos[place.qpos]
             self._dynamics = [array[place.dof].copy() for array in self._arrays()]
-            self._lasting = self._body.lasting_motors.get(self._joint)
-        if self._body.lasting_motors.get(self._joint) != math.inf:
-            world.add_motors(self._body, {self._joint: math.inf})
+            self._lasting = self._robot.lasting_motors.get(self._joint)
+        if self._robot.lasting_motors.get(self._joint) != math.inf:
+            world.add_motors(self._robot, {self._joint: math.inf})
         views = world.views
         views.qpos[place.qpos], views.qvel[place.dof], views.velocities[place.dof] = self._position, 0.0, 0.0
 
@@ -63,18 +63,18 @@ class StuckJoint:
         if self._position is None:
             return
         self._position = None
-        del self._body.lasting_motors[self._joint]
+        del self._robot.lasting_motors[self._joint]
         if self._lasting is not None:
-            self._body.lasting_motors[self._joint] = self._lasting
+            self._robot.lasting_motors[self._joint] = self._lasting
         self._hardware.engage()
         with self._world.changing_friction():
-            if self._joint not in self._world.loads.motors.of(self._body):
+            if self._joint not in self._world.applied_forces.motors.of_robot(self._robot):
                 for array, value in zip(self._arrays(), self._dynamics, strict=True):
-                    array[self._body.place(self._joint).dof] = value
+                    array[self._robot.place(self._joint).dof] = value
 
     def effort(self) -> float | None:
         """The hardware's effort, N or N·m, without that of the holding motor; None while the joint is not stuck."""
-        return None if self._position is None else self._world.views.forces[self._body.place(self._joint).dof]
+        return None if self._position is None else self._world.views.forces[self._robot.place(self._joint).dof]
 
     def _arrays(self) -> tuple[Any, Any]:
         return self._world.model.dof_frictionloss, self._world.model.dof_solimp
@@ -86,17 +86,17 @@ class JointFriction:
     saved_or_none: ClassVar[tuple[str, ...]] = ("_before",)
 
     def __init__(
-        self, world: World, body: AttachedRobot, joint: str, friction: float | None, damping: float | None
+        self, world: World, robot: AttachedRobot, joint: str, friction: float | None, damping: float | None
     ) -> None:
         self._world = world
-        self._body = body
+        self._robot = robot
         self._joint = joint
         self._asked = friction, damping
         self._before: tuple[float, float] | None = None
 
     def check(self) -> None:
         """Raises Refused: a motor drives the joint."""
-        motors, lasting = self._world.loads.motors.of(self._body), self._body.lasting_motors
+        motors, lasting = self._world.applied_forces.motors.of_robot(self._robot), self._robot.lasting_motors
         if self._joint in motors and lasting.get(self._joint) != math.inf:
             text = f"{self._joint} is driven by a motor, which takes the place of its friction"
             raise Refused(text, "with gains in gazebo_ros_control/pid_gains it is driven by efforts")
@@ -108,7 +108,7 @@ class JointFriction:
 
     def hold(self) -> None:
         """Apply the change. Call this before each step."""
-        dof = self._body.place(self._joint).dof
+        dof = self._robot.place(self._joint).dof
         asked = [(array, value) for array, value in zip(self._arrays(), self._asked, strict=True) if value is not None]
         if any(array[dof] != value for array, value in asked):
             if self._before is None:
@@ -123,7 +123,7 @@ class JointFriction:
         if self._before is not None:
             with self._world.changing_friction():
                 for array, value in zip(self._arrays(), self._before, strict=True):
-                    array[self._body.place(self._joint).dof] = value
+                    array[self._robot.place(self._joint).dof] = value
             self._before = None
 
     def _arrays(self) -> tuple[Any, Any]:
@@ -138,9 +138,9 @@ class Payload:
 
     saved_or_none: ClassVar[tuple[str, ...]] = ("_before",)
 
-    def __init__(self, world: World, body: AttachedRobot, link: str, mass: float, at: Vector) -> None:
+    def __init__(self, world: World, robot: AttachedRobot, link: str, mass: float, at: Vector) -> None:
         self._world = world
-        self._body = body
+        self._robot = robot
         self._link = link
         self._mass = mass
         self._at = at
@@ -154,7 +154,7 @@ class Payload:
         """Raises Refused: the robot is a single free link."""
         model = self._world.model
         if model.body_simple[self.body] and model.body_dofnum[self.body] > 1:
-            raise Refused(f"{self._body.name!r} is one free link, {self._link}: MuJoCo takes its mass as constant")
+            raise Refused(f"{self._robot.name!r} is one free link, {self._link}: MuJoCo takes its mass as constant")
 
     @property
     def is_held(self) -> bool:
@@ -164,7 +164,7 @@ class Payload:
     @property
     def body(self) -> int:
         """MuJoCo's id of the body that the link is part of."""
-        return self._body.link(self._link).body
+        return self._robot.link(self._link).body
 
     def hold(self) -> None:
         """Apply the change. Call this before each step."""
@@ -172,7 +172,7 @@ class Payload:
         if self._model is model:
             return
         self._model = model
-        x, y, z = compose(self._body.link(self._link).frame, (self._at, IDENTITY))[0]
+        x, y, z = compose(self._robot.link(self._link).frame, (self._at, IDENTITY))[0]
         place, mass = np.array([x, y, z]), float(model.body_mass[body])
         self._before = {name: getattr(model, name)[body].copy() for name in _OF_MASS}
         centre = model.body_ipos[body].copy()
@@ -191,15 +191,15 @@ class Payload:
         model.body_sameframe[body] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
         self._tell(model, body, is_simple=False)
         x, y, z = (centre - together).tolist()
-        self._put_links_back()
+        self._restore_links()
         for (
             name,
             link,
-        ) in self._body.links.items():  # wrenches act at the centres of mass of the links without the payload
+        ) in self._robot.links.items():  # wrenches act at the centres of mass of the links without the payload
             if link.body == body:
                 arm = add(link.arm or (0.0, 0.0, 0.0), (x, y, z))
                 self._links.append((name, link, replace(link, arm=arm)))
-        self._body.links.update({name: place for name, _, place in self._links})
+        self._robot.links.update({name: place for name, _, place in self._links})
 
     def release(self) -> None:
         """Restore the mass of the link."""
@@ -208,14 +208,14 @@ class Payload:
             for name, value in self._before.items():
                 getattr(model, name)[body] = value
             self._tell(model, body, is_simple=bool(model.body_simple[body]))
-        self._put_links_back()
+        self._restore_links()
         self._model, self._before = None, {}
 
-    def _put_links_back(self) -> None:
+    def _restore_links(self) -> None:
         """Restore the places of the links, except those that a rebuild has replaced."""
         for name, link, place in self._links:
-            if self._body.links.get(name) is place:
-                self._body.links[name] = link
+            if self._robot.links.get(name) is place:
+                self._robot.links[name] = link
         self._links.clear()
 
     @staticmethod

@@ -71,39 +71,39 @@ class Motors:
         """True when no joint has a motor."""
         return not self._bounds
 
-    def has(self, body: AttachedRobot) -> bool:
+    def has(self, robot: AttachedRobot) -> bool:
         """True when the robot has motors."""
-        return body in self._bounds
+        return robot in self._bounds
 
-    def put_of(self, body: AttachedRobot, most_efforts: dict[str, float]) -> None:
+    def set(self, robot: AttachedRobot, most_efforts: dict[str, float]) -> None:
         """Set the motors of the robot. Joints with an effort of 0 get none. Call `bind` afterwards."""
-        self._bounds.pop(body, None)
+        self._bounds.pop(robot, None)
         bounds = {joint: min(effort, UNBOUNDED) for joint, effort in most_efforts.items() if effort > 0.0}
         if bounds:
-            self._bounds[body] = bounds
+            self._bounds[robot] = bounds
 
-    def of(self, body: AttachedRobot) -> dict[str, float]:
+    def of_robot(self, robot: AttachedRobot) -> dict[str, float]:
         """The robot's motors: the largest effort, N or N·m, by joint."""
-        return dict(self._bounds.get(body, {}))
+        return dict(self._bounds.get(robot, {}))
 
     def release(self, model: Any) -> None:
         """Remove all motors from this model. Call `bind` afterwards."""
         model.dof_frictionloss[self._dofs] = 0.0
         model.dof_invweight0[self._dofs] = self._weights
 
-    def drop(self, body: AttachedRobot) -> None:
+    def drop(self, robot: AttachedRobot) -> None:
         """Remove the motors of a robot, which has its old indices. Call `bind` afterwards, with a model without it."""
-        self._bounds.pop(body, None)
-        self.velocities = np.delete(self.velocities, body.dofs)
+        self._bounds.pop(robot, None)
+        self.velocities = np.delete(self.velocities, robot.dofs)
 
     def captured(self) -> MotorsState:
-        """All motors and their velocities, for `put`."""
-        return {body: dict(bounds) for body, bounds in self._bounds.items()}, self.velocities.copy()
+        """All motors and their velocities, for `restore`."""
+        return {robot: dict(bounds) for robot, bounds in self._bounds.items()}, self.velocities.copy()
 
-    def put(self, captured: MotorsState) -> None:
+    def restore(self, captured: MotorsState) -> None:
         """Replace all motors. Call `bind` afterwards."""
         bounds, velocities = captured
-        self._bounds, self.velocities = {body: dict(joints) for body, joints in bounds.items()}, velocities.copy()
+        self._bounds, self.velocities = {robot: dict(joints) for robot, joints in bounds.items()}, velocities.copy()
 
     def bind(self, model: Any, data: Any) -> None:
         """Use this model. All robots are bound to it already. New robots get velocities of 0."""
@@ -111,8 +111,8 @@ class Motors:
             self.velocities = np.append(self.velocities, np.zeros(model.nv - len(self.velocities)))
         motors = sorted(
             (
-                (body, body.joints[joint], bound)
-                for body, joints in self._bounds.items()
+                (robot, robot.joints[joint], bound)
+                for robot, joints in self._bounds.items()
                 for joint, bound in joints.items()
             ),
             key=lambda motor: motor[1].dof,
@@ -120,7 +120,7 @@ class Motors:
         self._dofs = np.array([place.dof for _, place, _ in motors], dtype=int)
         self._coordinates = np.array([place.qpos for _, place, _ in motors], dtype=int)
         self._bounds_of_dofs = np.array([bound for _, _, bound in motors])
-        self._weights = np.array([body.weight_of(place) for body, place, _ in motors])
+        self._weights = np.array([robot.weight_of(place) for robot, place, _ in motors])
         model.dof_solimp[self._dofs] = _IMPEDANCE
         self._set_bounds(model, np.zeros(len(motors), dtype=bool))
         # Rows: equalities, then the friction of dofs in their order.

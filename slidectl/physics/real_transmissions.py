@@ -27,17 +27,17 @@ class ActuatorState(NamedTuple):
 class RealTransmission:
     """One transmission of a robot in the world."""
 
-    def __init__(self, body: AttachedRobot, info: TransmissionInfo) -> None:
+    def __init__(self, robot: AttachedRobot, info: TransmissionInfo) -> None:
         """Raises BadTransmission: the loaders of ros_control refuse it."""
-        self._maths, joints, self._actuators = loaded(body.robot, body.name, info)
+        self._maths, joints, self._actuators = loaded(robot.description, robot.name, info)
         self.joints = [joint.name for joint in joints]
         self._most = [actuator.max_effort for actuator in self._actuators]
         self.is_limited = min(self._most) < math.inf
-        self.bind(body)
+        self.bind(robot)
 
-    def bind(self, body: AttachedRobot) -> None:
+    def bind(self, robot: AttachedRobot) -> None:
         """Find the joints after a rebuild of the model."""
-        self._dofs = [body.place(joint).dof for joint in self.joints]
+        self._dofs = [robot.place(joint).dof for joint in self.joints]
 
     def most_effort(self, joint: str) -> float:
         """The largest effort on a joint that all actuators can give together, N or N·m."""

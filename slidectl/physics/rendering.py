@@ -83,23 +83,23 @@ class RenderProcess:
         self._process: subprocess.Popen[bytes] | None = None
         self._model: Any = None
         """The model that the process has."""
-        self._looked_at: Any = None
+        self._coloured: Any = None
         self._colours: Array = np.zeros(0)
-        self._said = bytearray()
+        self._received = bytearray()
         self._request: BinaryIO | None = None
         """Memory file that the process reads after it receives a byte. A pipe would block: it holds 64 KB, and is not
         read while the process starts."""
 
-    def look(self, world: World, camera: Camera, pose: Pose, seed: int) -> PictureRequest:
-        """The request for a picture of the present moment, for `ask`."""
-        if self._looked_at is not world.model:
-            self._looked_at, self._colours = world.model, _colours(world)
+    def request(self, world: World, camera: Camera, pose: Pose, seed: int) -> PictureRequest:
+        """The request for a picture of the present moment, for `start`."""
+        if self._coloured is not world.model:
+            self._coloured, self._colours = world.model, _colours(world)
         data = world.present()
         return PictureRequest(
             world.model, self._colours, data.geom_xpos.copy(), data.geom_xmat.copy(), camera, pose, seed
         )
 
-    def ask(self, frame: PictureRequest) -> int:
+    def start(self, frame: PictureRequest) -> int:
         """Start a picture. Returns the file descriptor of the answer. Raises Refused: the process cannot be used."""
         if self._process is not None and self._process.poll() is not None:
             self.close()
@@ -119,7 +119,7 @@ class RenderProcess:
             raise Refused(f"the process that renders pictures cannot be used: {error.strerror}") from None
         return process.stdout.fileno()
 
-    def take(self) -> str | None:
+    def receive(self) -> str | None:
         """Read a part of the answer. Returns the pixels, in base64, when they are complete, else None. Blocks for data.
 
         Raises:
@@ -128,20 +128,20 @@ class RenderProcess:
         assert self._process is not None
         assert self._process.stdout is not None
         piece = os.read(self._process.stdout.fileno(), _PIECE)
-        self._said += piece
-        if not piece:  # `ask` closes the pipes, since the caller may still poll this one
+        self._received += piece
+        if not piece:  # `start` closes the pipes, since the caller may still poll this one
             self._process.kill()
             self._process.wait()
             if not self.drawn_by:
                 self._breaks = gl_backend()
             raise Refused("the process that renders pictures has ended")
-        while len(self._said) >= _ANSWER.size:
-            kind, length = _ANSWER.unpack_from(self._said)
+        while len(self._received) >= _ANSWER.size:
+            kind, length = _ANSWER.unpack_from(self._received)
             end = _ANSWER.size + length
-            if len(self._said) < end:
+            if len(self._received) < end:
                 break
-            content = self._said[_ANSWER.size : end].decode("utf-8", "replace")
-            del self._said[:end]
+            content = self._received[_ANSWER.size : end].decode("utf-8", "replace")
+            del self._received[:end]
             if kind == _PICTURE:
                 return content
             if kind == _ERROR:
@@ -156,7 +156,7 @@ class RenderProcess:
         if self._request is not None:
             self._request.close()
             self._request = None
-        self._said.clear()
+        self._received.clear()
         if process is not None:
             process.kill()
             with process:  # waits for it, and closes its pipes
@@ -194,11 +194,11 @@ def _binary(model: Any) -> bytes:
 def _colours(world: World) -> Array:
     """Red, green, blue and alpha of each shape, by its link. Shape (n, 4)."""
     model = world.model
-    robots = {world.body(name).root_id: world.body(name) for name in world.names()}
+    robots = {world.robot(name).root_id: world.robot(name) for name in world.names()}
     colours = np.tile(np.array(link_colours.PLAIN), (model.ngeom, 1))
     for geom in range(model.ngeom):
-        body = robots.get(int(model.body_rootid[model.geom_bodyid[geom]]))
-        link = body.robot.links.get(link_of(model, geom, body.name)) if body is not None else None
+        robot = robots.get(int(model.body_rootid[model.geom_bodyid[geom]]))
+        link = robot.description.links.get(link_of(model, geom, robot.name)) if robot is not None else None
         if link is not None:
             colours[geom] = link_colours.of_link(link)
     return colours
@@ -221,7 +221,7 @@ class _CameraPictures:
     def render(self, frame: PictureRequest) -> bytes:
         """The pixels, row by row from the top."""
         if frame.model is not None:
-            self._take_model(frame)
+            self._set_model(frame)
         camera = frame.camera
         pixels = self._draw(frame).astype(np.float64)
         if camera.encoding == "mono8":
@@ -253,7 +253,7 @@ class _CameraPictures:
             self._is_told = True
             self._tell(drawn_by)
 
-    def _take_model(self, frame: PictureRequest) -> None:
+    def _set_model(self, frame: PictureRequest) -> None:
         if self._drawer is not None:
             self._drawer.close()
             self._drawer = None

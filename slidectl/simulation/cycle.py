@@ -163,7 +163,7 @@ class ControlCycle:
             stages = one(stages)
         self._read, self._update, self._write = stages
 
-    def look(self, time_ns: int) -> None:
+    def read_joints(self, time_ns: int) -> None:
         """Read the joints outside of a cycle."""
         self._read(time_ns, 0.0)
 
@@ -204,7 +204,7 @@ class Runner:
         """
         raise NotImplementedError
 
-    def take_robots(self, robots: Sequence[SpawnedRobot]) -> None:
+    def set_robots(self, robots: Sequence[SpawnedRobot]) -> None:
         """Replace the robots, in this order."""
         raise NotImplementedError
 
@@ -229,7 +229,7 @@ class PlainRunner(Runner):
         self._loop = loop
         self._cycles: tuple[Callable[[int], None], ...] = ()
 
-    def take_robots(self, robots: Sequence[SpawnedRobot]) -> None:
+    def set_robots(self, robots: Sequence[SpawnedRobot]) -> None:
         self._cycles = (*self._loop.before_cycle, *(robot.parts.cycle.run for robot in robots))
 
     def run(self, count: int) -> int:

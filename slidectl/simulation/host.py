@@ -30,10 +30,10 @@ _KEPT_LINES = 200
 class InputRecorder(Protocol):
     """Takes note of what clients do to a world."""
 
-    def take(self, session: Any, line: bytes, message: Message) -> None:
+    def record(self, session: Any, line: bytes, message: Message) -> None:
         """A client, known by its session, has sent a line. Called before it is handled, with the decoded message."""
 
-    def gone(self, session: Any) -> None:
+    def record_end(self, session: Any) -> None:
         """The client of the session has disconnected."""
 
 
@@ -103,8 +103,8 @@ class Host(CodeHost):
         renderer = self._renderer = self._renderer or RenderProcess()
 
         def render() -> str:
-            renderer.ask(renderer.look(world, camera, pose, seed))
-            while (picture := renderer.take()) is None:
+            renderer.start(renderer.request(world, camera, pose, seed))
+            while (picture := renderer.receive()) is None:
                 pass
             return picture
 

@@ -92,10 +92,10 @@ class Parameters:
 
     def get(self, name: str, default: Any = MISSING) -> Any:
         """The value, a dict for a namespace. Raises UnknownParameter (a KeyError too) when unset without default."""
-        found = self.look(name, default)
+        found = self.view(name, default)
         return found if found is default else deepcopy(found)
 
-    def look(self, name: str, default: Any = MISSING) -> Any:
+    def view(self, name: str, default: Any = MISSING) -> Any:
         """The value as in `get`, but not copied: only for immediate reading. Raises as `get`."""
         found = self._find(_path(name))
         if found is not MISSING:
@@ -114,7 +114,7 @@ class Parameters:
         Raises UnknownParameter when neither clients nor nodes have set anything there.
         """
         path = _path(name)
-        value = self.look(name)
+        value = self.view(name)
         tree: dict[str, Any] = {}
         for leaf, content in _leaves(value, path):
             if leaf and leaf not in self._derived:
@@ -159,7 +159,7 @@ class Parameters:
                 _assign(self._root, leaf, content)
             else:
                 self._root = content
-        self._tell([leaf for leaf, _ in leaves])
+        self._notify([leaf for leaf, _ in leaves])
 
     def tree(self) -> dict[str, Any]:
         """A copy of the whole tree. It shares its lists with the tree; they are never modified."""
@@ -186,7 +186,7 @@ class Parameters:
         changed = [path for path in dict.fromkeys((*before, *after)) if before.get(path) != after.get(path)]
         self._root, self._names = _settable("/", tree)[1], None
         self._counted = _size(self._root)
-        self._tell(changed)
+        self._notify(changed)
 
     def delete(self, name: str) -> None:
         """Delete a parameter or a whole namespace.
@@ -208,7 +208,7 @@ class Parameters:
             path = path[:-1]
             if self._find(path):
                 break
-        self._tell([deleted])
+        self._notify([deleted])
 
     def names(self, namespace: str = "/") -> list[str]:
         """Absolute names of all values below `namespace`, sorted."""
@@ -290,7 +290,7 @@ class Parameters:
                 raise Refused(f"all parameters together would be larger than {LARGEST} characters", "delete some")
         self._counted += growth
 
-    def _tell(self, changed: list[Path]) -> None:
+    def _notify(self, changed: list[Path]) -> None:
         """Call the watchers, all of them even if one fails; then raise the first failure."""
         full = ["/" + "/".join(path) for path in changed]
         for callback in self.on_change:

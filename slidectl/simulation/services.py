@@ -113,7 +113,7 @@ class Services:
             raise Refused(f"service {name} is already provided by {self._services[name].node}")
         service = self._services[name] = Service(name, type_name, node, handler, self._forget, effect, file_field)
         self._by_node.setdefault(node, {})[service] = None
-        self._tell_change()
+        self._notify()
         return service
 
     def call(self, name: str, request: Any = None) -> Pending:
@@ -191,9 +191,9 @@ class Services:
             del of_node[service]
             if not of_node:
                 del self._by_node[service.node]
-            self._tell_change()
+            self._notify()
 
-    def _tell_change(self) -> None:
+    def _notify(self) -> None:
         for callback in self.on_change:
             callback()
 

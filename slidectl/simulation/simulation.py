@@ -164,10 +164,10 @@ class Simulation:
             raise Refused(f"a number of cycles is a whole one of 0 or more, not {cycles!r}")
         return self.loop.step(int(cycles))
 
-    def ask_steps(self, cycles: int, reader: str = "") -> Pending:
+    def request_steps(self, cycles: int, reader: str = "") -> Pending:
         """Pause and run `cycles` more cycles: now, or when the driver does. Resolved with their number.
 
-        For `reader` see RunState.ask_steps. Raises Diverged: the world cannot go on before a reset.
+        For `reader` see RunState.request_steps. Raises Diverged: the world cannot go on before a reset.
         """
         if reader:
             self.run.holders.add(reader)
@@ -177,7 +177,7 @@ class Simulation:
             return Pending.of(0)
         self.check_trouble()
         if self.driven:
-            return self.run.ask_steps(cycles, reader)
+            return self.run.request_steps(cycles, reader)
         return Pending.attempt(lambda: self.step(cycles))
 
     def spawn(self, xml: str, name: str, namespace: str | None = None, pose: Pose = ORIGIN) -> SpawnedRobot:

@@ -105,7 +105,7 @@ def test_features_do_not_change_the_bits_of_a_robot() -> None:
     states = []
     for simulation in (Simulation(), Simulation(features=[])):
         simulation.spawn(cart(), "cart")
-        simulation.robots.put_joints("cart", ["joint1"], [0.3])
+        simulation.robots.set_joints("cart", ["joint1"], [0.3])
         simulation.step(500)
         states.append(state(simulation))
     assert states[0] == states[1]

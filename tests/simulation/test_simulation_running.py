@@ -36,7 +36,7 @@ def ask(simulation: Simulation, service: str, **request: Any) -> Pending:
 
 def break_physics(simulation: Simulation, robot: str) -> None:
     """Make the robot's velocity no number."""
-    simulation.world.data.qvel[simulation.world.body(robot).dofs] = math.nan
+    simulation.world.data.qvel[simulation.world.robot(robot).dofs] = math.nan
 
 
 def drive(simulation: Simulation, most: int) -> None:

@@ -85,7 +85,7 @@ class Engine:
             self._load()  # removes a damaged file
             if self._trouble:
                 raise Refused(self._trouble)
-        self.compiled.look_for_laws(wait=True)
+        self.compiled.load_laws(wait=True)
 
     def _load(self) -> None:
         from slidectl.simulation.compiled.runner import CompiledRunner
@@ -100,7 +100,7 @@ class Engine:
             return
         self.is_settled = True
         self._loop.runner = self.compiled = CompiledRunner(self._loop, code)
-        self._loop.take_robots(self._loop.robots)
+        self._loop.set_robots(self._loop.robots)
 
     def _give_up(self, trouble: str) -> None:
         self.is_settled = True

@@ -90,7 +90,7 @@ def element(variable: int, index: int) -> float:
     raise NotImplementedError
 
 
-def put_element(variable: int, index: int, value: float) -> None:
+def set_element(variable: int, index: int, value: float) -> None:
     """Set an element of the array that the variable at this address points to. Machine code; see `guard.py`."""
     raise NotImplementedError
 
@@ -159,7 +159,7 @@ def motor_step(progress: Any, tables: CycleTables) -> int:
             return 1
         for k in range(HEADER, last, MOTOR):
             dof = int(motors[k + DOF])
-            put_element(references, int(motors[k + ROW]), (tables.velocities[dof] - qvel[dof]) / step_s)
+            set_element(references, int(motors[k + ROW]), (tables.velocities[dof] - qvel[dof]) / step_s)
         for stage in range(ACTUATION, CONSTRAINT + 1):
             if physics_step(int(motors[stage]), progress.model, progress.data, progress.error_hook) != 0:
                 return 1

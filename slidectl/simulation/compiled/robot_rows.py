@@ -60,7 +60,7 @@ class RobotRows:
         """Controllers that publish, by their position in the order of updates."""
         self.interpreted: dict[int, InterpretedUpdate] = {}
         """Controllers without a row, by the same position."""
-        self._places = robot.body.joints
+        self._places = robot.attached.joints
         self._tables = tables.content
         self._fill: list[Callable[[], None]] = []
         """Functions that fill the rows of objects which may change while the robot is not loaded."""
@@ -94,7 +94,7 @@ class RobotRows:
 
     def has_moved(self) -> bool:
         """True when the robot's indices in MuJoCo's arrays are not those of its rows."""
-        return self.robot.body.joints is not self._places
+        return self.robot.attached.joints is not self._places
 
     def compiled_controllers(self) -> frozenset[str]:
         """The names of controllers that have rows."""
@@ -223,7 +223,7 @@ class InterpretedUpdate:
         self._joints = joints
         self._claimed = [(handle, offset + _COMMAND_OFFSET) for handle, offset in claimed]
 
-    def take_commands(self) -> None:
+    def copy_commands(self) -> None:
         """Copy the commands from the claimed handles to their rows."""
         for handle, offset in self._claimed:
             _NUMBER.pack_into(self._joints, offset, handle.command)
