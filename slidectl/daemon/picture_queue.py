@@ -57,16 +57,9 @@ class PictureQueue:
     def _take(self, _: int) -> None:
         pending = self._current
         assert pending is not None
-        try:
-            picture = self._renderer.receive()
-        except Refused as error:
-            self._forget()
-            pending.reject(error)
-        else:
-            if picture is None:
-                return
-            self._forget()
-            pending.resolve(picture)
+        answer = Pending.attempt(self._renderer.receive)
+        self._forget()
+        pending.settle(answer.result)
         self._next()
 
     def _forget(self) -> None:

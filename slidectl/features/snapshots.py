@@ -178,7 +178,7 @@ def put(simulation: Simulation, snapshot: Snapshot) -> list[str]:
             raise Refused(f"the snapshot does not fit: {type(error).__name__}: {error}") from error
         raise
     simulation.run.trouble = ""
-    simulation.graph.clock_topic.publish_now(simulation.time_ns)
+    simulation.graph.clock_topic.publish(simulation.time_ns)
     return made
 
 

@@ -238,15 +238,16 @@ def check_moments(robot: str, link: Link, inertial: Inertial) -> None:
         raise BadInertia(robot, link, f"no body has its inertia: {why}", hint)
 
 
-def _tensor(inertial: Inertial) -> Array:
-    ixx, ixy, ixz, iyy, iyz, izz = inertial.inertia
-    return np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
-
-
 def _turned(inertial: Inertial, attitude: Quaternion) -> Array:
-    """The tensor in the body's axes: R I Rᵀ, where R is the attitude in the body."""
+    """The tensor in the body's axes: R I Rᵀ, where R is the attitude in the body; its moments as `_within_triangle`."""
+    ixx, ixy, ixz, iyy, iyz, izz = inertial.inertia
+    tensor = np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
+    moments, axes = np.linalg.eigh(tensor)
+    if moments[0] + moments[1] < moments[2]:
+        moments[2] = moments[0] + moments[1]
+        tensor = (axes * moments) @ axes.T
     turn = np.array(matrix(attitude))
-    return np.asarray(turn @ _within_triangle_tensor(_tensor(inertial)) @ turn.T)
+    return np.asarray(turn @ tensor @ turn.T)
 
 
 def _row(tensor: Array) -> list[float]:
@@ -262,14 +263,6 @@ def _within_triangle(ixx: float, iyy: float, izz: float) -> list[float]:
     rest = sum(moments[:largest] + moments[largest + 1 :])
     moments[largest] = min(moments[largest], sum(moments) - moments[largest], rest)
     return moments
-
-
-def _within_triangle_tensor(tensor: Array) -> Array:
-    moments, axes = np.linalg.eigh(tensor)
-    if moments[0] + moments[1] >= moments[2]:
-        return tensor
-    moments[2] = moments[0] + moments[1]
-    return np.asarray((axes * moments) @ axes.T)
 
 
 def _is_on_the_edge(tensor: Array) -> bool:

@@ -19,6 +19,7 @@ from slidectl.control.hardware_interface import (
     ImuSensorInterface,
     JointCommands,
     JointHandle,
+    JointStateHandle,
     JointStateInterface,
     PosVelJointHandle,
     RobotHW,
@@ -48,8 +49,7 @@ from slidectl.errors import Refused, SlidectlError, closest, listing, quoted
 from slidectl.physics import sensing
 from slidectl.physics.applied_forces import EffortTruncation, truncated
 from slidectl.physics.attached_robot import AttachedRobot, JointPlace
-from slidectl.physics.builder import BadTransmission
-from slidectl.physics.real_transmissions import ActuatorState, RealTransmission
+from slidectl.physics.builder import BadTransmission, loaded
 from slidectl.physics.world import World
 
 S = TypeVar("S", bound=Sensor)
@@ -64,7 +64,7 @@ class UnsupportedInterface(BadTransmission):
 
     def __init__(self, robot: str, transmission: TransmissionInfo, joint: TransmissionJoint) -> None:
         asked = joint.hardware_interfaces[0]
-        trouble = f"joint {joint.name!r} asks for {asked!r}, which simulated hardware has not"
+        trouble = f"joint {joint.name!r} requires {asked!r}, which simulated hardware does not have"
         near = closest(asked, [interface.written for interface in interfaces.ALL])
         meant = f"did you mean {near!r}? " if near else ""
         super().__init__(robot, transmission, trouble, f"{meant}it has: {interfaces.KNOWN}")
@@ -320,6 +320,58 @@ def _pid_of(joint: HardwareJoint, node: NodeHandle) -> Pid | None:
         return None
 
 
+class ActuatorState(NamedTuple):
+    """State of an actuator, on its side: position in m or rad, velocity in m/s or rad/s, effort in N or N·m."""
+
+    name: str
+    position: float
+    velocity: float
+    effort: float
+
+
+class RealTransmission:
+    """A transmission whose actuators limit the joint efforts. Their rotors are in the model (builder.py)."""
+
+    def __init__(self, robot: AttachedRobot, info: TransmissionInfo) -> None:
+        """Raises BadTransmission: the loaders of ros_control refuse it."""
+        self._maths, joints, self._actuators = loaded(robot.description, robot.name, info)
+        self.joints = [joint.name for joint in joints]
+        self._most = [actuator.max_effort for actuator in self._actuators]
+        self.is_limited = min(self._most) < math.inf
+        self.bind(robot)
+
+    def bind(self, robot: AttachedRobot) -> None:
+        """Find the joints after a rebuild of the model."""
+        self._dofs = [robot.place(joint).dof for joint in self.joints]
+
+    def most_effort(self, joint: str) -> float:
+        """The largest effort on a joint that all actuators can give together, N or N·m."""
+        at, size = self.joints.index(joint), len(self._most)
+        units = [[float(row == column) for row in range(size)] for column in range(size)]
+        gains = [abs(self._maths.joint_effort(unit)[at]) for unit in units]
+        return float(sum(gain * most for gain, most in zip(gains, self._most, strict=True) if gain))
+
+    def bound(self, forces: memoryview[float]) -> None:
+        """Clip the joint efforts of the step, by dof, so that each actuator is within its limit.
+
+        When no actuator exceeds its limit, the efforts stay the same to the bit.
+        """
+        asked = self._maths.actuator_effort([forces[dof] for dof in self._dofs])
+        given = [max(-most, min(effort, most)) for effort, most in zip(asked, self._most, strict=True)]
+        if given != asked:
+            for dof, effort in zip(self._dofs, self._maths.joint_effort(given), strict=True):
+                forces[dof] = effort
+
+    def states(self, handles: Mapping[str, JointStateHandle]) -> Sequence[ActuatorState]:
+        """The states of the actuators, computed from the joint states of the last read."""
+        joints = [handles[joint] for joint in self.joints]
+        positions = self._maths.actuator_position([joint.position for joint in joints])
+        velocities = self._maths.actuator_velocity([joint.velocity for joint in joints])
+        efforts = self._maths.actuator_effort([joint.effort for joint in joints])
+        names = [actuator.name for actuator in self._actuators]
+        return [ActuatorState(*row) for row in zip(names, positions, velocities, efforts, strict=True)]
+
+
 _Measured = tuple[JointHandle, int, int]
 """Handle, index into qpos, index into qvel and forces."""
 _Pushed = tuple[JointHandle, int, float, float]
@@ -419,7 +471,7 @@ class MujocoRobotHW(RobotHW):
                 motors[name] = math.inf
             elif drive.kind == VELOCITY_MOTOR:
                 motors[name] = min(drive.limit, self._most.get(name, math.inf))
-        if motors or self._applied_forces.motors.has(self._attached):
+        if motors or self._applied_forces.motors.of_robot(self._attached.name):
             self._world.set_motors(self._attached, motors)
         self.estop = self._estop
         self._places = {}

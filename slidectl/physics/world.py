@@ -20,16 +20,17 @@ from slidectl.description.robot import Robot
 from slidectl.errors import Refused, SlidectlError, UnknownName, listing
 from slidectl.physics import hulls, mujoco_library
 from slidectl.physics.applied_forces import AppliedForces, JointForce, Wrench
-from slidectl.physics.attached_robot import AttachedRobot
+from slidectl.physics.attached_robot import AttachedRobot, LinkPlace
 from slidectl.physics.collisions import depths, link_of
 from slidectl.physics.hulls import Hulls
-from slidectl.physics.observer import Observer, Twist
 from slidectl.physics.world_spec import Settings, WorldSpec
-from slidectl.rotations import ORIGIN, Pose, Vector, normalized
+from slidectl.rotations import ORIGIN, Pose, Vector, add, compose, cross, normalized, rotate, xyzw
+
+Twist = tuple[Vector, Vector]
+"""Linear (m/s) and angular (rad/s) velocity, in the world's axes."""
 
 GRAVITY: Vector = (0.0, 0.0, -9.8)
 """m/s², the default of SDF and so of Gazebo."""
-
 
 HUGE = 1e10
 """A position or velocity beyond this counts as diverged. It is MuJoCo's own bound."""
@@ -92,16 +93,6 @@ class Views(NamedTuple):
     velocities: memoryview[float]
 
 
-class _State(NamedTuple):
-    """The state of a world, restored when attaching or detaching a robot fails."""
-
-    robots: dict[str, AttachedRobot]
-    frozen: list[AttachedRobot]
-    model: Any
-    data: Any
-    forces: dict[str, Any]
-
-
 @dataclass(frozen=True)
 class Overlap:
     """A link that penetrates a link of another robot, or the ground."""
@@ -115,6 +106,65 @@ class Overlap:
     """Penetration depth, m."""
 
 
+class _Observer:
+    """Kinematics of the present state, computed at the first query after a change.
+
+    It uses its own MjData, so that queries never change data on which the next step depends, such as warm starts.
+    """
+
+    def __init__(self, model: Any, data: Any) -> None:
+        self._model = model
+        self._data = data
+        self._copy: Any = None
+        self._twist = np.zeros(6)
+        self.invalidate()
+
+    def invalidate(self) -> None:
+        """Discard the kinematics, because the state was changed by other means than a step."""
+        self._poses_at = self._twists_at = float("nan")
+
+    def pose(self, link: LinkPlace) -> Pose:
+        """Pose of the link's frame in the world: position (m), attitude x y z w."""
+        self._refresh_poses()
+        return compose(self._body_pose(link.body), link.frame)
+
+    def twist(self, link: LinkPlace) -> Twist:
+        """Linear velocity of the origin of the link's frame and angular velocity, in the world's axes."""
+        self._refresh_twists()
+        kind = mujoco.mjtObj.mjOBJ_XBODY
+        mujoco.mj_objectVelocity(self._model, self._copy, kind, link.body, self._twist, 0)
+        wx, wy, wz, vx, vy, vz = self._twist.tolist()
+        arm = rotate(self._body_pose(link.body)[1], link.frame[0])
+        return add((vx, vy, vz), cross((wx, wy, wz), arm)), (wx, wy, wz)
+
+    def geometry(self) -> Any:
+        """The copy, with the present poses of bodies and geoms."""
+        self._refresh_poses()
+        return self._copy
+
+    def _body_pose(self, body: int) -> Pose:
+        x, y, z = self._copy.xpos[body].tolist()
+        return (x, y, z), xyzw(tuple(self._copy.xquat[body].tolist()))
+
+    def _refresh_poses(self) -> None:
+        if self._poses_at == self._data.time:
+            return
+        if self._copy is None:
+            self._copy = mujoco.MjData(self._model)
+        self._copy.qpos[:] = self._data.qpos
+        mujoco.mj_kinematics(self._model, self._copy)
+        self._poses_at = self._data.time
+
+    def _refresh_twists(self) -> None:
+        self._refresh_poses()
+        if self._twists_at == self._data.time:
+            return
+        self._copy.qvel[:] = self._data.qvel
+        mujoco.mj_comPos(self._model, self._copy)
+        mujoco.mj_comVel(self._model, self._copy)
+        self._twists_at = self._data.time
+
+
 class World:
     """A world with a ground, a light, gravity, and robots."""
 
@@ -125,7 +175,7 @@ class World:
 
     def __init__(self, timestep: float = 0.001, gravity: Vector = GRAVITY, ground: bool = True) -> None:
         mujoco_library.prepare()
-        self._settings = Settings(positive(timestep), finite(gravity), ground)
+        self._settings = Settings(timestep, finite(gravity), ground)
         self._robots: dict[str, AttachedRobot] = {}
         self._listeners: list[Callable[[], None]] = []
         self._frozen: list[AttachedRobot] = []
@@ -134,7 +184,8 @@ class World:
         self.clock: Callable[[], int] = lambda: round(float(self.data.time + self._settings.timestep) * 1e9)
         """Time of the cycle in ns, for forces with a start and an end. The simulation sets its own."""
         self._spec: WorldSpec | None = WorldSpec(self._settings)
-        self._install(self._spec.compile(), 0.0)
+        model = self._spec.compile()
+        self._use(model, mujoco.MjData(model))
         self._bind_forces()
 
     # -- robots ----------------------------------------------------------------------------------------------------
@@ -168,27 +219,16 @@ class World:
     def attached(
         self, description: Robot, name: str, pose: Pose = ORIGIN, hulls_read: Hulls | None = None
     ) -> Iterator[AttachedRobot]:
-        """As `attach`, but an exception of the block removes the robot. Make no step in the block.
-
-        The removal restores the former model: nothing is compiled, so it cannot fail.
-        """
-        before = self._state()
-        robot = self.attach(description, name, pose, hulls_read)
-        try:
-            yield robot
-        except BaseException:
-            self._go_back(before)
-            raise
+        """As `attach`, but an exception of the block removes the robot. Make no step in the block."""
+        with self._all_or_nothing():
+            yield self.attach(description, name, pose, hulls_read)
 
     def detach(self, name: str) -> None:
         """Remove a robot and the forces on it, all or nothing. Raises UnknownName."""
         gone = self.robot(name)
         robots = {key: robot for key, robot in self._robots.items() if robot is not gone}
-        spec, self._spec = self._spec, None
-        if spec is not None:
-            spec.remove(gone)
-        else:
-            spec = WorldSpec(self._settings, robots.values())
+        spec, self._spec = self._spec or WorldSpec(self._settings, self._robots.values()), None
+        spec.remove(gone)
         self._rebuild(robots, spec.compile(), spec, gone)
 
     def names(self) -> list[str]:
@@ -213,44 +253,48 @@ class World:
 
         If anything fails, a listener too, the former world is restored.
         """
-        before = self._state()
-        try:
+        with self._all_or_nothing():
+            old_robots, old_model, old_data = self._robots, self.model, self.data
+            data = mujoco.MjData(model)
+            data.time = old_data.time
             self._robots = robots
-            self._install(model, self.data.time)
-            carry_over(before.model, before.data, model, self.data, gone)
+            self._use(model, data)
+            carry_over(old_model, old_data, model, self.data, gone)
             if gone is not None:
                 self.applied_forces.forget(gone)
-            unmoved = list(before.robots).index(gone.name) if gone is not None else len(before.robots)
+            unmoved = list(old_robots).index(gone.name) if gone is not None else len(old_robots)
             for place, (name, robot) in enumerate(robots.items()):
                 if place < unmoved:
                     robot.follow(model, self.data)
                 else:
                     robot.bind(model, self.data)
-                if name not in before.robots:
+                if name not in old_robots:
                     robot.reset_to_spawn()
             self._bind_forces()
             self._announce_all()
-        except BaseException:
-            self._go_back(before)
-            raise
-        self._spec = spec
+            self._spec = spec
 
-    def _state(self) -> _State:
-        return _State(self._robots, self._frozen, self.model, self.data, self.applied_forces.snapshot())
+    @contextmanager
+    def _all_or_nothing(self) -> Iterator[None]:
+        """After an exception in the block, restore robots, model and forces. The block makes no step.
 
-    def _go_back(self, before: _State) -> None:
-        """Restore the world before a robot was attached or detached. No step has been made since.
-
-        The specification may be half changed, so it is discarded and made anew when it is needed.
+        The specification may be half changed then, so it is discarded and made anew when it is needed.
         """
-        self._spec = None
-        self._robots, self._frozen = before.robots, before.frozen
-        self._use(before.model, before.data)
-        for robot in before.robots.values():
-            robot.bind(before.model, before.data)
-        self.applied_forces.restore(before.forces, before.robots)
-        self._bind_forces()
-        self._announce_all()
+        robots, frozen, model, data = self._robots, self._frozen, self.model, self.data
+        forces = self.applied_forces.snapshot()
+        try:
+            yield
+        except BaseException:
+            if self.data is not data:
+                self._spec = None
+                self._robots, self._frozen = robots, frozen
+                self._use(model, data)
+                for robot in robots.values():
+                    robot.bind(model, data)
+                self.applied_forces.restore(forces)
+                self._bind_forces()
+                self._announce_all()
+            raise
 
     def _announce_all(self) -> None:
         for robot in self._robots.values():
@@ -262,14 +306,9 @@ class World:
         if self.data.pstack:
             self._rebuild(self._robots, self.model, self._spec)
 
-    def _install(self, model: Any, time: float) -> None:
-        data = mujoco.MjData(model)
-        data.time = time
-        self._use(model, data)
-
     def _use(self, model: Any, data: Any) -> None:
         self.model, self.data = model, data
-        self._observer = Observer(model, data)
+        self._observer = _Observer(model, data)
         self._forces_at = math.nan
         """MuJoCo's time after the step whose accelerations and forces `restore` has copied to `data`."""
         self._advance = partial(mujoco.mj_step, model, data)
@@ -278,7 +317,7 @@ class World:
 
     def _bind_forces(self) -> None:
         """Bind forces and views to the model. The robots are bound already."""
-        self.applied_forces.bind(self.model, self.data)
+        self.applied_forces.bind(self.model, self.data, self._robots)
         data, forces = self.data, self.applied_forces
         arrays: list[Any] = [data.qpos, data.qvel, data.qfrc_applied, forces.efforts, forces.motors.velocities]
         views: list[Any] = [memoryview(array) for array in arrays]
@@ -295,7 +334,8 @@ class World:
     def steps_alone(self) -> bool:
         """True while a step needs only MuJoCo and the data of motors in `memory`."""
         forces = self.applied_forces
-        return not self._frozen and not forces.has_forces and (forces.motors.is_empty or forces.motors.is_compilable)
+        is_compilable = forces.motors.is_empty or all(mujoco_library.constraint_variables())
+        return not self._frozen and not forces.has_forces and is_compilable
 
     def memory(self) -> Memory:
         """The addresses of the model and its state, valid until the next rebuild."""
@@ -343,9 +383,8 @@ class World:
             array[robot.dofs] = 0.0
         self.applied_forces.motors.velocities[robot.dofs] = 0.0
         self.applied_forces.efforts[robot.dofs] = 0.0
-        self.applied_forces.keep(lambda force: force.robot is not robot)
         self._frozen = [one for one in self._robots.values() if one is robot or one in self._frozen]
-        self._forces_changed()
+        self._remove_forces(lambda force: force.robot == name)
         self._observer.invalidate()
 
     def _step_with_frozen(self) -> None:
@@ -396,8 +435,8 @@ class World:
         return self._settings.timestep
 
     def set_timestep(self, timestep: float) -> None:
-        """Set the length of a step, s. Raises Refused unless it is finite and above 0."""
-        self._settings.timestep = self.model.opt.timestep = positive(timestep)
+        """Set the length of a step, s, above 0."""
+        self._settings.timestep = self.model.opt.timestep = timestep
         self._bind_forces()
         self._announce()
 
@@ -424,8 +463,7 @@ class World:
         self._frozen = []
         self.applied_forces.motors.velocities[:] = 0.0
         self.applied_forces.clear_efforts()
-        self.applied_forces.keep(lambda _: False)
-        self._forces_changed()
+        self._remove_forces(lambda _: True)
         for robot in self._robots.values():
             robot.reset_to_spawn()
         self._observer.invalidate()
@@ -450,7 +488,7 @@ class World:
                 for at in range(nq)[robot.coordinates]
             ]
             joints = {dof: joint for joint, dof in dofs.items()}
-            for kind, what in enumerate(("velocity", "force", "effort", "velocity asked for")):
+            for kind, what in enumerate(("velocity", "force", "effort", "desired velocity")):
                 for dof in range(nv)[robot.dofs]:
                     of = f"{robot.name}, {joints[dof]}" if dof in joints else f"{root}[{dof - robot.root_dof}]"
                     names[nq + kind * nv + dof] = f"{of}: {what}"
@@ -483,7 +521,7 @@ class World:
         self.data.time = self._forces_at = snapshot["time"]
         self._frozen = [self._robots[name] for name in snapshot.get("frozen", ())]
         self.applied_forces.motors.release(self.model)
-        self.applied_forces.restore(snapshot["loads"], self._robots)
+        self.applied_forces.restore(snapshot["loads"])
         self._bind_forces()
         self.applied_forces.restore_last_step(snapshot["loads"])
         self._announce_all()
@@ -568,9 +606,8 @@ class World:
         Raises:
             UnknownName: no such robot or moving joint. Refused: not finite.
         """
-        robot = self.robot(name)
-        robot.place(joint)
-        self.applied_forces.joint_forces.append(JointForce(robot, joint, number(effort), start_ns, duration_ns))
+        self.robot(name).place(joint)
+        self.applied_forces.joint_forces.append(JointForce(name, joint, number(effort), start_ns, duration_ns))
         self._forces_changed()
 
     def add_wrench(
@@ -588,35 +625,28 @@ class World:
         Raises:
             UnknownName: no such robot or link. Refused: not finite.
         """
-        robot = self.robot(name)
-        robot.link(link)
-        self.applied_forces.wrenches.append(
-            Wrench(robot, link, finite(force), finite(torque), start_ns, duration_ns, source)
-        )
+        self.robot(name).link(link)
+        wrench = Wrench(name, link, finite(force), finite(torque), start_ns, duration_ns, source)
+        self.applied_forces.wrenches.append(wrench)
+        self._forces_changed()
+
+    def _remove_forces(self, ends: Callable[[JointForce | Wrench], bool]) -> None:
+        self.applied_forces.remove(ends)
         self._forces_changed()
 
     def drop_wrenches(self, source: str) -> None:
         """End the wrenches with this source."""
-        self.applied_forces.keep(lambda force: isinstance(force, JointForce) or force.source != source)
-        self._forces_changed()
+        self._remove_forces(lambda force: isinstance(force, Wrench) and force.source == source)
 
     def clear_joint_forces(self, name: str, joint: str) -> None:
         """End all external efforts on a joint. Raises UnknownName."""
-        robot = self.robot(name)
-        robot.place(joint)
-        self.applied_forces.keep(
-            lambda force: isinstance(force, Wrench) or force.robot is not robot or force.joint != joint
-        )
-        self._forces_changed()
+        self.robot(name).place(joint)
+        self._remove_forces(lambda force: isinstance(force, JointForce) and force[:2] == (name, joint))
 
     def clear_wrenches(self, name: str, link: str) -> None:
         """End all wrenches on a link. Raises UnknownName."""
-        robot = self.robot(name)
-        robot.link(link)
-        self.applied_forces.keep(
-            lambda force: isinstance(force, JointForce) or force.robot is not robot or force.link != link
-        )
-        self._forces_changed()
+        self.robot(name).link(link)
+        self._remove_forces(lambda force: isinstance(force, Wrench) and force[:2] == (name, link))
 
     def set_motors(self, robot: AttachedRobot, most_efforts: dict[str, float]) -> None:
         """Drive these joints and `lasting_motors` by motors, each with at most this effort (N or N·m), and no others.
@@ -625,7 +655,7 @@ class World:
         """
         self.applied_forces.motors.release(self.model)
         self.applied_forces.efforts[robot.dofs] = 0.0
-        self.applied_forces.motors.set(robot, most_efforts | robot.lasting_motors)
+        self.applied_forces.motors.set(robot.name, most_efforts | robot.lasting_motors)
         self._bind_forces()
         self._announce()
 
@@ -639,7 +669,7 @@ class World:
     def add_motors(self, robot: AttachedRobot, most_efforts: dict[str, float]) -> None:
         """Add motors that stay as long as the robot is in the world; `set_motors` does not remove them."""
         robot.lasting_motors |= most_efforts
-        self.set_motors(robot, self.applied_forces.motors.of_robot(robot))
+        self.set_motors(robot, self.applied_forces.motors.of_robot(robot.name))
 
 
 def number(value: float) -> float:
@@ -649,19 +679,13 @@ def number(value: float) -> float:
 
 
 def finite(vector: Vector) -> Vector:
-    x, y, z = (number(part) for part in vector)
+    x, y, z = map(number, vector)
     return (x, y, z)
 
 
 def finite_pose(pose: Pose) -> Pose:
-    x, y, z, w = (number(part) for part in pose[1])
+    x, y, z, w = map(number, pose[1])
     return finite(pose[0]), normalized((x, y, z, w))
-
-
-def positive(timestep: float) -> float:
-    if not (math.isfinite(timestep) and timestep > 0.0):
-        raise Refused(f"a time step of {timestep} s is not possible", "give a number above 0, such as 0.001")
-    return float(timestep)
 
 
 def carry_over(model: Any, data: Any, new_model: Any, new_data: Any, gone: AttachedRobot | None) -> None:

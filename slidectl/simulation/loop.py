@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from numbers import Real
 from typing import TYPE_CHECKING, Any, Protocol
@@ -51,22 +52,20 @@ def whole_cycles(duration_ns: int, step_ns: int, start_ns: int = 0) -> int:
         below = duration_ns // step_ns
         near = [f"{(start_ns + count * step_ns) * 1e-9:.9g}s" for count in (below, below + 1) if count]
         after = f" after {start_ns * 1e-9:.9g} s" if start_ns else ""
-        text = f"{(start_ns + duration_ns) * 1e-9:.9g} s is no whole number of cycles of {step_ns * 1e-9:g} s{after}"
+        text = f"{(start_ns + duration_ns) * 1e-9:.9g} s is not a whole number of cycles of {step_ns * 1e-9:g} s{after}"
         raise Refused(text, f"possible: {' or '.join(near)}")
     return cycles
 
 
+@dataclass(eq=False)
 class StepRequest:
     """Cycles that a client requested and waits for. With a `reader`, they end early when news arrives for that node."""
 
-    __slots__ = ("cycles", "has_news", "pending", "reader", "remaining")
-
-    def __init__(self, cycles: int, pending: Pending, reader: str) -> None:
-        self.reader = reader
-        self.has_news = False
-        self.cycles = cycles
-        self.remaining = cycles
-        self.pending = pending
+    cycles: int
+    pending: Pending
+    reader: str
+    remaining: int
+    has_news: bool = False
 
 
 class Awaited(Protocol):
@@ -172,7 +171,7 @@ class RunState:
             self.paused = True
         elif self.paused and not self.pending_steps:
             return Pending.of(0)
-        request = StepRequest(cycles, Pending(), reader)
+        request = StepRequest(cycles, Pending(), reader, remaining=cycles)
         request.pending.on_cancel = lambda: self._drop(request)
         self.requests.append(request)
         self.news_wanted = self.news_wanted or bool(reader)

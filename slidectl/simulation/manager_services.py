@@ -187,6 +187,11 @@ class ManagerServices:
         )
 
     def _start_switch(self, request: Message, answer: Pending) -> Message | None:
+        def finish(ok: bool) -> None:
+            self._switch = None
+            answer.resolve({"ok": ok})
+            self._work()
+
         self._switch = answer
         armed = self._manager.request_switch(
             request["start_controllers"],
@@ -194,7 +199,7 @@ class ManagerServices:
             request["strictness"],
             request["start_asap"],
             request["timeout"],
-            lambda ok: self._loop.after_cycle(lambda: self._finish_switch(answer, ok)),
+            lambda ok: self._loop.after_cycle(partial(finish, ok)),
         )
         if not armed:
             self._switch = None
@@ -202,8 +207,3 @@ class ManagerServices:
         if self._loop.stands_still:
             self.settle()
         return None
-
-    def _finish_switch(self, answer: Pending, ok: bool) -> None:
-        self._switch = None
-        answer.resolve({"ok": ok})
-        self._work()

@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import math
 import re
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from copy import deepcopy
+from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 from slidectl import names
@@ -34,40 +36,35 @@ class UnknownParameter(UnknownName, KeyError):
     """A parameter that is not set."""
 
 
+@dataclass(eq=False)
 class Hook(Generic[C]):
     """One watcher or guard of one name."""
 
-    __slots__ = ("callback", "is_open", "path")
-
-    def __init__(self, path: Path, callback: C) -> None:
-        self.path = path
-        self.callback = callback
-        self.is_open = True
+    path: Path
+    callback: C
+    is_open: bool = True
 
 
 class Hooks(Generic[C]):
     """All watchers, or all guards, grouped by the first part of their names, so that many robots stay fast."""
 
     def __init__(self) -> None:
-        self._groups: dict[str, dict[Hook[C], None]] = {}
+        self._groups: defaultdict[Path, dict[Hook[C], None]] = defaultdict(dict)
 
     def add(self, path: Path, callback: C) -> Callable[[], None]:
         """Call back for changes at `path`, below it or above it. Returns the function that ends this."""
-        hook, first = Hook(path, callback), _first(path)
-        self._groups.setdefault(first, {})[hook] = None
+        hook, first = Hook(path, callback), path[:1]
+        self._groups[first][hook] = None
 
         def close() -> None:
             hook.is_open = False
-            group = self._groups.get(first, {})
-            group.pop(hook, None)
-            if not group:
-                self._groups.pop(first, None)
+            self._groups[first].pop(hook, None)
 
         return close
 
     def concerned(self, changed: list[Path]) -> Iterator[Hook[C]]:
         """The hooks that a change of these paths concerns. A hook that is closed meanwhile is skipped."""
-        firsts = {"", *map(_first, changed)} if all(changed) else self._groups.keys()
+        firsts = dict.fromkeys([(), *(path[:1] for path in changed)]) if all(changed) else self._groups.keys()
         near = [hook for first in firsts if first in self._groups for hook in self._groups[first]]
         for hook in near:
             if hook.is_open and any(_related(hook.path, path) for path in changed):
@@ -376,10 +373,6 @@ def _path(name: str) -> Path:
     return tuple(part for part in name.split("/") if part)
 
 
-def _first(path: Path) -> str:
-    return path[0] if path else ""
-
-
 def _related(one: Path, other: Path) -> bool:
     shared = min(len(one), len(other))
     return one[:shared] == other[:shared]
@@ -414,10 +407,10 @@ def _checked(value: Any, where: str, depth: int) -> Any:
         except OverflowError:
             shown = "an integer beyond 1e308"
         # JSON has finite numbers only, and no control law needs others.
-        raise UsageError(f"parameter {where}: {shown} is no finite number, and parameters hold no others")
+        raise UsageError(f"parameter {where}: {shown} is not a finite number")
     kind = "null" if value is None else type(value).__name__
     raise UsageError(
-        f"parameter {where}: {kind} is no value", "a parameter is a bool, a number, a string, a list or a mapping"
+        f"parameter {where}: {kind} is not a value", "a parameter is a bool, a number, a string, a list or a mapping"
     )
 
 
@@ -432,7 +425,7 @@ def _checked_text(text: str, where: str) -> str:
     try:
         text.encode()
     except UnicodeEncodeError:
-        raise UsageError(f"parameter {where}: {text[:40]!r} holds half of a surrogate pair, which is no text") from None
+        raise UsageError(f"parameter {where}: {text[:40]!r} contains half of a surrogate pair") from None
     return text
 
 
@@ -443,7 +436,7 @@ def _checked_mapping(value: dict[Any, Any], where: str, depth: int) -> dict[str,
             result[key] = below
             continue
         if not isinstance(key, str) or not _path(key) or _BLANK.search(key):
-            raise UsageError(f"parameter {where}: {quoted(str(key))} cannot be a name", "names are text without blanks")
+            raise UsageError(f"parameter {where}: {quoted(str(key))} is not a name", "names are text without blanks")
         path = _path(_checked_text(key, where))
         content = _checked(below, f"{where.rstrip('/')}/{key.strip('/')}", depth + len(path))
         node = result

@@ -9,9 +9,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass
 from functools import partial
 from itertools import count
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 from slidectl import description, names
 from slidectl.control.controller_manager import ControllerManager
@@ -57,7 +58,25 @@ class ControlParts:
     cycle: ControlCycle
 
 
-class SpawnedRobot:
+@dataclass(eq=False, repr=False)
+class ParsedRobot:
+    """A robot whose URDF was read: its full namespace, its description, and its URDF."""
+
+    name: str
+    namespace: str
+    description: Robot
+    xml: str
+    note: str
+    """The origins of its lines, and the places of its meshes."""
+    caller: int
+    """The session id of the process that requested it, 0 when it is unknown."""
+    is_controlled: bool
+    """False for a model without control: it has no hardware, no controllers and no cycle."""
+    may_use_files: bool
+    """False when it was spawned by a client that may not name files: no file is read or shown for it."""
+
+
+class SpawnedRobot(ParsedRobot):
     """One robot in the world with all its parts.
 
     Only the runners of the cycles may use `parts`. Other code must use `hardware`, `manager`, `cycle` or a callback of
@@ -70,17 +89,7 @@ class SpawnedRobot:
     services: ManagerServices
 
     def __init__(self, parsed: ParsedRobot, node: GraphNode, serial: int) -> None:
-        self.name = parsed.name
-        self.namespace = parsed.namespace
-        self.description = parsed.description
-        self.xml = parsed.xml
-        self.note = parsed.note
-        self.caller = parsed.caller
-        """The session id of the process that requested it, 0 when it is unknown."""
-        self.may_use_files = parsed.may_use_files
-        """False when it was spawned by a client that may not name files: no file is read or shown for it."""
-        self.is_controlled = parsed.is_controlled
-        """False for a model without control: it has no hardware, no controllers and no cycle."""
+        super().__init__(**vars(parsed))
         self.node = node
         self.serial = serial
         """A number that no other robot of this world has or had."""
@@ -164,25 +173,6 @@ class SpawnedRobot:
         self.cycle.rewind(time_ns)
         self.read_joints()
         self.manager.restart_running(time_ns)
-
-    def __repr__(self) -> str:
-        return f"SpawnedRobot({self.name!r}, {self.namespace!r})"
-
-
-class ParsedRobot(NamedTuple):
-    """A parsed robot that is not spawned yet: its full namespace, its description, and its URDF."""
-
-    name: str
-    namespace: str
-    description: Robot
-    xml: str
-    note: str
-    """The origins of its lines, and the places of its meshes."""
-    caller: int
-    """The session id of the process that requests it, 0 when it is unknown."""
-    is_controlled: bool
-    may_use_files: bool
-    """Its spawner may name files."""
 
 
 class Sources:
@@ -418,13 +408,13 @@ class Robots:
         names.check_robot(name)
         if name in RESERVED:
             raise Refused(
-                f"no robot can be named {name!r}: where a frame of reference is asked for, that is the world itself",
+                f"a robot cannot be named {name!r}: as a frame of reference that name means the world itself",
                 "choose another name (-n)",
             )
         if name in self._robots:
             raise Refused(
                 f"there is a robot {name!r} already, in {self._robots[name].namespace}",
-                f"choose another name (-n), or take that one out: slidectl delete {name}",
+                f"choose another name (-n), or delete that robot: slidectl delete {name}",
             )
 
     def _check_namespace(self, parsed: ParsedRobot) -> None:

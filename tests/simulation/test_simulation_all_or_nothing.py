@@ -251,7 +251,7 @@ def test_a_deleted_robot_takes_its_forces_along_and_one_that_stays_keeps_them(me
     simulation.step(1)
     simulation.delete("m")
     simulation.step(1)
-    assert [force.robot.name for force in simulation.world.applied_forces.joint_forces] == ["other"]
+    assert [force.robot for force in simulation.world.applied_forces.joint_forces] == ["other"]
     simulation.delete("other")
     assert simulation.world.steps_alone
     simulation.step(1)

@@ -288,9 +288,7 @@ class Replay(HostWrapper):
             pending.reject(Refused(error))
         elif any(node not in clients for topic in pictures for node in topics.subscribers(topic)):
             self._own_renderer.start(request)
-            while (picture := self._own_renderer.receive()) is None:
-                pass
-            pending.resolve(picture)
+            pending.resolve(self._own_renderer.receive())
         else:
             pending.resolve("")
 

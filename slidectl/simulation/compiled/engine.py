@@ -82,7 +82,7 @@ class Engine:
                 code = _begin_to_compile().wait()
                 if not object_file.is_there():
                     raise Refused(_what_failed(code))
-            self._load()  # removes a damaged file
+            self._load()
             if self._trouble:
                 raise Refused(self._trouble)
         self.compiled.load_laws(wait=True)
@@ -92,7 +92,7 @@ class Engine:
 
         try:
             code = object_file.load()
-        except FileNotFoundError:  # another version's compiler has just removed it, or it was damaged
+        except FileNotFoundError:  # another version's compiler has just removed it
             self._compiling = None
             return
         except (OSError, RuntimeError, ImportError) as error:
