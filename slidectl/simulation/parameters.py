@@ -79,7 +79,7 @@ class Parameters:
         self._derived: set[Path] = set()
         """Parameters that a node of the simulation has set where no client had: defaults of gains, a robot's model."""
         self._names: list[str] | None = None
-        """All names in order; None when they must be computed again."""
+        """All names in order; None after a change. A client may ask for unknown names again and again."""
         self._counted = 0
         """The size of the tree at the last count, plus the size of all values set since."""
         self._watches: Hooks[Callable[[], None]] = Hooks()
@@ -148,8 +148,6 @@ class Parameters:
     def _set(self, leaves: list[tuple[Path, Any]], known_only: bool = False) -> None:
         self._judge(leaves, known_only=known_only)
         self._check_room(leaves)
-        if any(_has_names(content) or _has_names(self._find(leaf)) for leaf, content in leaves):
-            self._names = None
         self._forget_derived([leaf for leaf, _ in leaves])
         for leaf, content in leaves:
             if leaf:
@@ -175,13 +173,12 @@ class Parameters:
             for name in without:
                 _assign(tree, _path(name), MISSING)
         self._derived = set(map(_path, derived))
-        if _is_same(self._root, tree):
-            return
-        before, after = (
-            {path: (type(value), value) for path, value in _leaves(root, ())} for root in (self._root, tree)
-        )
+        # As texts, since 1, 1.0 and true are three values.
+        before, after = ({path: repr(value) for path, value in _leaves(root, ())} for root in (self._root, tree))
         changed = [path for path in dict.fromkeys((*before, *after)) if before.get(path) != after.get(path)]
-        self._root, self._names = _settable("/", tree)[1], None
+        if not changed:
+            return
+        self._root = _settable("/", tree)[1]
         self._counted = _size(self._root)
         self._notify(changed)
 
@@ -195,7 +192,6 @@ class Parameters:
         if self._find(path) is MISSING:
             raise UnknownParameter("parameter", name, self.names())
         self._judge([(path, MISSING)], deletes=True)
-        self._names = None
         self._forget_derived([path])
         deleted = path
         if not path:
@@ -210,15 +206,14 @@ class Parameters:
     def names(self, namespace: str = "/") -> list[str]:
         """Absolute names of all values below `namespace`, sorted."""
         path = _path(namespace)
-        if not path and self._names is not None:
-            return list(self._names)
-        found = self._find(path)
-        result: list[str] = []
-        if found is not MISSING and (path or found):
-            result = sorted("/" + "/".join(leaf) for leaf, _ in _leaves(found, path))
-        if not path:
-            self._names = list(result)
-        return result
+        if path or self._names is None:
+            found = self._find(path)
+            is_empty = found is MISSING or not (path or found)
+            result = [] if is_empty else sorted("/" + "/".join(leaf) for leaf, _ in _leaves(found, path))
+            if path:
+                return result
+            self._names = result
+        return list(self._names)
 
     def search(self, namespace: str, name: str) -> str | None:
         """`name` in `namespace` or the nearest namespace above that has its first component, else None."""
@@ -289,6 +284,7 @@ class Parameters:
 
     def _notify(self, changed: list[Path]) -> None:
         """Call the watchers, all of them even if one fails; then raise the first failure."""
+        self._names = None
         full = ["/" + "/".join(path) for path in changed]
         for callback in self.on_change:
             callback(full)
@@ -300,13 +296,6 @@ class Parameters:
                 failure = failure or error
         if failure is not None:
             raise failure
-
-
-def _is_same(one: Any, other: Any) -> bool:
-    """True for equal values of the same types: 1, 1.0 and true are three values."""
-    if isinstance(one, dict) and isinstance(other, dict):
-        return one.keys() == other.keys() and all(_is_same(below, other[key]) for key, below in one.items())
-    return type(one) is type(other) and bool(repr(one) == repr(other) if isinstance(one, list) else one == other)
 
 
 def _copied(value: Any) -> Any:
@@ -359,11 +348,6 @@ def _settable(name: str, value: Any) -> tuple[Path, Any]:
     if not path and not isinstance(checked, dict):
         raise UsageError("the root of the parameters is a mapping", "give a name")
     return path, checked
-
-
-def _has_names(value: Any) -> bool:
-    """True for MISSING or a mapping: setting or replacing it changes the list of names."""
-    return value is MISSING or isinstance(value, dict)
 
 
 def _path(name: str) -> Path:

@@ -86,22 +86,16 @@ def set_element(variable: int, index: int, value: float) -> None:
 
 
 @law
-def read(robot: Any, tables: CycleTables) -> None:
-    """The same as MujocoRobotHW.read."""
+def read(robot: Any, tables: CycleTables, has_outside: int) -> None:
+    """The same as MujocoRobotHW.read. `has_outside`: there are external efforts."""
     for k in range(robot.first_joint, robot.first_joint + robot.joints):
         joint = tables.joints[k]
         angle_or_length = tables.qpos[joint.qpos]
         joint.position = unwrapped(joint.position, angle_or_length) if joint.turns else angle_or_length
         joint.velocity = tables.qvel[joint.dof]
         joint.effort = tables.forces[joint.dof]
-
-
-@law
-def add_outside_efforts(robot: Any, tables: CycleTables) -> None:
-    """The rest of MujocoRobotHW.read, while there are external efforts."""
-    for k in range(robot.first_joint, robot.first_joint + robot.joints):
-        joint = tables.joints[k]
-        joint.effort += tables.outside[joint.dof]
+        if has_outside:
+            joint.effort += tables.outside[joint.dof]
 
 
 @law
@@ -218,9 +212,7 @@ def run(progress: Any, tables: CycleTables) -> int:
                 return turns.ROBOT_IN_PYTHON
             if progress.controller == 0:
                 if control_is_due(robot, time_ns):
-                    read(robot, tables)
-                    if progress.has_outside:
-                        add_outside_efforts(robot, tables)
+                    read(robot, tables, progress.has_outside)
                 else:
                     progress.controller = robot.controllers
             while progress.controller < robot.controllers:
