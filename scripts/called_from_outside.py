@@ -91,7 +91,7 @@ _tuple, _dict, _listcomp, _setcomp, _dictcomp, _joinedstr, _formattedvalue, _gen
 _boolop, _compare, _ifexp, _attribute, _subscript
 
 # numba puts these in the place of what they are registered for.
-_fmod, _physics_step, _update_controller, _put_element
+_fmod, _physics_step, _update_controller, _set_element
 
 # viser calls it when a browser asks for it.
 request_share_url

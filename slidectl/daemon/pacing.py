@@ -69,7 +69,7 @@ class Pacer:
     def turn(self) -> float | None:
         """Run due cycles. Returns the wall seconds until more are due; None: not before a request."""
         simulation, run = self._simulation, self._simulation.run
-        if not run.asked(1):
+        if not run.requested(1):
             self._mode = None
             self._marks.clear()
             return None

@@ -29,7 +29,7 @@ class PictureQueue:
     def render(self, world: World, camera: Camera, pose: Pose, seed: int) -> Pending:
         """Request a picture of the world's present state. Resolved with the pixels (base64)."""
         pending = Pending()
-        self._waiting.append((pending, self._renderer.look(world, camera, pose, seed)))
+        self._waiting.append((pending, self._renderer.request(world, camera, pose, seed)))
         self._next()
         return pending
 
@@ -47,7 +47,7 @@ class PictureQueue:
         while self._waiting and self._current is None:
             pending, frame = self._waiting.popleft()
             try:
-                self._descriptor = self._renderer.ask(frame)
+                self._descriptor = self._renderer.start(frame)
             except Refused as error:
                 pending.reject(error)
                 continue
@@ -57,16 +57,9 @@ class PictureQueue:
     def _take(self, _: int) -> None:
         pending = self._current
         assert pending is not None
-        try:
-            picture = self._renderer.take()
-        except Refused as error:
-            self._forget()
-            pending.reject(error)
-        else:
-            if picture is None:
-                return
-            self._forget()
-            pending.resolve(picture)
+        answer = Pending.attempt(self._renderer.receive)
+        self._forget()
+        pending.settle(answer.result)
         self._next()
 
     def _forget(self) -> None:

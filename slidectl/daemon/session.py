@@ -92,7 +92,7 @@ class Session:
             self.send_error(error, message)
             return
         if self._recorder is not None:
-            self._recorder.take(self, line, message)
+            self._recorder.record(self, line, message)
         self._carry_out(getattr(self, f"_{message['op']}"), message)
 
     def _carry_out(self, action: Callable[[Message], None], message: Message) -> None:
@@ -134,7 +134,7 @@ class Session:
     def closed(self) -> None:
         """Remove all that the client had, and cancel its open requests, after it has disconnected."""
         if self._recorder is not None:
-            self._recorder.gone(self)
+            self._recorder.record_end(self)
         for pending in list(self._calls):
             pending.cancel()
         self._calls.clear()

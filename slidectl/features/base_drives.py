@@ -141,7 +141,7 @@ class WheelMotors(RunningDrive):
         self._forget_way()
         super().__init__(simulation, robot, drive)
         self._ways = self._measured_ways()
-        self._world.add_motors(robot.body, dict.fromkeys((*drive.left, *drive.right), drive.torque))
+        self._world.add_motors(robot.attached, dict.fromkeys((*drive.left, *drive.right), drive.torque))
         if drive.has_joint_states:
             self._publish("joint_states", "sensor_msgs/JointState", drive.update_rate_hz, self._joint_states)
         robot.on_emergency_stop.append(self._stop)
@@ -182,7 +182,7 @@ class WheelMotors(RunningDrive):
 
     def _turn(self, left: float, right: float) -> None:
         """Command these velocities to the wheels of each side, m/s."""
-        velocities, body, radius = self._world.views.velocities, self._robot.body, self._wheels.diameter / 2.0
+        velocities, body, radius = self._world.views.velocities, self._robot.attached, self._wheels.diameter / 2.0
         for joints, speed in ((self._wheels.left, left), (self._wheels.right, right)):
             for joint in joints:
                 velocities[body.place(joint).dof] = speed / radius

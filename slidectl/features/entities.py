@@ -13,7 +13,7 @@ from slidectl.errors import AmbiguousName, Refused, SlidectlError, UnknownName
 from slidectl.features.gazebo_frames import STILL, WORLD, Frame, into_world, seen_from
 from slidectl.physics import hulls
 from slidectl.physics.hulls import Hulls
-from slidectl.physics.observer import Twist
+from slidectl.physics.world import Twist
 from slidectl.rotations import Pose, compose
 from slidectl.simulation.pending import Pending
 from slidectl.simulation.spawned_robots import ParsedRobot, SpawnedRobot

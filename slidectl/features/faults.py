@@ -303,7 +303,7 @@ class PushFault(RobotFault):
             return
         self.count += 1
         world, asked = self._world, self.asked
-        if not any(wrench.source == asked.name for wrench in world.loads.wrenches):  # a reset removes it
+        if not any(wrench.source == asked.name for wrench in world.applied_forces.wrenches):  # a reset removes it
             duration_ns = -1 if asked.end_ns == NEVER else asked.end_ns - asked.start_ns - 1
             acting = asked.options["force"], asked.options["torque"], asked.start_ns, duration_ns
             world.add_wrench(self.robot.name, self.part, *acting, asked.name)
@@ -713,7 +713,7 @@ class Faults(Feature):
             }
         parts: dict[str, Callable[[SpawnedRobot], Any]] = {
             "joint": lambda robot: robot.parts.hardware.interfaces(),
-            "moving joint": lambda robot: robot.body.joints,
+            "moving joint": lambda robot: robot.attached.joints,
             "link": lambda robot: [link for link in robot.description.links if link != "world"],
         }
         return {f"/{robot.name}/{part}": (robot, part) for robot in robots for part in parts[kind](robot)}
@@ -741,11 +741,11 @@ class Faults(Feature):
             return ControllerFault(asked, robot)
         change: Change
         if kind == "joint-stuck":
-            change = StuckJoint(world, robot.body, robot.parts.hardware, asked.part)
+            change = StuckJoint(world, robot.attached, robot.parts.hardware, asked.part)
         elif kind == "joint-friction":
-            change = JointFriction(world, robot.body, asked.part, options["friction"], options["damping"])
+            change = JointFriction(world, robot.attached, asked.part, options["friction"], options["damping"])
         else:
-            change = Payload(world, robot.body, asked.part, options["mass"], options["at"])
+            change = Payload(world, robot.attached, asked.part, options["mass"], options["at"])
         return ChangeFault(asked, robot, change)
 
     def _serve_add(self, request: Message) -> Message:

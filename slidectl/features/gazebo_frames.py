@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from slidectl.control.node_handle import Message
-from slidectl.physics.observer import Twist
+from slidectl.physics.world import Twist
 from slidectl.rotations import (
     ORIGIN,
     Pose,

@@ -166,7 +166,7 @@ class GazeboServices(Feature):
     def _configure(self, request: Message) -> Answer:
         """Set all joints or none. A joint may be named with its model, as `model::joint`."""
         names, positions = request["joint_names"], request["joint_positions"]
-        self._robots.put_joints(request["model_name"], names, positions)
+        self._robots.set_joints(request["model_name"], names, positions)
         return f"set {len(names)} joints of {request['model_name']!r}", {}
 
     # Links and joints
@@ -208,7 +208,7 @@ class GazeboServices(Feature):
         robot, name = self._entities.find("joint", request["joint_name"])
         joint = self._robots.get(robot).description.joints[name]
         fields: Message = {"type": JOINT_TYPES[joint.type]}
-        if name in self._world.body(robot).joints:
+        if name in self._world.robot(robot).joints:
             position, velocity, _ = self._world.joint_state(robot, name)
             fields.update(damping=[joint.damping], position=[position], rate=[velocity])
         return f"got the properties of {robot}::{name}", fields

@@ -44,7 +44,7 @@ def _trace(simulation: Simulation, request: Message) -> Pending:
             f"a trace is of the last or of the next seconds: one of two numbers above 0, not {last}, {duration}"
         )
     robot, joint, world = simulation.robots.get(request["robot"]), request["joint"], simulation.world
-    place = world.body(robot.name).place(joint)
+    place = world.robot(robot.name).place(joint)
 
     def now() -> bytes:
         return _SAMPLE.pack(simulation.time_ns / SECOND, *world.joint_state(robot.name, joint))

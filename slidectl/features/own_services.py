@@ -109,7 +109,7 @@ class OwnServices(Feature):
             return {"success": done.error is None, "message": text, "time": clock.seconds, "cycles": clock.cycles}
 
         reader = self._graph.calling_node if request["news"] else ""
-        return self._simulation.ask_steps(self._cycles(request), reader).converted(response)
+        return self._simulation.request_steps(self._cycles(request), reader).converted(response)
 
     def _cycles(self, request: Message) -> int:
         """The requested number of cycles, or the number of cycles in the requested time.
@@ -166,7 +166,7 @@ class OwnServices(Feature):
 
     def _given_params(self, request: Message) -> Message:
         parameters, name = self._graph.parameters, absolute(request["name"])
-        check_size(parameters.look(name), name)
+        check_size(parameters.view(name), name)
         return {"value": json.dumps(parameters.given(name))}
 
     def _sources(self, request: Message) -> Message:
@@ -174,7 +174,7 @@ class OwnServices(Feature):
         if re.fullmatch("[0-9a-f]{64}", digest) is None:
             raise Refused("a digest is SHA-256 in 64 hexadecimal digits")
         if request["note"]:
-            self._robots.sources.put(digest, request["note"])
+            self._robots.sources.add(digest, request["note"])
         return {"note": self._robots.sources.get(digest)}
 
     def _resolve(self, request: Message) -> Message:
@@ -359,7 +359,7 @@ class OwnServices(Feature):
         robot = self._robot(request["robot"])
         claims = _resting_claims(robot, request)
         if not request["check_only"]:
-            robot.look()
+            robot.read_joints()
         commands = robot.hardware.resting_commands(claims, request["command"] == "hold")
         if not request["check_only"]:
             robot.hardware.command(commands)
@@ -375,7 +375,7 @@ class OwnServices(Feature):
 
     def _start_joints(self, request: Message) -> Answer:
         robot = self._robot(request["robot"])
-        self._robots.put_joints(robot.name, request["joint_names"], request["joint_positions"], is_start=True)
+        self._robots.set_joints(robot.name, request["joint_names"], request["joint_positions"], is_start=True)
         text = f"{robot.name}: {len(request['joint_names'])} joints start elsewhere"
         return "\n".join([text, *robot.warnings]), {}
 

@@ -166,7 +166,7 @@ def _example(field: msgs.Field, value: Any) -> str:
 def _parameter_services(parameters: Parameters) -> dict[str, ServiceEntry]:
     def get(request: Message) -> Message:
         default = _text_or_json(request["default"]) if request["default"] else MISSING
-        value = parameters.look(absolute(request["name"]), default)
+        value = parameters.view(absolute(request["name"]), default)
         check_size(value, request["name"])
         return {"value": json.dumps(value)}
 

@@ -177,7 +177,7 @@ class SensorTopic:
     def _joints(self) -> Message:
         sensor = self._sensor
         assert isinstance(sensor, JointStates)
-        moving = [joint for joint in sensor.joints if joint in self._world.body(self._robot).joints]
+        moving = [joint for joint in sensor.joints if joint in self._world.robot(self._robot).joints]
         states = [self._world.joint_state(self._robot, joint) for joint in moving]
         return {
             "header": self._header(),

@@ -58,11 +58,11 @@ class SpawnedAs:
             robot.namespace,
             robot.xml,
             robot.is_controlled,
-            robot.body.spawn_pose,
+            robot.attached.spawn_pose,
             robot.note,
             robot.caller,
             robot.may_use_files,
-            robot.body.hulls,
+            robot.attached.hulls,
             list(robot.made_parameters),
             list(robot.parts.manager.loaded()) if robot.is_controlled else [],
         )
@@ -178,7 +178,7 @@ def put(simulation: Simulation, snapshot: Snapshot) -> list[str]:
             raise Refused(f"the snapshot does not fit: {type(error).__name__}: {error}") from error
         raise
     simulation.run.trouble = ""
-    simulation.graph.clock_topic.publish_now(simulation.time_ns)
+    simulation.graph.clock_topic.publish(simulation.time_ns)
     return made
 
 
@@ -258,7 +258,7 @@ def _tree_of(robot: SpawnedRobot) -> dict[str, Any]:
     return {
         "actions": robot.node.servers_below(),
         **({"hardware": parts.hardware, "manager": parts.manager, "cycle": parts.cycle} if robot.is_controlled else {}),
-        "start": robot.body.start,
+        "start": robot.attached.start,
         "command_warning": robot.node.command_warning,
         "kept": robot.saved,
         "calls": robot.node.calls_below(),

@@ -348,7 +348,7 @@ class StandardServices(Feature):
     def _step(self, request: Message) -> Pending:
         if not self._simulation.run.paused:
             raise FailedRequest("RESULT_OPERATION_FAILED", "the simulation is not paused")
-        return self._simulation.ask_steps(request["steps"] or 1).converted(_nothing_more)
+        return self._simulation.request_steps(request["steps"] or 1).converted(_nothing_more)
 
     def _reset(self, request: Message) -> Message:
         scope = request["scope"] or constant("ResetSimulationRequest", "SCOPE_ALL")

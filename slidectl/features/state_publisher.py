@@ -135,7 +135,7 @@ class StatePublisher:
     def _pose(self, joint: Joint) -> Pose:
         """The pose of the child in the parent: from the joint's position, or from the world (planar, floating)."""
         world, robot = self._simulation.world, self._robot.name
-        if joint.name not in world.body(robot).joints:
+        if joint.name not in world.robot(robot).joints:
             return relative(world.link_pose(robot, joint.child), world.link_pose(robot, joint.parent))
         return compose(_origin(joint), _displacement(joint, world.joint_state(robot, joint.name)[0]))
 

@@ -15,7 +15,7 @@ except Exception as error:
     raise Refused(f"MuJoCo cannot be used with MUJOCO_GL={os.environ['MUJOCO_GL']}: {error}", "unset it") from None
 
 from slidectl.physics.attached_robot import AttachedRobot
-from slidectl.physics.mujoco_library import EngineError, take_warnings
+from slidectl.physics.mujoco_library import EngineError, pop_warnings
 from slidectl.physics.robot_hw import MujocoRobotHW
 from slidectl.physics.world import GRAVITY, HUGE, Diverged, Overlap, World
 
@@ -28,5 +28,5 @@ __all__ = [
     "MujocoRobotHW",
     "Overlap",
     "World",
-    "take_warnings",
+    "pop_warnings",
 ]

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -45,38 +45,31 @@ class EffortTruncation:
     @staticmethod
     def of(joint: Joint) -> EffortTruncation:
         """The bounds of the joint's `<limit>`; a negative value means no bound, as in Gazebo."""
-        if joint.limit is None:
-            return EffortTruncation()
-        return EffortTruncation(_bound(joint.limit.effort), _bound(joint.limit.velocity))
+        bounds = () if joint.limit is None else (joint.limit.effort, joint.limit.velocity)
+        return EffortTruncation(*(bound if bound >= 0.0 else math.inf for bound in bounds))
 
     def cut(self, effort: float, velocity: float) -> float:
-        """The effort that acts at this velocity: none that pushes further beyond the velocity limit, then the clamp."""
+        """The effort that acts at this velocity; see `truncated`."""
         return truncated(effort, velocity, self.effort, self.velocity)
 
 
-def _bound(value: float) -> float:
-    return value if value >= 0.0 else math.inf
-
-
-@dataclass(frozen=True, slots=True)
-class JointForce:
-    """An external effort, N or N·m, on one joint, clipped like every effort by the limits of the joint.
+class JointForce(NamedTuple):
+    """An external effort, N or N·m, on one joint of a robot, clipped like every effort by the limits of the joint.
 
     It acts from `start_ns` up to and including `start_ns + duration_ns`; a negative duration never ends.
     """
 
-    body: AttachedRobot
+    robot: str
     joint: str
     effort: float
     start_ns: int
     duration_ns: int
 
 
-@dataclass(frozen=True, slots=True)
-class Wrench:
+class Wrench(NamedTuple):
     """Force (N) and torque (N·m), in the world's axes, at the centre of mass of one link. Times as in JointForce."""
 
-    body: AttachedRobot
+    robot: str
     link: str
     force: Vector
     torque: Vector
@@ -86,11 +79,7 @@ class Wrench:
     """Name of its origin, by which it can be removed."""
 
 
-def _is_over(force: JointForce | Wrench, now_ns: int) -> bool:
-    return force.duration_ns >= 0 and now_ns > force.start_ns + force.duration_ns
-
-
-class Loads:
+class AppliedForces:
     """External forces that have not ended, motors, and the efforts of both on joints in the last step."""
 
     def __init__(self) -> None:
@@ -101,8 +90,9 @@ class Loads:
         """N or N·m by dof. A rebuild of the model makes a new array."""
         self.has_efforts = False
         """False while all efforts are 0."""
+        self._robots: Mapping[str, AttachedRobot] = {}
         self._acted: tuple[float, Array | None] = (-1.0, None)
-        """MuJoCo's time after the last step with external forces, and their wrenches on bodies."""
+        """MuJoCo's time after the last step with external forces, and their wrenches on robots."""
 
     @property
     def has_forces(self) -> bool:
@@ -114,51 +104,47 @@ class Loads:
         """True when there are no external forces and no motors."""
         return not self.has_forces and self.motors.is_empty
 
-    def keep(self, keep: Callable[[JointForce | Wrench], bool]) -> None:
-        """Remove all external forces for which `keep` returns False."""
-        self.joint_forces = [force for force in self.joint_forces if keep(force)]
-        self.wrenches = [wrench for wrench in self.wrenches if keep(wrench)]
+    def remove(self, ends: Callable[[JointForce | Wrench], bool]) -> None:
+        """Remove all external forces for which `ends` returns True."""
+        self.joint_forces = [force for force in self.joint_forces if not ends(force)]
+        self.wrenches = [wrench for wrench in self.wrenches if not ends(wrench)]
 
-    def forget(self, body: AttachedRobot) -> None:
+    def forget(self, robot: AttachedRobot) -> None:
         """Remove all forces and motors of a robot that is detached. Call `bind` afterwards."""
-        self.keep(lambda force: force.body is not body)
-        self.motors.drop(body)
-        self.efforts = np.delete(self.efforts, body.dofs)
+        self.remove(lambda force: force.robot == robot.name)
+        self.motors.drop(robot)
+        self.efforts = np.delete(self.efforts, robot.dofs)
 
-    def bind(self, model: Any, data: Any) -> None:
-        """Use this model. All robots are bound to it already."""
+    def bind(self, model: Any, data: Any, robots: Mapping[str, AttachedRobot]) -> None:
+        """Use this model of these robots, which are bound to it already."""
+        self._robots = robots
         self._acted = -1.0, None
         if not self.motors.is_empty:
             self.has_efforts = True
         if len(self.efforts) < model.nv:
             self.efforts = np.append(self.efforts, np.zeros(model.nv - len(self.efforts)))
-        self.motors.bind(model, data)
+        self.motors.bind(model, data, robots)
 
     def snapshot(self) -> dict[str, Any]:
         """The state as plain data and arrays of numbers, with robots by name, for `restore`."""
         time, wrenches = self._acted
-        forces = [[one.body.name, one.joint, one.effort, one.start_ns, one.duration_ns] for one in self.joint_forces]
-        pushes = [
-            [one.body.name, one.link, one.force, one.torque, one.start_ns, one.duration_ns, one.source]
-            for one in self.wrenches
-        ]
-        bounds, velocities = self.motors.captured()
         return {
-            "joint_forces": forces,
-            "wrenches": pushes,
-            "motors": {body.name: of_body for body, of_body in bounds.items()},
-            "velocities": velocities,
+            "joint_forces": [list(force) for force in self.joint_forces],
+            "wrenches": [list(wrench) for wrench in self.wrenches],
+            "motors": {robot: dict(bounds) for robot, bounds in self.motors.bounds.items()},
+            "velocities": self.motors.velocities.copy(),
             "efforts": self.efforts.copy(),
             "has_efforts": self.has_efforts,
             "acted": time,
             "acted_wrenches": None if wrenches is None else wrenches.copy(),
         }
 
-    def restore(self, state: dict[str, Any], bodies: Mapping[str, AttachedRobot]) -> None:
+    def restore(self, state: dict[str, Any]) -> None:
         """Restore the state. Call `bind` afterwards, then `restore_last_step` if results of that step are needed."""
-        self.joint_forces = [JointForce(bodies[name], *rest) for name, *rest in state["joint_forces"]]
-        self.wrenches = [Wrench(bodies[name], *rest) for name, *rest in state["wrenches"]]
-        self.motors.put(({bodies[name]: joints for name, joints in state["motors"].items()}, state["velocities"]))
+        self.joint_forces = [JointForce(*force) for force in state["joint_forces"]]
+        self.wrenches = [Wrench(*wrench) for wrench in state["wrenches"]]
+        self.motors.bounds = {robot: dict(bounds) for robot, bounds in state["motors"].items()}
+        self.motors.velocities = state["velocities"].copy()
         self.efforts = state["efforts"].copy()
 
     def restore_last_step(self, state: dict[str, Any]) -> None:
@@ -172,7 +158,7 @@ class Loads:
         self.has_efforts = not self.motors.is_empty
 
     def wrenches_of_step(self, data: Any) -> Array | None:
-        """The external wrenches on bodies in the last step, as xfrc_applied; None: there were none."""
+        """The external wrenches on robots in the last step, as xfrc_applied; None: there were none."""
         time, forces = self._acted
         return forces if time == data.time else None
 
@@ -197,14 +183,15 @@ class Loads:
 
     def _apply_forces(self, model: Any, data: Any, now_ns: int, efforts: Array) -> None:
         """Add the forces of `now_ns` to qfrc_applied, xfrc_applied and, by dof, `efforts`. Remove ended ones."""
-        self.keep(lambda force: not _is_over(force, now_ns))
+        self.remove(lambda force: 0 <= force.duration_ns < now_ns - force.start_ns)
         for force in self.joint_forces:
             if now_ns >= force.start_ns:
-                place = force.body.joints[force.joint]
+                place = self._robots[force.robot].joints[force.joint]
                 effort = EffortTruncation.of(place.joint).cut(force.effort, float(data.qvel[place.dof]))
                 data.qfrc_applied[place.dof] += effort
                 efforts[place.dof] += effort
-        acting = [(wrench, wrench.body.links[wrench.link]) for wrench in self.wrenches if now_ns >= wrench.start_ns]
+        started = [wrench for wrench in self.wrenches if now_ns >= wrench.start_ns]
+        acting = [(wrench, self._robots[wrench.robot].links[wrench.link]) for wrench in started]
         if any(link.arm is not None for _, link in acting):
             mujoco.mj_kinematics(model, data)  # the present attitudes; the step computes them again
         for wrench, link in acting:

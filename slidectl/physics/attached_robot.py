@@ -1,6 +1,6 @@
 """One robot in the world: the indices of its links, joints and state in MuJoCo's arrays, and changes of that state.
 
-A AttachedRobot stays valid over rebuilds of the model: `bind` finds its indices again. It makes no steps.
+An AttachedRobot stays valid over rebuilds of the model: `bind` finds its indices again. It makes no steps.
 """
 
 from __future__ import annotations
@@ -54,9 +54,9 @@ class Weights(NamedTuple):
 class AttachedRobot:
     """A robot that is attached under `name`."""
 
-    def __init__(self, name: str, robot: Robot, pose: Pose, hulls: Hulls | None = None) -> None:
+    def __init__(self, name: str, description: Robot, pose: Pose, hulls: Hulls | None = None) -> None:
         self.name = name
-        self.robot = robot
+        self.description = description
         self.spawn_pose = pose
         self.hulls: Hulls = hulls if hulls is not None else {}
         """Hulls of its meshes. They are kept for a rebuild, since the files may change or be deleted."""
@@ -70,7 +70,7 @@ class AttachedRobot:
         """Joints that motors hold as long as the robot is in the world, with the largest effort of each, N or N·m."""
         self.weights: Weights | None = None
         """Set once, when the robot is attached."""
-        self._lumps = lumps(robot)
+        self._lumps = lumps(description)
         self._model: Any = None
         self._data: Any = None
         self._rebound: list[Callable[[], None]] = []
@@ -79,7 +79,7 @@ class AttachedRobot:
     @property
     def root_id(self) -> int:
         """MuJoCo's body id of the root link."""
-        return self.links[self.robot.root].body
+        return self.links[self.description.root].body
 
     @property
     def root_qpos(self) -> int:
@@ -132,14 +132,14 @@ class AttachedRobot:
             link: (at, frame) for at, lump in zip(ids, self._lumps, strict=True) for link, frame in lump.frames.items()
         }
         self.links = {}
-        for name, link in self.robot.links.items():
+        for name, link in self.description.links.items():
             at, frame = frames[name]
             centre = link.inertial.origin.xyz if link.inertial is not None else (0.0, 0.0, 0.0)
             x, y, z = model.body_ipos[at].tolist()
             arm = subtract(compose(frame, (centre, IDENTITY))[0], (x, y, z))
             self.links[name] = LinkPlace(at, frame, arm if any(arm) else None)
         self.joints = {}
-        for made in self.robot.joints.values():
+        for made in self.description.joints.values():
             if made.type in SCALAR_TYPES:
                 index = mujoco.mj_name2id(model, joint, f"{self.name}/{made.name}")
                 self.joints[made.name] = JointPlace(made, int(model.jnt_qposadr[index]), int(model.jnt_dofadr[index]))
@@ -168,7 +168,7 @@ class AttachedRobot:
         for callback in self._rebound:
             callback()
 
-    def put_at_spawn(self) -> None:
+    def reset_to_spawn(self) -> None:
         """Restore the state right after attaching: spawn pose, initial joint positions, at rest, no forces."""
         data, model, part = self._data, self._model, self._slices
         data.qpos[part["qpos"]] = model.qpos0[part["qpos"]]
@@ -176,10 +176,10 @@ class AttachedRobot:
             array[part["dof"]] = 0.0
         data.xfrc_applied[part["body"]] = 0.0
         data.eq_active[part["tie"]] = model.eq_active0[part["tie"]]
-        self.put_root(self.spawn_pose)
-        self.put_joints(self.start)
+        self.set_root_pose(self.spawn_pose)
+        self.set_joints(self.start)
 
-    def put_joints(self, positions: Mapping[str, float]) -> None:
+    def set_joints(self, positions: Mapping[str, float]) -> None:
         """Set joint positions. Mimic joints that are not among them follow their leaders. Raises UnknownName."""
         for name, position in positions.items():
             self._data.qpos[self.place(name).qpos] = position
@@ -197,10 +197,10 @@ class AttachedRobot:
             joint = self.joints[joint.mimic.joint].joint
         return position + factor * float(self._data.qpos[self.joints[joint.name].qpos])
 
-    def put_root(self, pose: Pose) -> None:
+    def set_root_pose(self, pose: Pose) -> None:
         """Set the pose of the root link. Velocities stay."""
         position, attitude = pose[0], wxyz(pose[1])
-        if self.robot.is_fixed_to_world:
+        if self.description.is_fixed_to_world:
             self._model.body_pos[self.root_id], self._model.body_quat[self.root_id] = position, attitude
         else:
             start = self.root_qpos

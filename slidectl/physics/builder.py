@@ -186,7 +186,7 @@ def _has_gravity(link: Link) -> bool | None:
     return None if link.inertial is None else not link.surface.turn_gravity_off
 
 
-def put_inertia(body: Any, robot: str, links: Sequence[tuple[Link, Pose]]) -> None:
+def set_inertia(body: Any, robot: str, links: Sequence[tuple[Link, Pose]]) -> None:
     """Set the mass, centre of mass and inertia of an MjsBody from its links, each with its frame in the body.
 
     A link without `<inertial>` has no mass.
@@ -238,15 +238,16 @@ def check_moments(robot: str, link: Link, inertial: Inertial) -> None:
         raise BadInertia(robot, link, f"no body has its inertia: {why}", hint)
 
 
-def _tensor(inertial: Inertial) -> Array:
-    ixx, ixy, ixz, iyy, iyz, izz = inertial.inertia
-    return np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
-
-
 def _turned(inertial: Inertial, attitude: Quaternion) -> Array:
-    """The tensor in the body's axes: R I Rᵀ, where R is the attitude in the body."""
+    """The tensor in the body's axes: R I Rᵀ, where R is the attitude in the body; its moments as `_within_triangle`."""
+    ixx, ixy, ixz, iyy, iyz, izz = inertial.inertia
+    tensor = np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
+    moments, axes = np.linalg.eigh(tensor)
+    if moments[0] + moments[1] < moments[2]:
+        moments[2] = moments[0] + moments[1]
+        tensor = (axes * moments) @ axes.T
     turn = np.array(matrix(attitude))
-    return np.asarray(turn @ _within_triangle_tensor(_tensor(inertial)) @ turn.T)
+    return np.asarray(turn @ tensor @ turn.T)
 
 
 def _row(tensor: Array) -> list[float]:
@@ -262,14 +263,6 @@ def _within_triangle(ixx: float, iyy: float, izz: float) -> list[float]:
     rest = sum(moments[:largest] + moments[largest + 1 :])
     moments[largest] = min(moments[largest], sum(moments) - moments[largest], rest)
     return moments
-
-
-def _within_triangle_tensor(tensor: Array) -> Array:
-    moments, axes = np.linalg.eigh(tensor)
-    if moments[0] + moments[1] >= moments[2]:
-        return tensor
-    moments[2] = moments[0] + moments[1]
-    return np.asarray((axes * moments) @ axes.T)
 
 
 def _is_on_the_edge(tensor: Array) -> bool:
@@ -306,7 +299,7 @@ def _principal(tensor: Array) -> tuple[list[float], tuple[float, float, float, f
     return _within_triangle(small, middle, large), (w, x, y, z)
 
 
-def put_shapes(
+def add_shapes(
     spec: Any,
     body: Any,
     robot: str,
@@ -334,7 +327,7 @@ def put_shapes(
     def add_geom(name: str, position: Vector, attitude: Quaternion) -> Any:
         geom = body.add_geom(name=name, pos=position, quat=wxyz(attitude))
         geom.contype, geom.conaffinity = bits
-        put_friction(geom, sliding_friction(link.surface))
+        set_friction(geom, sliding_friction(link.surface))
         return geom
 
     for number, shape in enumerate(link.collisions):
@@ -348,7 +341,7 @@ def put_shapes(
                 geom.type, geom.size = mujoco.mjtGeom.mjGEOM_ELLIPSOID, [radius, radius, half_width]
                 continue
             for piece, part in enumerate(hull.parts):
-                _put_mesh(spec, add_geom(f"{name}.{piece}" if piece else name, position, attitude), part)
+                _set_mesh(spec, add_geom(f"{name}.{piece}" if piece else name, position, attitude), part)
             continue
         geom = add_geom(name, position, attitude)
         geom.type, geom.size = _primitive(robot, link, shape)
@@ -393,7 +386,7 @@ def _turn_to(axis: Vector) -> Quaternion:
     return (-y / length, x / length, 0.0, (1.0 + z) / length)
 
 
-def put_friction(geom: Any, mu: float) -> None:
+def set_friction(geom: Any, mu: float) -> None:
     """Set the friction and the priority of a geom so that of two geoms the smaller coefficient counts, as in Gazebo.
 
     MuJoCo takes the larger one, unless one geom has priority. So a lower friction gets a higher priority. The bits of
@@ -438,7 +431,7 @@ def _hull_of(mesh: Mesh, robot: str, link: Link, shape: Shape, hulls: Hulls, is_
     return hull
 
 
-def _put_mesh(spec: Any, geom: Any, hull: Hull) -> None:
+def _set_mesh(spec: Any, geom: Any, hull: Hull) -> None:
     """Set a geom to a convex hull, which is a file in the specification's memory.
 
     MuJoCo caches its results for files, but not for vertices in the specification. The file's name is a hash of its
@@ -529,12 +522,12 @@ class RobotBuilder:
             # A turntable or a fan, whose axis is upright, is no wheel.
             axle = unit(axis) if abs(rotate(standing, unit(axis))[2]) <= STEEPEST_AXLE else None
         links = {link: self.robot.links[link] for link in lump.frames}
-        put_inertia(body, self.name, [(link, lump.frames[link.name]) for link in links.values()])
+        set_inertia(body, self.name, [(link, lump.frames[link.name]) for link in links.values()])
         body.gravcomp = 1.0 if lump.moves and lump.has_gravity is False else 0.0
         for name, link in links.items():
             bits = self._self_colliding.get(name, ORDINARY)
             is_surface = name in self._surroundings
-            put_shapes(self.spec, body, self.name, link, lump.frames[name], bits, self.hulls, axle, is_surface)
+            add_shapes(self.spec, body, self.name, link, lump.frames[name], bits, self.hulls, axle, is_surface)
 
     def _scalar(self, body: Any, joint: Joint) -> None:
         made = body.add_joint(name=self._named(joint.name), type=SCALAR_TYPES[joint.type], axis=self._axis(joint))

@@ -33,7 +33,7 @@ Bits = tuple[int, int]
 """contype, conaffinity."""
 
 ORDINARY: Bits = (1, 1)
-"""The bits of a geom until `put_robots` sets those of its robot. Not 0: MuJoCo makes no hull of a mesh without bits."""
+"""The bits of a geom until `set_collision_bits`. Not 0: MuJoCo makes no hull of a mesh without bits."""
 
 
 def self_colliding(robot: Robot) -> dict[str, Bits]:
@@ -58,7 +58,7 @@ def self_colliding(robot: Robot) -> dict[str, Bits]:
     return bits
 
 
-def put_robots(model: Any) -> None:
+def set_collision_bits(model: Any) -> None:
     """Set the bits of all geoms of a compiled model so that robots collide with each other and with the ground.
 
     A robot's set depends only on its place among the robots, so worlds with the same robots are equal. A geom that can

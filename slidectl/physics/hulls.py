@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 from slidectl.description import meshes
-from slidectl.description.meshes import BadMesh
+from slidectl.description.meshes import BadMesh, Triangles
 from slidectl.description.rigid_bodies import surroundings
 from slidectl.description.robot import Mesh, Robot
 from slidectl.physics import mujoco_library, surfaces
@@ -84,7 +84,8 @@ def read_all(robot: Robot) -> Hulls:
 def read(source: MeshSource) -> Hull | BadMesh:
     """Read the hull or the surface of one mesh file. Returns the error if there is none."""
     try:
-        return _surface(source) if source.is_surface else _hull(source)
+        mesh = meshes.load(source.path, source.scale)
+        return _surface(mesh, source) if source.is_surface else _hull_of_points(mesh.vertices, source)
     except BadMesh as error:
         return error
     except MemoryError:
@@ -107,9 +108,8 @@ def _compile(hulls: Sequence[Hull]) -> None:
         spec.compile()
 
 
-def _surface(source: MeshSource) -> Hull:
+def _surface(mesh: Triangles, source: MeshSource) -> Hull:
     """The pieces of a surface; its hull when it is convex, or has too many pieces. Raises BadMesh."""
-    mesh = meshes.load(source.path, source.scale)
     pieces = surfaces.split(mesh)
     if pieces is not None and len(pieces) > 1:
         surface = hull_of(surfaces.encoded(pieces))
@@ -120,11 +120,6 @@ def _surface(source: MeshSource) -> Hull:
         return hull_of(_stl(pieces[0]))
     hull = _hull_of_points(mesh.vertices, source)
     return hull if pieces is not None and len(pieces) == 1 else hull_of(_STOPGAP + hull.stl[len(_STOPGAP) :])
-
-
-def _hull(source: MeshSource) -> Hull:
-    """Raises BadMesh."""
-    return _hull_of_points(meshes.load(source.path, source.scale).vertices, source)
 
 
 def _hull_of_points(vertices: np.ndarray[Any, np.dtype[np.float64]], source: MeshSource) -> Hull:
@@ -158,9 +153,7 @@ def _stl(triangles: np.ndarray[Any, np.dtype[np.float64]]) -> bytes:
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     inward = np.einsum("ij,ij->i", normals, triangles[:, 0] - inside) < 0
     triangles[inward] = triangles[inward, ::-1]
-    facets = np.zeros(len(triangles), np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")]))
-    facets["corners"] = triangles
-    return bytes(80) + len(facets).to_bytes(4, "little") + facets.tobytes()
+    return surfaces.written([(triangles, 0)])
 
 
 def _alone() -> Any:

@@ -13,6 +13,7 @@ that for explicit damping. The velocity is reached nevertheless.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import mujoco
@@ -46,19 +47,14 @@ _STAGES = ("mj_step1", "mj_fwdActuation", "mj_fwdAcceleration", "mj_fwdConstrain
 _IMPEDANCE = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 
 
-MotorsState = tuple[dict[AttachedRobot, dict[str, float]], Array]
-"""Bounds of efforts by robot and joint, and velocities by dof."""
-
-
 class Motors:
-    """The motors of all robots in one world.
-
-    `velocities` has their desired velocities, by dof (m/s or rad/s).
-    """
+    """The motors of all robots in one world."""
 
     def __init__(self) -> None:
-        self._bounds: dict[AttachedRobot, dict[str, float]] = {}
+        self.bounds: dict[str, dict[str, float]] = {}
+        """The largest effort of each motor, N or N·m, by robot and joint."""
         self.velocities: Array = np.zeros(0)
+        """The desired velocities, by dof, m/s or rad/s."""
         self._dofs: Array = np.zeros(0, dtype=int)
         self._coordinates = self._rows = self._dofs
         """Indices into qpos, and into MuJoCo's arrays over all constraints."""
@@ -69,58 +65,45 @@ class Motors:
     @property
     def is_empty(self) -> bool:
         """True when no joint has a motor."""
-        return not self._bounds
+        return not self.bounds
 
-    def has(self, body: AttachedRobot) -> bool:
-        """True when the robot has motors."""
-        return body in self._bounds
-
-    def put_of(self, body: AttachedRobot, most_efforts: dict[str, float]) -> None:
+    def set(self, robot: str, most_efforts: dict[str, float]) -> None:
         """Set the motors of the robot. Joints with an effort of 0 get none. Call `bind` afterwards."""
-        self._bounds.pop(body, None)
+        self.bounds.pop(robot, None)
         bounds = {joint: min(effort, UNBOUNDED) for joint, effort in most_efforts.items() if effort > 0.0}
         if bounds:
-            self._bounds[body] = bounds
+            self.bounds[robot] = bounds
 
-    def of(self, body: AttachedRobot) -> dict[str, float]:
+    def of_robot(self, robot: str) -> dict[str, float]:
         """The robot's motors: the largest effort, N or N·m, by joint."""
-        return dict(self._bounds.get(body, {}))
+        return dict(self.bounds.get(robot, {}))
 
     def release(self, model: Any) -> None:
         """Remove all motors from this model. Call `bind` afterwards."""
         model.dof_frictionloss[self._dofs] = 0.0
         model.dof_invweight0[self._dofs] = self._weights
 
-    def drop(self, body: AttachedRobot) -> None:
+    def drop(self, robot: AttachedRobot) -> None:
         """Remove the motors of a robot, which has its old indices. Call `bind` afterwards, with a model without it."""
-        self._bounds.pop(body, None)
-        self.velocities = np.delete(self.velocities, body.dofs)
+        self.bounds.pop(robot.name, None)
+        self.velocities = np.delete(self.velocities, robot.dofs)
 
-    def captured(self) -> MotorsState:
-        """All motors and their velocities, for `put`."""
-        return {body: dict(bounds) for body, bounds in self._bounds.items()}, self.velocities.copy()
-
-    def put(self, captured: MotorsState) -> None:
-        """Replace all motors. Call `bind` afterwards."""
-        bounds, velocities = captured
-        self._bounds, self.velocities = {body: dict(joints) for body, joints in bounds.items()}, velocities.copy()
-
-    def bind(self, model: Any, data: Any) -> None:
-        """Use this model. All robots are bound to it already. New robots get velocities of 0."""
+    def bind(self, model: Any, data: Any, robots: Mapping[str, AttachedRobot]) -> None:
+        """Use this model of these robots, which are bound to it already. New robots get velocities of 0."""
         if len(self.velocities) < model.nv:
             self.velocities = np.append(self.velocities, np.zeros(model.nv - len(self.velocities)))
         motors = sorted(
             (
-                (body, body.joints[joint], bound)
-                for body, joints in self._bounds.items()
-                for joint, bound in joints.items()
+                (robots[name], robots[name].joints[joint], bound)
+                for name, bounds in self.bounds.items()
+                for joint, bound in bounds.items()
             ),
             key=lambda motor: motor[1].dof,
         )
         self._dofs = np.array([place.dof for _, place, _ in motors], dtype=int)
         self._coordinates = np.array([place.qpos for _, place, _ in motors], dtype=int)
         self._bounds_of_dofs = np.array([bound for _, _, bound in motors])
-        self._weights = np.array([body.weight_of(place) for body, place, _ in motors])
+        self._weights = np.array([robot.weight_of(place) for robot, place, _ in motors])
         model.dof_solimp[self._dofs] = _IMPEDANCE
         self._set_bounds(model, np.zeros(len(motors), dtype=bool))
         # Rows: equalities, then the friction of dofs in their order.
@@ -133,11 +116,6 @@ class Motors:
             self.table[:HEADER] = len(self._dofs), model.opt.timestep, *variables, *stages
             columns = (self._dofs, self._coordinates, self._rows, self._bounds_of_dofs, self._weights)
             self.table[HEADER:] = np.column_stack(columns).ravel()
-
-    @property
-    def is_compilable(self) -> bool:
-        """True when compiled code can run motors: the variables of MjData were found."""
-        return all(mujoco_library.constraint_variables())
 
     def _set_bounds(self, model: Any, bounded: Array) -> None:
         """Set the bounds of these motors in the solver, and remove those of the others."""

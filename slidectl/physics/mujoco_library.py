@@ -26,7 +26,7 @@ MOST_WARNINGS = 100
 _warnings: deque[str] = deque(maxlen=MOST_WARNINGS)
 
 
-def take_warnings() -> list[str]:
+def pop_warnings() -> list[str]:
     """Take the warnings of MuJoCo since the last call, oldest first; at most `MOST_WARNINGS` are kept."""
     taken = list(_warnings)
     _warnings.clear()

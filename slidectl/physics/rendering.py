@@ -11,10 +11,11 @@ import base64
 import ctypes
 import os
 import pickle
-import struct
 import subprocess
 import sys
 from contextlib import suppress
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 
 import mujoco
@@ -29,19 +30,12 @@ from slidectl.physics.software_pictures import SoftwareDrawer
 from slidectl.rotations import Pose, rotate
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from slidectl.description.robot import Camera
     from slidectl.physics.world import World
 
 INSTALL = "install OpenGL for programs without a screen: apt install libegl1 (with a driver: libgl1-mesa-dri)"
 _LIBRARIES = {"egl": ("libEGL.so.1",), "osmesa": ("libOSMesa.so.8", "libOSMesa.so.6")}
 BY_OPENGL, BY_SOFTWARE = "OpenGL", "software"
-_ANSWER = struct.Struct("<BI")
-"""Header of an answer: its kind, and the length of the content that follows."""
-_ERROR, _PICTURE, _DRAWN_BY = range(3)
-"""Kinds of answers: an error text; pixels; how this and the following pictures are drawn, which comes before pixels."""
-_PIECE = 1 << 20
 _AMBIENT = 0.4
 """Ambient light, as in Gazebo's worlds."""
 
@@ -60,6 +54,14 @@ class PictureRequest(NamedTuple):
     pose: Pose
     seed: int
     """Seed of the noise."""
+
+
+class _Answer(NamedTuple):
+    """The pixels, in base64, or an error; and what drew them."""
+
+    pixels: str
+    error: str
+    drawn_by: str
 
 
 def gl_backend() -> str:
@@ -83,86 +85,76 @@ class RenderProcess:
         self._process: subprocess.Popen[bytes] | None = None
         self._model: Any = None
         """The model that the process has."""
-        self._looked_at: Any = None
+        self._coloured: Any = None
         self._colours: Array = np.zeros(0)
-        self._said = bytearray()
+        self._answers: Connection[Any, Any] | None = None
         self._request: BinaryIO | None = None
         """Memory file that the process reads after it receives a byte. A pipe would block: it holds 64 KB, and is not
         read while the process starts."""
 
-    def look(self, world: World, camera: Camera, pose: Pose, seed: int) -> PictureRequest:
-        """The request for a picture of the present moment, for `ask`."""
-        if self._looked_at is not world.model:
-            self._looked_at, self._colours = world.model, _colours(world)
+    def request(self, world: World, camera: Camera, pose: Pose, seed: int) -> PictureRequest:
+        """The request for a picture of the present moment, for `start`."""
+        if self._coloured is not world.model:
+            self._coloured, self._colours = world.model, _colours(world)
         data = world.present()
         return PictureRequest(
             world.model, self._colours, data.geom_xpos.copy(), data.geom_xmat.copy(), camera, pose, seed
         )
 
-    def ask(self, frame: PictureRequest) -> int:
+    def start(self, frame: PictureRequest) -> int:
         """Start a picture. Returns the file descriptor of the answer. Raises Refused: the process cannot be used."""
         if self._process is not None and self._process.poll() is not None:
             self.close()
         try:
-            process = self._process or self._start()
+            process = self._process or self._begin()
             assert process.stdin is not None
-            assert process.stdout is not None
-            is_same, self._model = self._model is frame.model, frame.model
+            assert self._answers is not None
             assert self._request is not None
+            is_same, self._model = self._model is frame.model, frame.model
             self._request.seek(0)
             self._request.truncate()
-            pickle.dump(frame._replace(model=None if is_same else _binary(frame.model)), self._request)
+            binary = None if is_same else np.empty(mujoco.mj_sizeModel(frame.model), np.uint8)
+            if binary is not None:
+                mujoco.mj_saveModel(frame.model, None, binary)
+            pickle.dump(frame._replace(model=binary), self._request)
             self._request.flush()
             process.stdin.write(b"\n")
         except OSError as error:
             self.close()
             raise Refused(f"the process that renders pictures cannot be used: {error.strerror}") from None
-        return process.stdout.fileno()
+        return self._answers.fileno()
 
-    def take(self) -> str | None:
-        """Read a part of the answer. Returns the pixels, in base64, when they are complete, else None. Blocks for data.
-
-        Raises:
-            Refused: there is no picture.
-        """
+    def receive(self) -> str:
+        """The pixels, in base64. Blocks until they are there. Raises Refused: there is no picture."""
         assert self._process is not None
-        assert self._process.stdout is not None
-        piece = os.read(self._process.stdout.fileno(), _PIECE)
-        self._said += piece
-        if not piece:  # `ask` closes the pipes, since the caller may still poll this one
+        assert self._answers is not None
+        try:
+            answer = _Answer(*self._answers.recv())  # not the class itself: that of the process is in `__main__`
+        except (EOFError, OSError):  # `start` closes the pipes, since the caller may still poll this one
             self._process.kill()
             self._process.wait()
             if not self.drawn_by:
                 self._breaks = gl_backend()
-            raise Refused("the process that renders pictures has ended")
-        while len(self._said) >= _ANSWER.size:
-            kind, length = _ANSWER.unpack_from(self._said)
-            end = _ANSWER.size + length
-            if len(self._said) < end:
-                break
-            content = self._said[_ANSWER.size : end].decode("utf-8", "replace")
-            del self._said[:end]
-            if kind == _PICTURE:
-                return content
-            if kind == _ERROR:
-                self._model = None  # the process may not have the model
-                raise Refused(f"no picture: {content}")
-            self.drawn_by = content
-        return None
+            raise Refused("the process that renders pictures has ended") from None
+        self.drawn_by = answer.drawn_by
+        if answer.error:
+            self._model = None  # the process may not have the model
+            raise Refused(f"no picture: {answer.error}")
+        return answer.pixels
 
     def close(self) -> None:
         """End the process."""
         process, self._process, self._model = self._process, None, None
-        if self._request is not None:
-            self._request.close()
-            self._request = None
-        self._said.clear()
+        for pipe in (self._request, self._answers):
+            if pipe is not None:
+                pipe.close()
+        self._request = self._answers = None
         if process is not None:
             process.kill()
             with process:  # waits for it, and closes its pipes
                 pass
 
-    def _start(self) -> subprocess.Popen[bytes]:
+    def _begin(self) -> subprocess.Popen[bytes]:
         backend = gl_backend()
         if not backend:
             why = "there is no OpenGL"
@@ -172,33 +164,29 @@ class RenderProcess:
             why = ""
         environment = {**os.environ, "MUJOCO_GL": "disable" if why else backend}
         self._request, path = memory_file("request")
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "slidectl.physics.rendering", path, why],
-            bufsize=0,  # no unwritten data remains when the process has ended
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            pass_fds=[self._request.fileno()],
-            env=environment,
-            start_new_session=True,
-        )
+        self._answers, answers = Pipe(duplex=False)
+        with answers:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "slidectl.physics.rendering", path, str(answers.fileno()), why],
+                bufsize=0,  # no unwritten data remains when the process has ended
+                stdin=subprocess.PIPE,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                pass_fds=[self._request.fileno(), answers.fileno()],
+                env=environment,
+                start_new_session=True,
+            )
         return self._process
-
-
-def _binary(model: Any) -> bytes:
-    buffer = np.empty(mujoco.mj_sizeModel(model), np.uint8)
-    mujoco.mj_saveModel(model, None, buffer)
-    return buffer.tobytes()
 
 
 def _colours(world: World) -> Array:
     """Red, green, blue and alpha of each shape, by its link. Shape (n, 4)."""
     model = world.model
-    robots = {world.body(name).root_id: world.body(name) for name in world.names()}
+    robots = {world.robot(name).root_id: world.robot(name) for name in world.names()}
     colours = np.tile(np.array(link_colours.PLAIN), (model.ngeom, 1))
     for geom in range(model.ngeom):
-        body = robots.get(int(model.body_rootid[model.geom_bodyid[geom]]))
-        link = body.robot.links.get(link_of(model, geom, body.name)) if body is not None else None
+        robot = robots.get(int(model.body_rootid[model.geom_bodyid[geom]]))
+        link = robot.description.links.get(link_of(model, geom, robot.name)) if robot is not None else None
         if link is not None:
             colours[geom] = link_colours.of_link(link)
     return colours
@@ -210,18 +198,21 @@ def _colours(world: World) -> Array:
 class _CameraPictures:
     """The state of the rendering process: the model, and what draws it."""
 
-    def __init__(self, why: str, tell: Callable[[str], None]) -> None:
-        """`why`: the reason to draw by software, empty for OpenGL. `tell` hears how pictures are drawn."""
+    def __init__(self, why: str) -> None:
+        """`why`: the reason to draw by software, empty for OpenGL."""
         self._why = why
-        self._tell = tell
-        self._is_told = False
         self._model: Any = None
         self._drawer: _OpenGlDrawer | SoftwareDrawer | None = None
+
+    @property
+    def drawn_by(self) -> str:
+        """What draws: OpenGL, or software with the reason."""
+        return f"{BY_SOFTWARE}: {self._why}" if self._why else BY_OPENGL
 
     def render(self, frame: PictureRequest) -> bytes:
         """The pixels, row by row from the top."""
         if frame.model is not None:
-            self._take_model(frame)
+            self._set_model(frame)
         camera = frame.camera
         pixels = self._draw(frame).astype(np.float64)
         if camera.encoding == "mono8":
@@ -238,26 +229,17 @@ class _CameraPictures:
         if not self._why:
             try:
                 self._drawer = self._drawer or _OpenGlDrawer(self._model)
-                pixels = self._drawer.draw(frame.positions, frame.matrices, frame.camera, frame.pose)
-                self._say(BY_OPENGL)
-                return pixels
+                return self._drawer.draw(frame.positions, frame.matrices, frame.camera, frame.pose)
             except Exception as error:  # from the library, the driver or PyOpenGL
                 self._why, self._drawer = f"OpenGL cannot be used: {type(error).__name__}: {error}", None
-                self._is_told = False
         self._drawer = self._drawer or SoftwareDrawer(self._model)
-        self._say(f"{BY_SOFTWARE}: {self._why}")
         return self._drawer.draw(frame.positions, frame.matrices, frame.camera, frame.pose)
 
-    def _say(self, drawn_by: str) -> None:
-        if not self._is_told:
-            self._is_told = True
-            self._tell(drawn_by)
-
-    def _take_model(self, frame: PictureRequest) -> None:
+    def _set_model(self, frame: PictureRequest) -> None:
         if self._drawer is not None:
             self._drawer.close()
             self._drawer = None
-        self._model = mujoco.MjModel.from_binary_path("world.mjb", {"world.mjb": frame.model})
+        self._model = mujoco.MjModel.from_binary_path("world.mjb", {"world.mjb": frame.model.tobytes()})
         self._model.geom_rgba[:] = frame.colours
         self._model.vis.headlight.ambient[:] = _AMBIENT
         self._model.vis.headlight.specular[:] = 0.0
@@ -301,25 +283,20 @@ class _OpenGlDrawer:
             renderer.close()
 
 
-def main(source: BinaryIO, target: BinaryIO, request: str, why: str) -> None:
-    """For each byte from `source`, render the request in the file `request`. Ends at the end of `source`."""
-
-    def answer(kind: int, content: bytes) -> None:
-        target.write(_ANSWER.pack(kind, len(content)) + content)
-        target.flush()
-
-    pictures = _CameraPictures(why, lambda drawn_by: answer(_DRAWN_BY, drawn_by.encode()))
-    while source.read(1):
+def main(request: str, answers: str, why: str) -> None:
+    """For each byte from the standard input, render the request in a file, and send the answer to a descriptor."""
+    target, pictures = Connection(int(answers)), _CameraPictures(why)
+    while sys.stdin.buffer.read(1):
         with open(request, "rb") as file:
             frame = pickle.load(file)
+        pixels = trouble = ""
         try:
-            content = base64.b64encode(pictures.render(frame))
+            pixels = base64.b64encode(pictures.render(frame)).decode()
         except Exception as error:
-            answer(_ERROR, f"{type(error).__name__}: {error}".encode())
-        else:
-            answer(_PICTURE, content)
+            trouble = f"{type(error).__name__}: {error}"
+        target.send(tuple(_Answer(pixels, trouble, pictures.drawn_by)))
 
 
 if __name__ == "__main__":
     os.nice(10)  # the cycles of the world have priority
-    main(sys.stdin.buffer, sys.stdout.buffer, *sys.argv[1:])
+    main(*sys.argv[1:])

@@ -19,6 +19,7 @@ from slidectl.control.hardware_interface import (
     ImuSensorInterface,
     JointCommands,
     JointHandle,
+    JointStateHandle,
     JointStateInterface,
     PosVelJointHandle,
     RobotHW,
@@ -48,8 +49,7 @@ from slidectl.errors import Refused, SlidectlError, closest, listing, quoted
 from slidectl.physics import sensing
 from slidectl.physics.applied_forces import EffortTruncation, truncated
 from slidectl.physics.attached_robot import AttachedRobot, JointPlace
-from slidectl.physics.builder import BadTransmission
-from slidectl.physics.real_transmissions import ActuatorState, RealTransmission
+from slidectl.physics.builder import BadTransmission, loaded
 from slidectl.physics.world import World
 
 S = TypeVar("S", bound=Sensor)
@@ -64,7 +64,7 @@ class UnsupportedInterface(BadTransmission):
 
     def __init__(self, robot: str, transmission: TransmissionInfo, joint: TransmissionJoint) -> None:
         asked = joint.hardware_interfaces[0]
-        trouble = f"joint {joint.name!r} asks for {asked!r}, which simulated hardware has not"
+        trouble = f"joint {joint.name!r} requires {asked!r}, which simulated hardware does not have"
         near = closest(asked, [interface.written for interface in interfaces.ALL])
         meant = f"did you mean {near!r}? " if near else ""
         super().__init__(robot, transmission, trouble, f"{meant}it has: {interfaces.KNOWN}")
@@ -73,9 +73,9 @@ class UnsupportedInterface(BadTransmission):
 class MissingJoint(BadTransmission):
     """A transmission drives a joint that does not exist, or that is fixed, planar or floating."""
 
-    def __init__(self, body: AttachedRobot, transmission: TransmissionInfo, joint: str) -> None:
+    def __init__(self, robot: AttachedRobot, transmission: TransmissionInfo, joint: str) -> None:
         super().__init__(
-            body.name, transmission, f"no joint {joint!r} that moves", f"such joints: {listing(body.joints)}"
+            robot.name, transmission, f"no joint {joint!r} that moves", f"such joints: {listing(robot.joints)}"
         )
 
 
@@ -146,7 +146,7 @@ class HardwareJoint:
             self.handle.lowest, self.handle.highest = max(self.handle.lowest, -most), min(self.handle.highest, most)
 
 
-def hardware_joints(body: AttachedRobot) -> list[HardwareJoint]:
+def hardware_joints(robot: AttachedRobot) -> list[HardwareJoint]:
     """The joints that transmissions drive, in the order of the file (see `driving`): one for each joint and interface.
 
     Of several interfaces of a joint only the first counts, with or without its prefix. Of a real transmission all that
@@ -156,14 +156,14 @@ def hardware_joints(body: AttachedRobot) -> list[HardwareJoint]:
         UnsupportedInterface, MissingJoint: a transmission cannot be simulated.
     """
     joints: list[HardwareJoint] = []
-    for transmission, driven in driving(body.robot.transmissions):
+    for transmission, driven in driving(robot.description.transmissions):
         found = [interface for interface in map(interfaces.find, driven.hardware_interfaces) if interface is not None]
         if not found:
-            raise UnsupportedInterface(body.name, transmission, driven)
+            raise UnsupportedInterface(robot.name, transmission, driven)
         try:
-            joint = body.place(driven.name).joint
+            joint = robot.place(driven.name).joint
         except SlidectlError as error:
-            raise MissingJoint(body, transmission, driven.name) from error
+            raise MissingJoint(robot, transmission, driven.name) from error
         joints += [HardwareJoint(joint, COMMAND_INTERFACES[interface]) for interface in dict.fromkeys(found)]
     return joints
 
@@ -320,6 +320,58 @@ def _pid_of(joint: HardwareJoint, node: NodeHandle) -> Pid | None:
         return None
 
 
+class ActuatorState(NamedTuple):
+    """State of an actuator, on its side: position in m or rad, velocity in m/s or rad/s, effort in N or N·m."""
+
+    name: str
+    position: float
+    velocity: float
+    effort: float
+
+
+class RealTransmission:
+    """A transmission whose actuators limit the joint efforts. Their rotors are in the model (builder.py)."""
+
+    def __init__(self, robot: AttachedRobot, info: TransmissionInfo) -> None:
+        """Raises BadTransmission: the loaders of ros_control refuse it."""
+        self._maths, joints, self._actuators = loaded(robot.description, robot.name, info)
+        self.joints = [joint.name for joint in joints]
+        self._most = [actuator.max_effort for actuator in self._actuators]
+        self.is_limited = min(self._most) < math.inf
+        self.bind(robot)
+
+    def bind(self, robot: AttachedRobot) -> None:
+        """Find the joints after a rebuild of the model."""
+        self._dofs = [robot.place(joint).dof for joint in self.joints]
+
+    def most_effort(self, joint: str) -> float:
+        """The largest effort on a joint that all actuators can give together, N or N·m."""
+        at, size = self.joints.index(joint), len(self._most)
+        units = [[float(row == column) for row in range(size)] for column in range(size)]
+        gains = [abs(self._maths.joint_effort(unit)[at]) for unit in units]
+        return float(sum(gain * most for gain, most in zip(gains, self._most, strict=True) if gain))
+
+    def bound(self, forces: memoryview[float]) -> None:
+        """Clip the joint efforts of the step, by dof, so that each actuator is within its limit.
+
+        When no actuator exceeds its limit, the efforts stay the same to the bit.
+        """
+        asked = self._maths.actuator_effort([forces[dof] for dof in self._dofs])
+        given = [max(-most, min(effort, most)) for effort, most in zip(asked, self._most, strict=True)]
+        if given != asked:
+            for dof, effort in zip(self._dofs, self._maths.joint_effort(given), strict=True):
+                forces[dof] = effort
+
+    def states(self, handles: Mapping[str, JointStateHandle]) -> Sequence[ActuatorState]:
+        """The states of the actuators, computed from the joint states of the last read."""
+        joints = [handles[joint] for joint in self.joints]
+        positions = self._maths.actuator_position([joint.position for joint in joints])
+        velocities = self._maths.actuator_velocity([joint.velocity for joint in joints])
+        efforts = self._maths.actuator_effort([joint.effort for joint in joints])
+        names = [actuator.name for actuator in self._actuators]
+        return [ActuatorState(*row) for row in zip(names, positions, velocities, efforts, strict=True)]
+
+
 _Measured = tuple[JointHandle, int, int]
 """Handle, index into qpos, index into qvel and forces."""
 _Pushed = tuple[JointHandle, int, float, float]
@@ -351,28 +403,28 @@ class MujocoRobotHW(RobotHW):
         UnsupportedInterface, MissingJoint: a transmission cannot be simulated. BadLimits: limits that no handle takes.
     """
 
-    def __init__(self, world: World, body: AttachedRobot, robot: Robot, node: NodeHandle, namespace: str) -> None:
+    def __init__(self, world: World, attached: AttachedRobot, robot: Robot, node: NodeHandle, namespace: str) -> None:
         super().__init__()
         self.robot = robot
         self._world = world
-        self._loads = world.loads
-        self._body = body
+        self._applied_forces = world.applied_forces
+        self._attached = attached
         self._places: dict[str, JointPlace] = {}
-        self._offered = hardware_joints(body)
+        self._offered = hardware_joints(attached)
         first = {joint.name: joint for joint in reversed(self._offered)}
         are_real = any(transmission.is_real for transmission in robot.transmissions)
         self._joints = [joint for joint in self._offered if not are_real or first[joint.name] is joint]
         """The joints that are driven now, each through one interface."""
         node = node if node.namespace == namespace else node.child(namespace)
         self._register(node)
-        self._transmissions = tuple(RealTransmission(body, info) for info in robot.transmissions if info.is_real)
+        self._transmissions = tuple(RealTransmission(attached, info) for info in robot.transmissions if info.is_real)
         self._limited = tuple(transmission for transmission in self._transmissions if transmission.is_limited)
         self._most = {joint: gears.most_effort(joint) for gears in self._limited for joint in gears.joints}
         self._drive_of = {joint: drive_for(joint, node) for joint in self._offered if not self._is_pushed(joint)}
         self._held: list[float] | None = None
         self._estop = False
         self.engage()
-        body.on_rebound(self._bind)
+        attached.on_rebound(self._bind)
         # CPython creates an object's dict at the first call of `vars`, and its attributes are then slower: `read` and
         # `write` take a third longer. So `vars` is never called on our own class.
         self._inherited = frozenset(vars(self)) | {"_inherited"} if is_of_a_user(type(self)) else None
@@ -385,8 +437,8 @@ class MujocoRobotHW(RobotHW):
     def about_joint(self, name: str) -> str:
         joint = self.robot.joints.get(name)
         if joint is None:
-            return f"the model has no joint {quoted(name)}; it has: {listing(self._body.joints)}"
-        if name not in self._body.joints:
+            return f"the model has no joint {quoted(name)}; it has: {listing(self._attached.joints)}"
+        if name not in self._attached.joints:
             return f"joint {quoted(name)} is {joint.type}: it does not move, so nothing can command it"
         if not any(offered.name == name for offered in self._offered):
             return (
@@ -397,15 +449,15 @@ class MujocoRobotHW(RobotHW):
 
     def joint_state(self, joint: str) -> tuple[float, float, float]:
         """Position, velocity and effort of any moving joint, of the last step. Raises UnknownName."""
-        return self._world.joint_state(self._body.name, joint)
+        return self._world.joint_state(self._attached.name, joint)
 
     def joint_effort(self, joint: str) -> float:
         """The hardware's effort on a joint in the coming step. Raises UnknownName."""
-        return self._world.views.forces[self._body.place(joint).dof]
+        return self._world.views.forces[self._attached.place(joint).dof]
 
     def set_joint_effort(self, joint: str, effort: float) -> None:
         """Replace the effort after `write`. On a joint without transmission it stays. Raises UnknownName."""
-        self._world.views.forces[self._body.place(joint).dof] = effort
+        self._world.views.forces[self._attached.place(joint).dof] = effort
 
     def engage(self) -> None:
         """Set up drives, limits and motors for the present interfaces of the joints."""
@@ -419,8 +471,8 @@ class MujocoRobotHW(RobotHW):
                 motors[name] = math.inf
             elif drive.kind == VELOCITY_MOTOR:
                 motors[name] = min(drive.limit, self._most.get(name, math.inf))
-        if motors or self._loads.motors.has(self._body):
-            self._world.set_motors(self._body, motors)
+        if motors or self._applied_forces.motors.of_robot(self._attached.name):
+            self._world.set_motors(self._attached, motors)
         self.estop = self._estop
         self._places = {}
         self._bind()
@@ -438,7 +490,7 @@ class MujocoRobotHW(RobotHW):
             handle.position = unwrapped(handle.position, qpos[place])
             handle.velocity = qvel[dof]
             handle.effort = forces[dof]
-        if self._loads.has_efforts:
+        if self._applied_forces.has_efforts:
             efforts = self._efforts
             for handle, _, dof in (*self._sliding, *self._turning):
                 handle.effort += efforts[dof]
@@ -517,7 +569,7 @@ class MujocoRobotHW(RobotHW):
         """All joints that have a command, with their indices, valid until the next rebuild."""
         driven = []
         for joint in self._joints:
-            place, bounds = self._body.place(joint.name), EffortTruncation.of(joint.joint)
+            place, bounds = self._attached.place(joint.name), EffortTruncation.of(joint.joint)
             turns, is_pushed = joint.joint.type != "prismatic", self._is_pushed(joint)
             driven.append(
                 DrivenJoint(joint.handle, place.qpos, place.dof, turns, is_pushed, bounds.effort, bounds.velocity)
@@ -572,7 +624,7 @@ class MujocoRobotHW(RobotHW):
             if drive.pid is not None:
                 drive.pid.reset()
         self._held = None
-        self.stay(self._body.start)
+        self.stay(self._attached.start)
         self.read(0, 0.0)
 
     def save_state(self) -> dict[str, Any]:
@@ -616,7 +668,7 @@ class MujocoRobotHW(RobotHW):
         """Handles of the model's sensors of a kind. They measure only when called."""
 
         def handle(sensor: S) -> SensorHandle[D]:
-            world, robot = self._world, self._body.name
+            world, robot = self._world, self._attached.name
             return SensorHandle(sensor.name, sensor.frame, lambda: measure(world, robot, sensor, world.clock()))
 
         return (handle(sensor) for sensor in self.robot.sensors if isinstance(sensor, kind))
@@ -630,19 +682,19 @@ class MujocoRobotHW(RobotHW):
         """Use the data of a rebuilt model, and find the joints again if their indices have changed."""
         self._qpos, self._qvel, self._forces, self._efforts, _ = self._world.views
         for drive in self.drives:
-            drive.bind(self._world, self._body.place(drive.joint.name))
-        if self._places is not self._body.joints:
-            self._places = self._body.joints
+            drive.bind(self._world, self._attached.place(drive.joint.name))
+        if self._places is not self._attached.joints:
+            self._places = self._attached.joints
             self._find_joints()
 
     def _find_joints(self) -> None:
-        self._driven = tuple({self._body.place(drive.joint.name).dof for drive in self.drives})
+        self._driven = tuple({self._attached.place(drive.joint.name).dof for drive in self.drives})
         sliding: list[_Measured] = []
         turning: list[_Measured] = []
         for transmission in self._transmissions:
-            transmission.bind(self._body)
+            transmission.bind(self._attached)
         for joint in self._offered:
-            place = self._body.place(joint.name)
+            place = self._attached.place(joint.name)
             group = sliding if joint.joint.type == "prismatic" else turning
             group.append((joint.handle, place.qpos, place.dof))
         self._sliding, self._turning = tuple(sliding), tuple(turning)

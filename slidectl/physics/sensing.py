@@ -89,7 +89,7 @@ def boxes(world: World, robot: str, frame: Pose) -> Array:
     The box of a rotated shape bounds the shape's own box. Raises UnknownName.
     """
     model, data = world.model, world.present()
-    geoms = np.flatnonzero(model.body_rootid[model.geom_bodyid] == world.body(robot).root_id)
+    geoms = np.flatnonzero(model.body_rootid[model.geom_bodyid] == world.robot(robot).root_id)
     centres, halves = model.geom_aabb[geoms, :3], model.geom_aabb[geoms, 3:]
     turn = np.zeros(9)
     mujoco.mju_quat2Mat(turn, np.array([frame[1][3], *frame[1][:3]]))
@@ -116,7 +116,7 @@ def _accelerations(world: World, robot: str, link: str, origin: Pose) -> tuple[V
     Returns the linear acceleration as an accelerometer measures it, with the reaction to gravity; the angular
     acceleration; the sensor's attitude at that time. The first two are in the world's axes.
     """
-    model, data, place = world.model, world.data, world.body(robot).link(link)
+    model, data, place = world.model, world.data, world.robot(robot).link(link)
     world.compute_body_forces()
     found, moving, kind = np.zeros(6), np.zeros(6), mujoco.mjtObj.mjOBJ_XBODY
     mujoco.mj_objectAcceleration(model, data, kind, place.body, found, 0)
@@ -185,22 +185,22 @@ def force_torque(world: World, robot: str, sensor: ForceTorque, time_ns: int) ->
 
     As in Gazebo, this is the wrench of the child link on the joint, or the opposite, by the sensor's direction.
     """
-    model, data, body = world.model, world.data, world.body(robot).link(sensor.link).body
+    model, data, body = world.model, world.data, world.robot(robot).link(sensor.link).body
     world.compute_body_forces()
     anchor = data.xpos[body]
     # The wrench of the parent on the child, about the centre of mass of the whole robot.
     torque, force = data.cfrc_int[body, :3].copy(), data.cfrc_int[body, 3:].copy()
     torque += np.cross(data.subtree_com[model.body_rootid[body]] - anchor, force)
     # Subtract the external wrenches and the gravity compensation of the bodies below, which MuJoCo does not include.
-    outside = world.loads.wrenches_of_step(data)
+    outside = world.applied_forces.wrenches_of_step(data)
     for below in _subtree(model, body):
         push, turn = -model.body_gravcomp[below] * model.body_mass[below] * model.opt.gravity, np.zeros(3)
         if outside is not None:
             push, turn = push + outside[below, :3], outside[below, 3:]
         force -= push
         torque -= turn + np.cross(data.xipos[below] - anchor, push)
-    link = world.body(robot).robot.joints[sensor.joint].parent if sensor.in_parent else sensor.link
-    place = world.body(robot).link(link)
+    link = world.robot(robot).description.joints[sensor.joint].parent if sensor.in_parent else sensor.link
+    place = world.robot(robot).link(link)
     w, x, y, z = data.xquat[place.body].tolist()
     back = conjugate(multiply((x, y, z, w), place.frame[1]))
     sign, draw = 1.0 if sensor.on_child else -1.0, draws(robot, sensor, time_ns)
@@ -220,9 +220,9 @@ def _subtree(model: mujoco.MjModel, body: int) -> Iterator[int]:
 
 def touches(world: World, robot: str, link: str) -> list[Touch]:
     """The contacts of a link with other robots, its own robot and the ground in the last step. Raises UnknownName."""
-    model, data, body = world.model, world.data, world.body(robot)
+    model, data, body = world.model, world.data, world.robot(robot)
     body.link(link)
-    robots = {world.body(name).root_id: name for name in world.names()}
+    robots = {world.robot(name).root_id: name for name in world.names()}
     found: list[Touch] = []
     wrench = np.zeros(6)
     for index in range(data.ncon):

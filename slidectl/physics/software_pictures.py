@@ -1,6 +1,6 @@
 """Pictures of cameras without OpenGL: the shapes of a MuJoCo model as triangles, drawn by numpy.
 
-Light is as MuJoCo's: from the camera, and from the lights of the world. Shadows, gloss, haze and transparency are not
+Light is as MuJoCo's: from the camera, and from the world's spotlight. Shadows, gloss, haze and transparency are not
 drawn.
 """
 
@@ -31,7 +31,7 @@ class SoftwareDrawer:
         self._model = model
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
-        self._lights = [_WorldLight(model, data, number) for number in range(model.nlight)]
+        self._sun = _Spotlight(model, data)
         solid = [geom for geom in range(model.ngeom) if model.geom_rgba[geom, 3] > 0.0]
         self._planes = [geom for geom in solid if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE]
         shapes = {geom: _triangles(model, geom) for geom in solid if geom not in self._planes}
@@ -61,33 +61,27 @@ class SoftwareDrawer:
     def _light(self, ahead: Array, points: Array, normals: Array) -> Array:
         head = self._model.vis.headlight
         light: Array = head.ambient + (-normals @ ahead).clip(0.0)[:, None] * head.diffuse
-        for one in self._lights:
-            light = light + one.on(points, normals)
-        return light
+        return light + self._sun.on(points, normals)
 
 
-class _WorldLight:
-    """A light of the world, as OpenGL's fixed functions compute it."""
+class _Spotlight:
+    """The light of the world, as OpenGL's fixed functions compute it."""
 
-    def __init__(self, model: Any, data: Any, number: int) -> None:
-        self._place, self._direction = data.light_xpos[number], data.light_xdir[number]
-        self._is_directional = model.light_type[number] == mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
-        self._diffuse, self._ambient = model.light_diffuse[number], model.light_ambient[number]
-        self._attenuation = model.light_attenuation[number]
-        self._widest = np.cos(np.radians(model.light_cutoff[number]))
-        self._exponent = float(model.light_exponent[number])
+    def __init__(self, model: Any, data: Any) -> None:
+        self._place, self._direction = data.light_xpos[0], data.light_xdir[0]
+        self._diffuse, self._ambient = model.light_diffuse[0], model.light_ambient[0]
+        self._attenuation = model.light_attenuation[0]
+        self._widest = np.cos(np.radians(model.light_cutoff[0]))
+        self._exponent = float(model.light_exponent[0])
 
     def on(self, points: Array, normals: Array) -> Array:
         """The light on surfaces at points (n, 3) with normals (n, 3): shape (n, 3)."""
-        if self._is_directional:
-            towards, strength = np.tile(-self._direction, (len(points), 1)), np.ones(len(points))
-        else:
-            towards = self._place - points
-            distances = np.maximum(np.linalg.norm(towards, axis=1), 1e-9)
-            towards /= distances[:, None]
-            ahead = -towards @ self._direction
-            strength = np.where(ahead >= self._widest, ahead.clip(0.0) ** self._exponent, 0.0)
-            strength /= np.polynomial.polynomial.polyval(distances, self._attenuation)
+        towards = self._place - points
+        distances = np.maximum(np.linalg.norm(towards, axis=1), 1e-9)
+        towards /= distances[:, None]
+        ahead = -towards @ self._direction
+        strength = np.where(ahead >= self._widest, ahead.clip(0.0) ** self._exponent, 0.0)
+        strength /= np.polynomial.polynomial.polyval(distances, self._attenuation)
         cosines = np.einsum("ij,ij->i", normals, towards).clip(0.0)
         light: Array = strength[:, None] * (self._ambient + cosines[:, None] * self._diffuse)
         return light

@@ -98,7 +98,7 @@ def split(mesh: Triangles) -> list[Array] | None:
 
 def encoded(pieces: Sequence[Array]) -> bytes:
     """The pieces as one STL file."""
-    return _written(zip(pieces, range(len(pieces)), strict=True), _MARK)
+    return written(zip(pieces, range(len(pieces)), strict=True), _MARK)
 
 
 def decoded(stl: bytes) -> list[bytes]:
@@ -107,7 +107,7 @@ def decoded(stl: bytes) -> list[bytes]:
         return [stl]
     facets = _facets(stl)
     starts = np.flatnonzero(np.diff(facets["piece"])) + 1
-    return [_written([(piece["corners"], 0)]) for piece in np.split(facets, starts)]
+    return [written([(piece["corners"], 0)]) for piece in np.split(facets, starts)]
 
 
 def corners(stl: bytes) -> Array:
@@ -119,7 +119,8 @@ def _facets(stl: bytes) -> Array:
     return np.frombuffer(stl, _FACET, offset=_HEADER)
 
 
-def _written(pieces: Iterable[tuple[Array, int]], mark: bytes = b"") -> bytes:
+def written(pieces: Iterable[tuple[Array, int]], mark: bytes = b"") -> bytes:
+    """A binary STL file of triangles (n x 3 x 3), each with the number of its piece; `mark` begins its header."""
     parts = []
     for triangles, number in pieces:
         facets = np.zeros(len(triangles), _FACET)

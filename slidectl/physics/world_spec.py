@@ -15,8 +15,8 @@ import mujoco
 from slidectl.errors import SlidectlError
 from slidectl.physics import mujoco_library
 from slidectl.physics.attached_robot import AttachedRobot
-from slidectl.physics.builder import RobotBuilder, put_friction
-from slidectl.physics.collisions import put_robots
+from slidectl.physics.builder import RobotBuilder, set_friction
+from slidectl.physics.collisions import set_collision_bits
 from slidectl.rotations import Vector
 
 GROUND = "ground_plane"
@@ -54,21 +54,21 @@ class Settings:
 class WorldSpec:
     """The specification of a world with robots. After an error it must not be used further."""
 
-    def __init__(self, settings: Settings, bodies: Iterable[AttachedRobot] = ()) -> None:
+    def __init__(self, settings: Settings, robots: Iterable[AttachedRobot] = ()) -> None:
         """Raises as `add` does."""
         self._settings = settings
         self._spec = _empty(settings.ground)
-        for body in bodies:
-            self.add(body)
+        for robot in robots:
+            self.add(robot)
 
-    def add(self, body: AttachedRobot) -> None:
+    def add(self, robot: AttachedRobot) -> None:
         """Add a robot after the others. Raises BadInertia, BadJoint, BadShape."""
-        RobotBuilder(self._spec, body.robot, body.name, body.hulls).build(body.spawn_pose)
+        RobotBuilder(self._spec, robot.description, robot.name, robot.hulls).build(robot.spawn_pose)
 
-    def remove(self, body: AttachedRobot) -> None:
+    def remove(self, robot: AttachedRobot) -> None:
         """Remove a robot, with its meshes and the constraints on its joints (mimic joints)."""
-        self._spec.delete(self._spec.body(f"{body.name}/{body.robot.root}"))
-        for mesh in [mesh for mesh in self._spec.meshes if mesh.name.startswith(f"{body.name}/")]:
+        self._spec.delete(self._spec.body(f"{robot.name}/{robot.description.root}"))
+        for mesh in [mesh for mesh in self._spec.meshes if mesh.name.startswith(f"{robot.name}/")]:
             self._spec.delete(mesh)
         used = {mesh.file for mesh in self._spec.meshes}
         for name in [name for name in self._spec.assets if name not in used]:
@@ -85,7 +85,7 @@ class WorldSpec:
             raise _explained(str(error), newest) from error
         # Older versions scale the solver's tolerance with the mean inertia of the whole world.
         model.stat.meaninertia = 1.0
-        put_robots(model)
+        set_collision_bits(model)
         return model
 
 
@@ -111,7 +111,7 @@ def _empty(ground: bool) -> Any:
     if ground:
         # At z = 0, with the friction of Gazebo's ground, so that in nearly all contacts the robot's friction counts.
         plane = spec.worldbody.add_geom(name=GROUND, type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1])
-        put_friction(plane, GROUND_FRICTION)
+        set_friction(plane, GROUND_FRICTION)
     return spec
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from slidectl.control.duration import NANOSECONDS, to_stamp
@@ -20,14 +21,12 @@ EACH_STEP_NS = 1
 _FEW = 64
 
 
+@dataclass(slots=True, eq=False)
 class Clock:
     """The time of the last cycle begun, and the number of cycles."""
 
-    __slots__ = ("cycles", "time_ns")
-
-    def __init__(self) -> None:
-        self.time_ns = 0
-        self.cycles = 0
+    time_ns: int = 0
+    cycles: int = 0
 
     def now_ns(self) -> int:
         """Time in nanoseconds."""
@@ -61,30 +60,28 @@ class ClockTopic:
         """Publish if due, as a cycle begins. Times are multiples of the period, independent of subscribers."""
         period = self._period_ns
         if not period or time_ns // period != (time_ns - step_ns) // period:
-            self.publisher.publish({"clock": to_stamp(time_ns)})
+            self.publish(time_ns)
 
-    def publish_now(self, time_ns: int) -> None:
-        """Publish after the clock was set, so that subscribers need not wait for the next cycle."""
+    def publish(self, time_ns: int) -> None:
+        """Publish this time: also after the clock was set, so that subscribers need not wait for the next cycle."""
         if self.publisher.wanted:
             self.publisher.publish({"clock": to_stamp(time_ns)})
 
 
+@dataclass(slots=True, eq=False)
 class Timer:
     """One entry. `period_ns` 0 is a single shot; a periodic timer fires at multiples of its period.
 
     An `absolute` timer keeps its due time when the clock is set.
     """
 
-    __slots__ = ("absolute", "active", "callback", "due_ns", "number", "period_ns")
-
-    def __init__(self, due_ns: int, callback: Callable[[], None], period_ns: int = 0, absolute: bool = False) -> None:
-        self.absolute = absolute
-        self.due_ns = due_ns
-        self.callback = callback
-        self.period_ns = period_ns
-        self.active = True
-        self.number = 0
-        """Orders timers that are due at the same time: the lower number fires first. 0: the timer was never set."""
+    due_ns: int
+    callback: Callable[[], None]
+    period_ns: int = 0
+    absolute: bool = False
+    active: bool = True
+    number: int = 0
+    """Orders timers that are due at the same time: the lower number fires first. 0: the timer was never set."""
 
     def cancel(self) -> None:
         """Cancel the timer: it does not fire again. No effect when it has fired."""
@@ -149,7 +146,7 @@ class Timers:
 
     def rebase(self, old_ns: int, new_ns: int) -> None:
         """Follow a clock that was set from `old_ns` to `new_ns`: running durations keep their remaining time."""
-        timers = [entry[2] for entry in sorted(self._heap, key=lambda entry: entry[:2]) if _counts(entry)]
+        timers = [entry[2] for entry in sorted(self._heap) if _counts(entry)]
         self._heap.clear()
         for timer in timers:
             if timer.period_ns:

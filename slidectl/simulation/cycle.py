@@ -8,7 +8,7 @@ times are integer nanoseconds.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from slidectl.control.duration import to_seconds
 from slidectl.control.laws import law
@@ -63,26 +63,22 @@ def is_sane(velocities: memoryview[float]) -> bool:
 
 
 class CycleFailed(SlidectlError):
-    """Code of a user's class has failed in a cycle, which cannot go on without it."""
+    """Code of a user's class, hardware or a feature, has failed in a cycle, which cannot go on without it."""
 
 
-class HardwareFailed(CycleFailed):
-    """Hardware of a user's class has failed in a cycle."""
-
-
-def guarded(hardware: RobotHW, hook: Callable[[int, float], None], code: UserCode) -> Callable[[int, float], None]:
-    """The hook. That of a user's class is wrapped: any exception becomes HardwareFailed, with file and line."""
-    if not is_of_a_user(type(hardware)):
+def guarded(hook: Callable[..., None], what: str, cls: type, code: UserCode) -> Callable[..., None]:
+    """The hook of the class. That of a user's is wrapped: any exception becomes CycleFailed, with file and line."""
+    if not is_of_a_user(cls):
         return hook
-    guard = HookGuard(type(hardware), code)
+    guard = HookGuard(cls, code)
 
-    def call(time_ns: int, period_s: float) -> None:
+    def call(*arguments: Any) -> None:
         try:
             with guard:
-                hook(time_ns, period_s)
+                hook(*arguments)
         except Exception as failure:
             text = failure.message if issubclass(type(failure), SlidectlError) else raised(failure)  # type: ignore[attr-defined]
-            raise HardwareFailed(f"{type(hardware).__name__}.{hook.__name__}: {text}") from failure
+            raise CycleFailed(f"{what}: {text}") from failure
 
     return call
 
@@ -118,22 +114,16 @@ class ControlCycle:
         "_read",
         "_stages",
         "_update",
-        "_was_stopped",
         "_write",
-        "control_period_ns",
-        "emergency_stop",
         "is_intercepted",
-        "last_update_ns",
-        "last_write_ns",
-        "period_ns",
-        "period_s",
-        "write_period_ns",
-        "write_period_s",
+        *saved_attributes,
     )
 
     def __init__(self, hardware: RobotHW, manager: ControllerManager, control_period_ns: int, time_ns: int) -> None:
         """`time_ns` is the present time. From 0 the first period would be the whole simulated time so far."""
-        read, write = (guarded(hardware, hook, manager.known.code) for hook in (hardware.read, hardware.write))
+        cls, code = type(hardware), manager.known.code
+        read = guarded(hardware.read, f"{cls.__name__}.read", cls, code)
+        write = guarded(hardware.write, f"{cls.__name__}.write", cls, code)
         self._stages = Stages(read, manager.update, write)
         self._interceptors: dict[object, Callable[[Stages], Stages]] = {}
         self._read, self._update, self._write = self._stages
@@ -163,7 +153,7 @@ class ControlCycle:
             stages = one(stages)
         self._read, self._update, self._write = stages
 
-    def look(self, time_ns: int) -> None:
+    def read_joints(self, time_ns: int) -> None:
         """Read the joints outside of a cycle."""
         self._read(time_ns, 0.0)
 
@@ -204,7 +194,7 @@ class Runner:
         """
         raise NotImplementedError
 
-    def take_robots(self, robots: Sequence[SpawnedRobot]) -> None:
+    def set_robots(self, robots: Sequence[SpawnedRobot]) -> None:
         """Replace the robots, in this order."""
         raise NotImplementedError
 
@@ -229,7 +219,7 @@ class PlainRunner(Runner):
         self._loop = loop
         self._cycles: tuple[Callable[[int], None], ...] = ()
 
-    def take_robots(self, robots: Sequence[SpawnedRobot]) -> None:
+    def set_robots(self, robots: Sequence[SpawnedRobot]) -> None:
         self._cycles = (*self._loop.before_cycle, *(robot.parts.cycle.run for robot in robots))
 
     def run(self, count: int) -> int:

@@ -12,12 +12,12 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from slidectl.control.controller_manager import CallbackGuard
-from slidectl.control.user_classes import HookGuard, import_named, is_of_a_user, raised, watched_for
+from slidectl.control.user_classes import import_named, is_of_a_user, watched_for
 from slidectl.entry_points import Part, PartError, Registry
 from slidectl.errors import BadFile, Refused, SlidectlError, UnknownName
 from slidectl.names import OWN_NODE, is_component, join
 from slidectl.simulation.clock import EACH_STEP_NS
-from slidectl.simulation.cycle import CycleFailed
+from slidectl.simulation.cycle import guarded
 
 if TYPE_CHECKING:
     from slidectl.control.node_handle import Message
@@ -119,7 +119,7 @@ class NotAFeature(BadFile):
 
     def __init__(self, what: str, file: str) -> None:
         hint = f"class {what}(slidectl.simulation.Feature): ..."
-        super().__init__(f"{what} is no feature: it is not derived from slidectl.simulation.Feature", file, None, hint)
+        super().__init__(f"{what} is not derived from slidectl.simulation.Feature", file, None, hint)
 
 
 class FeatureNameTaken(Refused):
@@ -127,10 +127,6 @@ class FeatureNameTaken(Refused):
 
     def __init__(self, name: str) -> None:
         super().__init__(f"there is a feature {name!r} already", "give the entry point another name")
-
-
-class FeatureFailed(CycleFailed):
-    """A hook of a feature has failed in a cycle."""
 
 
 class BrokenFeature(PartError):
@@ -180,36 +176,22 @@ def _installed_class(part: Part, code: UserCode) -> type[Feature]:
 
 
 def _hook(feature: Feature, name: str, code: UserCode) -> Callable[..., Any] | None:
-    """The hook of a feature, None when it does not override it. An error of a user's hook becomes Refused."""
+    """The hook of a feature, None when it does not override it.
+
+    An error of a user's hook becomes Refused, or CycleFailed in a hook that is called in each cycle.
+    """
     if getattr(type(feature), name) is getattr(Feature, name):
         return None
     method: Callable[..., Any] = getattr(feature, name)
+    what = f"{name} of the feature"
+    if name in ("before_cycle", "after_cycle"):
+        return guarded(method, f"{what} {feature.name}", type(feature), code)
     if not is_of_a_user(type(feature)):
         return method
 
     def watched(*arguments: Any) -> Any:
-        with watched_for(f"{name} of the feature", feature.name, code):
+        with watched_for(what, feature.name, code):
             return method(*arguments)
-
-    return watched
-
-
-def _cycle_hook(feature: Feature, name: str, code: UserCode) -> Callable[[int], None] | None:
-    """A hook that is called in each cycle, as `_hook`. An error of a user's hook becomes FeatureFailed."""
-    if getattr(type(feature), name) is getattr(Feature, name):
-        return None
-    method: Callable[[int], None] = getattr(feature, name)
-    if not is_of_a_user(type(feature)):
-        return method
-    guard = HookGuard(type(feature), code)
-
-    def watched(time_ns: int) -> None:
-        try:
-            with guard:
-                method(time_ns)
-        except Exception as failure:
-            text = failure.message if isinstance(failure, SlidectlError) else raised(failure)
-            raise FeatureFailed(f"{name} of the feature {feature.name}: {text}") from failure
 
     return watched
 
@@ -222,7 +204,8 @@ class Features:
         self._features: dict[str, Feature] = {}
         self.broken: list[PartError] = []
         """Broken features of installed packages."""
-        self._resets: list[Callable[[], None]] = []
+        self.resets: list[Callable[[], None]] = []
+        """What a reset calls, in this order."""
 
     def attach_all(self) -> None:
         """Attach our features and those of installed packages. Broken ones of these are in `broken`."""
@@ -290,10 +273,10 @@ class Features:
         if (on_delete := _hook(feature, "on_delete", code)) is not None:
             simulation.robots.on_spawn.append(lambda robot: robot.cleanup.callback(on_delete, robot))
         if (reset := _hook(feature, "reset", code)) is not None:
-            self._resets.append(reset)
-        if (before := _cycle_hook(feature, "before_cycle", code)) is not None:
+            self.resets.append(reset)
+        if (before := _hook(feature, "before_cycle", code)) is not None:
             simulation.loop.add_before_cycle(before)
-        if (after := _cycle_hook(feature, "after_cycle", code)) is not None:
+        if (after := _hook(feature, "after_cycle", code)) is not None:
             clock = simulation.graph.clock
             simulation.graph.timers.every(EACH_STEP_NS, lambda: after(clock.time_ns))
 
@@ -315,10 +298,6 @@ class Features:
             if isinstance(feature, cls):
                 return feature
         raise UnknownFeature(cls.__name__, list(self._features))
-
-    def resets(self) -> Sequence[Callable[[], None]]:
-        """What a reset calls, in this order."""
-        return self._resets
 
     def with_state(self) -> dict[str, Feature]:
         """The features of which a snapshot saves a state, by name."""

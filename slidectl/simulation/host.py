@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
 from slidectl.control.node_handle import Message
-from slidectl.control.user_modules import CodeHost, CodeLimit, UserModule
+from slidectl.control.user_modules import CodeHost, CodeLimit
 from slidectl.description.robot import Camera
 from slidectl.errors import Refused, SlidectlError
 from slidectl.physics import World, hulls
@@ -30,10 +30,10 @@ _KEPT_LINES = 200
 class InputRecorder(Protocol):
     """Takes note of what clients do to a world."""
 
-    def take(self, session: Any, line: bytes, message: Message) -> None:
+    def record(self, session: Any, line: bytes, message: Message) -> None:
         """A client, known by its session, has sent a line. Called before it is handled, with the decoded message."""
 
-    def gone(self, session: Any) -> None:
+    def record_end(self, session: Any) -> None:
         """The client of the session has disconnected."""
 
 
@@ -69,14 +69,14 @@ class Host(CodeHost):
         """
         raised: list[SlidectlError] = []
 
-        def look_and_tell() -> tuple[Any, str]:
+        def attempt() -> tuple[Any, str]:
             try:
                 return look(), ""
             except SlidectlError as error:
                 raised.append(error)
                 return None, str(error)
 
-        found, trouble = self.read(what, look_and_tell)
+        found, trouble = self.read(what, attempt)
         if trouble:
             raise raised[0] if raised else Refused(trouble)
         return found
@@ -103,10 +103,8 @@ class Host(CodeHost):
         renderer = self._renderer = self._renderer or RenderProcess()
 
         def render() -> str:
-            renderer.ask(renderer.look(world, camera, pose, seed))
-            while (picture := renderer.take()) is None:
-                pass
-            return picture
+            renderer.start(renderer.request(world, camera, pose, seed))
+            return renderer.receive()
 
         return Pending.attempt(render)
 
@@ -163,32 +161,15 @@ class HostWrapper(Host):
         super().attach(simulation)
         self.inner.attach(simulation)
 
-    def read(self, what: str, look: Callable[[], Any]) -> Any:
-        return self.inner.read(what, look)
 
-    def imported(self, module: UserModule) -> None:
-        self.inner.imported(module)
+def _passed_on(name: str) -> Callable[..., Any]:
+    def call(self: HostWrapper, *arguments: Any) -> Any:
+        return getattr(self.inner, name)(*arguments)
 
-    def read_meshes(self, sources: Sequence[MeshSource]) -> Pending:
-        return self.inner.read_meshes(sources)
+    return call
 
-    def render(self, world: World, camera: Camera, pose: Pose, seed: int) -> Pending:
-        return self.inner.render(world, camera, pose, seed)
 
-    def drawn_by(self) -> str:
-        return self.inner.drawn_by()
-
-    def log(self, severity: str, node: str, text: str, time_ns: int) -> None:
-        self.inner.log(severity, node, text, time_ns)
-
-    def let_go(self, node: str) -> None:
-        self.inner.let_go(node)
-
-    def begin(self, publications: Any, unexpected: Callable[[str], None]) -> Iterable[tuple[str, str]]:
-        return self.inner.begin(publications, unexpected)
-
-    def abandon(self) -> None:
-        self.inner.abandon()
-
-    def close(self, why: str) -> None:
-        self.inner.close(why)
+for _name in (
+    "read", "imported", "read_meshes", "render", "drawn_by", "log", "let_go", "begin", "abandon", "close",
+):  # fmt: skip
+    setattr(HostWrapper, _name, _passed_on(_name))

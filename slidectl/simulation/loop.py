@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from numbers import Real
 from typing import TYPE_CHECKING, Any, Protocol
@@ -40,33 +41,31 @@ def check_timestep(seconds: float, name: str = "timestep") -> None:
         raise Refused(f"{name} is between {SHORTEST_S:g} s and {LONGEST_S:g} s, not {seconds!r}")
 
 
-def whole_cycles(asked_ns: int, step_ns: int, start_ns: int = 0) -> int:
-    """The number of cycles in `asked_ns`. Raises Refused when it is not whole, with the nearest possible times.
+def whole_cycles(duration_ns: int, step_ns: int, start_ns: int = 0) -> int:
+    """The number of cycles in `duration_ns`. Raises Refused when it is not whole, with the nearest possible times.
 
     With a clock time in `start_ns` the times in the message are clock times too.
     """
-    cycles = round(asked_ns / step_ns)
+    cycles = round(duration_ns / step_ns)
     # A time step such as 1/240 s is rounded to nanoseconds: the sum of n steps is up to n ns off.
-    if abs(cycles * step_ns - asked_ns) > cycles:
-        below = asked_ns // step_ns
+    if abs(cycles * step_ns - duration_ns) > cycles:
+        below = duration_ns // step_ns
         near = [f"{(start_ns + count * step_ns) * 1e-9:.9g}s" for count in (below, below + 1) if count]
         after = f" after {start_ns * 1e-9:.9g} s" if start_ns else ""
-        text = f"{(start_ns + asked_ns) * 1e-9:.9g} s is no whole number of cycles of {step_ns * 1e-9:g} s{after}"
+        text = f"{(start_ns + duration_ns) * 1e-9:.9g} s is not a whole number of cycles of {step_ns * 1e-9:g} s{after}"
         raise Refused(text, f"possible: {' or '.join(near)}")
     return cycles
 
 
+@dataclass(eq=False)
 class StepRequest:
     """Cycles that a client requested and waits for. With a `reader`, they end early when news arrives for that node."""
 
-    __slots__ = ("asked", "has_news", "pending", "reader", "remaining")
-
-    def __init__(self, cycles: int, pending: Pending, reader: str) -> None:
-        self.reader = reader
-        self.has_news = False
-        self.asked = cycles
-        self.remaining = cycles
-        self.pending = pending
+    cycles: int
+    pending: Pending
+    reader: str
+    remaining: int
+    has_news: bool = False
 
 
 class Awaited(Protocol):
@@ -134,7 +133,7 @@ class RunState:
         self.trouble = trouble
         self.abandon_steps(reason)
 
-    def asked(self, most: int) -> int:
+    def requested(self, most: int) -> int:
         """The number of cycles, at most `most`, requested now. While there is a holder, only its requests count."""
         if self.holders:
             holder = self._first(of_holder=True)
@@ -145,7 +144,7 @@ class RunState:
         """The number of cycles, at most `most`, that may run now."""
         for gate in self.gates:
             most = gate.allowed(most)
-        return self.asked(most)
+        return self.requested(most)
 
     def awaited(self) -> list[tuple[Gate, Awaited]]:
         """Those for whom the world waits, each with its gate."""
@@ -162,7 +161,7 @@ class RunState:
             raise Refused(f"speed is 0 (as fast as possible) or a number above it, not {factor:g}")
         self.speed = factor or math.inf
 
-    def ask_steps(self, cycles: int, reader: str = "") -> Pending:
+    def request_steps(self, cycles: int, reader: str = "") -> Pending:
         """Pause and run `cycles` more cycles. Resolved with the number of cycles when they are done.
 
         With a `reader`, a node that holds the world, the world is not paused, and the request ends with the cycle in
@@ -172,7 +171,7 @@ class RunState:
             self.paused = True
         elif self.paused and not self.pending_steps:
             return Pending.of(0)
-        request = StepRequest(cycles, Pending(), reader)
+        request = StepRequest(cycles, Pending(), reader, remaining=cycles)
         request.pending.on_cancel = lambda: self._drop(request)
         self.requests.append(request)
         self.news_wanted = self.news_wanted or bool(reader)
@@ -194,7 +193,7 @@ class RunState:
         running = self._first(of_holder=False), self._first(of_holder=True)
         return min([cycles, *(request.remaining for request in running if request is not None)])
 
-    def took(self, cycles: int) -> None:
+    def count(self, cycles: int) -> None:
         """Count `cycles` cycles that have run, not more than `until_answer` allowed."""
         for request in (self._first(of_holder=False), self._first(of_holder=True)):  # an answer is news for a holder
             if request is None or request not in self.requests:
@@ -204,24 +203,24 @@ class RunState:
             if request.remaining <= 0 or request.has_news or is_stopped:
                 self.requests.remove(request)
                 self.news_wanted = any(one.reader for one in self.requests)
-                request.pending.resolve(request.asked - request.remaining)
-                self._look_for_halt()
+                request.pending.resolve(request.cycles - request.remaining)
+                self._check_halt()
 
     def abandon_steps(self, reason: str) -> None:
         """Drop all step requests and reject each with the reason."""
         while self.requests:
             request = self.requests.popleft()
-            done = request.asked - request.remaining
-            request.pending.reject(Refused(f"{reason} after {done} of {request.asked} cycles"))
-        self._look_for_halt()
+            done = request.cycles - request.remaining
+            request.pending.reject(Refused(f"{reason} after {done} of {request.cycles} cycles"))
+        self._check_halt()
 
     def _drop(self, request: StepRequest) -> None:
         if request in self.requests:
             self.requests.remove(request)
-            self.took(0)  # a holder's request may depend on the dropped cycles: end it
-            self._look_for_halt()
+            self.count(0)  # a holder's request may depend on the dropped cycles: end it
+            self._check_halt()
 
-    def _look_for_halt(self) -> None:
+    def _check_halt(self) -> None:
         if self.stands_still:
             for callback in self.on_halt:
                 callback()
@@ -258,13 +257,13 @@ class Loop:
     def add_before_cycle(self, hook: Callable[[int], None]) -> None:
         """Call `hook` at the beginning of each cycle, before the robots, with the cycle's time in ns."""
         self.before_cycle = (*self.before_cycle, hook)
-        self.take_robots(self.robots)
+        self.set_robots(self.robots)
 
-    def take_robots(self, robots: tuple[SpawnedRobot, ...]) -> None:
+    def set_robots(self, robots: tuple[SpawnedRobot, ...]) -> None:
         """Replace the robots, in this order."""
         self.robots = robots
         for runner in (self.plain, self.runner):
-            runner.take_robots(robots)
+            runner.set_robots(robots)
         for robot in robots:
             robot.node.before_entry = partial(self.runner.give_back, robot)
 
@@ -321,7 +320,7 @@ class Loop:
                 done, trouble = self._burst(run.until_answer(left) if run.requests else left, runner)
                 left -= done
                 if run.requests:
-                    run.took(done)
+                    run.count(done)
                 if trouble is not None:
                     self._give_up(trouble)
                     break

@@ -36,14 +36,16 @@ class ManagerServices:
     """`/<ns>/controller_manager/*` for one manager.
 
     Args:
-        look: reads the joints outside of a cycle, for controllers that start then.
+        read_joints: reads the joints outside of a cycle, for controllers that start then.
         loop: tells whether a cycle will come without a request.
     """
 
-    def __init__(self, manager: ControllerManager, node: GraphNode, look: Callable[[], None], loop: Loop) -> None:
+    def __init__(
+        self, manager: ControllerManager, node: GraphNode, read_joints: Callable[[], None], loop: Loop
+    ) -> None:
         self._manager = manager
         self._node = node
-        self._look = look
+        self._read_joints = read_joints
         self._loop = loop
         self._queue: deque[tuple[Act, Message, Pending, Reasons | None]] = deque()
         self._switch: Pending | None = None
@@ -66,15 +68,15 @@ class ManagerServices:
         services = node.child("controller_manager")
         for name, (kind, act) in acts.items():
             effect = Effect.READS if name.startswith("list_") else Effect.WRITES
-            services.advertise_service(name, f"controller_manager_msgs/{kind}", partial(self._take, act), effect)
+            services.advertise_service(name, f"controller_manager_msgs/{kind}", partial(self._enqueue, act), effect)
         services.advertise_service("switch_controllers", "slidectl/SwitchControllers", self._switch_as_in_ros2)
 
     def settle(self) -> None:
         """Finish an armed switch and all waits for a first update now, because the world has stopped."""
-        for tell in tuple(self._after_update):
-            tell()
+        for finish in tuple(self._after_update):
+            finish()
         if self._switch is not None and self._manager.switching:
-            self._look()
+            self._read_joints()
             self._manager.manage_switch(self._node.now_ns())
 
     @property
@@ -108,7 +110,7 @@ class ManagerServices:
                 node.delete_param(parameter)
             return {"ok": ok}
 
-        return self._take(load, {})
+        return self._enqueue(load, {})
 
     def reload(self, name: str, control_period_ns: int) -> Pending:
         """Load the present content of a controller's file: stop the controller if it runs, replace it, start it again.
@@ -128,26 +130,26 @@ class ManagerServices:
         if state in (State.RUNNING, State.ABORTED):
             acts.append((self._start_switch, {**strict, "start_controllers": [name], "stop_controllers": []}))
             acts.append((partial(self._see_update, name, control_period_ns), {}))
-        answers = [self._take(act, request) for act, request in acts]
+        answers = [self._enqueue(act, request) for act, request in acts]
         return answers[-1].converted(lambda _: {"ok": all(answer.result()["ok"] for answer in answers)})
 
     def _see_update(self, name: str, control_period_ns: int, _request: Message, answer: Pending) -> None:
         """Resolve `answer` after the first update of a started controller: `ok` is False when it aborted in it."""
         reasons = self._node.reasons
 
-        def tell() -> None:
-            timer = self._after_update.pop(tell)
+        def finish() -> None:
+            timer = self._after_update.pop(finish)
             timer.cancel()
             failure = self._manager.failure_of(name)
             if failure and reasons is not None and failure not in reasons:
                 reasons.append(Reason(failure))
             answer.resolve({"ok": not failure})
 
-        self._after_update[tell] = self._loop.graph.timers.after(control_period_ns + self._loop.step_ns, tell)
+        self._after_update[finish] = self._loop.graph.timers.after(control_period_ns + self._loop.step_ns, finish)
         if self._loop.stands_still:
-            tell()
+            finish()
 
-    def _take(self, act: Act, request: Message) -> Pending:
+    def _enqueue(self, act: Act, request: Message) -> Pending:
         pending = Pending()
         self._queue.append((act, request, pending, self._node.reasons))
         self._work()
@@ -180,11 +182,16 @@ class ManagerServices:
             "timeout": to_seconds(nanoseconds(request["timeout"])),
         }
         reasons = self._node.reasons
-        return self._take(self._start_switch, asked).converted(
+        return self._enqueue(self._start_switch, asked).converted(
             lambda done: {**done.result(), "message": "\n".join(reasons or ())}
         )
 
     def _start_switch(self, request: Message, answer: Pending) -> Message | None:
+        def finish(ok: bool) -> None:
+            self._switch = None
+            answer.resolve({"ok": ok})
+            self._work()
+
         self._switch = answer
         armed = self._manager.request_switch(
             request["start_controllers"],
@@ -192,7 +199,7 @@ class ManagerServices:
             request["strictness"],
             request["start_asap"],
             request["timeout"],
-            lambda ok: self._loop.after_cycle(lambda: self._finish_switch(answer, ok)),
+            lambda ok: self._loop.after_cycle(partial(finish, ok)),
         )
         if not armed:
             self._switch = None
@@ -200,8 +207,3 @@ class ManagerServices:
         if self._loop.stands_still:
             self.settle()
         return None
-
-    def _finish_switch(self, answer: Pending, ok: bool) -> None:
-        self._switch = None
-        answer.resolve({"ok": ok})
-        self._work()

@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import math
 import re
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from copy import deepcopy
+from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 from slidectl import names
@@ -34,40 +36,35 @@ class UnknownParameter(UnknownName, KeyError):
     """A parameter that is not set."""
 
 
+@dataclass(eq=False)
 class Hook(Generic[C]):
     """One watcher or guard of one name."""
 
-    __slots__ = ("callback", "is_open", "path")
-
-    def __init__(self, path: Path, callback: C) -> None:
-        self.path = path
-        self.callback = callback
-        self.is_open = True
+    path: Path
+    callback: C
+    is_open: bool = True
 
 
 class Hooks(Generic[C]):
     """All watchers, or all guards, grouped by the first part of their names, so that many robots stay fast."""
 
     def __init__(self) -> None:
-        self._groups: dict[str, dict[Hook[C], None]] = {}
+        self._groups: defaultdict[Path, dict[Hook[C], None]] = defaultdict(dict)
 
     def add(self, path: Path, callback: C) -> Callable[[], None]:
         """Call back for changes at `path`, below it or above it. Returns the function that ends this."""
-        hook, first = Hook(path, callback), _first(path)
-        self._groups.setdefault(first, {})[hook] = None
+        hook, first = Hook(path, callback), path[:1]
+        self._groups[first][hook] = None
 
         def close() -> None:
             hook.is_open = False
-            group = self._groups.get(first, {})
-            group.pop(hook, None)
-            if not group:
-                self._groups.pop(first, None)
+            self._groups[first].pop(hook, None)
 
         return close
 
     def concerned(self, changed: list[Path]) -> Iterator[Hook[C]]:
         """The hooks that a change of these paths concerns. A hook that is closed meanwhile is skipped."""
-        firsts = {"", *map(_first, changed)} if all(changed) else self._groups.keys()
+        firsts = dict.fromkeys([(), *(path[:1] for path in changed)]) if all(changed) else self._groups.keys()
         near = [hook for first in firsts if first in self._groups for hook in self._groups[first]]
         for hook in near:
             if hook.is_open and any(_related(hook.path, path) for path in changed):
@@ -82,7 +79,7 @@ class Parameters:
         self._derived: set[Path] = set()
         """Parameters that a node of the simulation has set where no client had: defaults of gains, a robot's model."""
         self._names: list[str] | None = None
-        """All names in order; None when they must be computed again."""
+        """All names in order; None after a change. A client may ask for unknown names again and again."""
         self._counted = 0
         """The size of the tree at the last count, plus the size of all values set since."""
         self._watches: Hooks[Callable[[], None]] = Hooks()
@@ -92,10 +89,10 @@ class Parameters:
 
     def get(self, name: str, default: Any = MISSING) -> Any:
         """The value, a dict for a namespace. Raises UnknownParameter (a KeyError too) when unset without default."""
-        found = self.look(name, default)
+        found = self.view(name, default)
         return found if found is default else deepcopy(found)
 
-    def look(self, name: str, default: Any = MISSING) -> Any:
+    def view(self, name: str, default: Any = MISSING) -> Any:
         """The value as in `get`, but not copied: only for immediate reading. Raises as `get`."""
         found = self._find(_path(name))
         if found is not MISSING:
@@ -114,7 +111,7 @@ class Parameters:
         Raises UnknownParameter when neither clients nor nodes have set anything there.
         """
         path = _path(name)
-        value = self.look(name)
+        value = self.view(name)
         tree: dict[str, Any] = {}
         for leaf, content in _leaves(value, path):
             if leaf and leaf not in self._derived:
@@ -151,15 +148,13 @@ class Parameters:
     def _set(self, leaves: list[tuple[Path, Any]], known_only: bool = False) -> None:
         self._judge(leaves, known_only=known_only)
         self._check_room(leaves)
-        if any(_has_names(content) or _has_names(self._find(leaf)) for leaf, content in leaves):
-            self._names = None
         self._forget_derived([leaf for leaf, _ in leaves])
         for leaf, content in leaves:
             if leaf:
                 _assign(self._root, leaf, content)
             else:
                 self._root = content
-        self._tell([leaf for leaf, _ in leaves])
+        self._notify([leaf for leaf, _ in leaves])
 
     def tree(self) -> dict[str, Any]:
         """A copy of the whole tree. It shares its lists with the tree; they are never modified."""
@@ -178,15 +173,14 @@ class Parameters:
             for name in without:
                 _assign(tree, _path(name), MISSING)
         self._derived = set(map(_path, derived))
-        if _is_same(self._root, tree):
-            return
-        before, after = (
-            {path: (type(value), value) for path, value in _leaves(root, ())} for root in (self._root, tree)
-        )
+        # As texts, since 1, 1.0 and true are three values.
+        before, after = ({path: repr(value) for path, value in _leaves(root, ())} for root in (self._root, tree))
         changed = [path for path in dict.fromkeys((*before, *after)) if before.get(path) != after.get(path)]
-        self._root, self._names = _settable("/", tree)[1], None
+        if not changed:
+            return
+        self._root = _settable("/", tree)[1]
         self._counted = _size(self._root)
-        self._tell(changed)
+        self._notify(changed)
 
     def delete(self, name: str) -> None:
         """Delete a parameter or a whole namespace.
@@ -198,7 +192,6 @@ class Parameters:
         if self._find(path) is MISSING:
             raise UnknownParameter("parameter", name, self.names())
         self._judge([(path, MISSING)], deletes=True)
-        self._names = None
         self._forget_derived([path])
         deleted = path
         if not path:
@@ -208,20 +201,19 @@ class Parameters:
             path = path[:-1]
             if self._find(path):
                 break
-        self._tell([deleted])
+        self._notify([deleted])
 
     def names(self, namespace: str = "/") -> list[str]:
         """Absolute names of all values below `namespace`, sorted."""
         path = _path(namespace)
-        if not path and self._names is not None:
-            return list(self._names)
-        found = self._find(path)
-        result: list[str] = []
-        if found is not MISSING and (path or found):
-            result = sorted("/" + "/".join(leaf) for leaf, _ in _leaves(found, path))
-        if not path:
-            self._names = list(result)
-        return result
+        if path or self._names is None:
+            found = self._find(path)
+            is_empty = found is MISSING or not (path or found)
+            result = [] if is_empty else sorted("/" + "/".join(leaf) for leaf, _ in _leaves(found, path))
+            if path:
+                return result
+            self._names = result
+        return list(self._names)
 
     def search(self, namespace: str, name: str) -> str | None:
         """`name` in `namespace` or the nearest namespace above that has its first component, else None."""
@@ -290,8 +282,9 @@ class Parameters:
                 raise Refused(f"all parameters together would be larger than {LARGEST} characters", "delete some")
         self._counted += growth
 
-    def _tell(self, changed: list[Path]) -> None:
+    def _notify(self, changed: list[Path]) -> None:
         """Call the watchers, all of them even if one fails; then raise the first failure."""
+        self._names = None
         full = ["/" + "/".join(path) for path in changed]
         for callback in self.on_change:
             callback(full)
@@ -303,13 +296,6 @@ class Parameters:
                 failure = failure or error
         if failure is not None:
             raise failure
-
-
-def _is_same(one: Any, other: Any) -> bool:
-    """True for equal values of the same types: 1, 1.0 and true are three values."""
-    if isinstance(one, dict) and isinstance(other, dict):
-        return one.keys() == other.keys() and all(_is_same(below, other[key]) for key, below in one.items())
-    return type(one) is type(other) and bool(repr(one) == repr(other) if isinstance(one, list) else one == other)
 
 
 def _copied(value: Any) -> Any:
@@ -364,20 +350,11 @@ def _settable(name: str, value: Any) -> tuple[Path, Any]:
     return path, checked
 
 
-def _has_names(value: Any) -> bool:
-    """True for MISSING or a mapping: setting or replacing it changes the list of names."""
-    return value is MISSING or isinstance(value, dict)
-
-
 def _path(name: str) -> Path:
     """Split a name. Raises TooLong first: a client may send a name of a million parts."""
     if len(name) > names.LONGEST:
         raise names.TooLong(name)
     return tuple(part for part in name.split("/") if part)
-
-
-def _first(path: Path) -> str:
-    return path[0] if path else ""
 
 
 def _related(one: Path, other: Path) -> bool:
@@ -414,10 +391,10 @@ def _checked(value: Any, where: str, depth: int) -> Any:
         except OverflowError:
             shown = "an integer beyond 1e308"
         # JSON has finite numbers only, and no control law needs others.
-        raise UsageError(f"parameter {where}: {shown} is no finite number, and parameters hold no others")
+        raise UsageError(f"parameter {where}: {shown} is not a finite number")
     kind = "null" if value is None else type(value).__name__
     raise UsageError(
-        f"parameter {where}: {kind} is no value", "a parameter is a bool, a number, a string, a list or a mapping"
+        f"parameter {where}: {kind} is not a value", "a parameter is a bool, a number, a string, a list or a mapping"
     )
 
 
@@ -432,7 +409,7 @@ def _checked_text(text: str, where: str) -> str:
     try:
         text.encode()
     except UnicodeEncodeError:
-        raise UsageError(f"parameter {where}: {text[:40]!r} holds half of a surrogate pair, which is no text") from None
+        raise UsageError(f"parameter {where}: {text[:40]!r} contains half of a surrogate pair") from None
     return text
 
 
@@ -443,7 +420,7 @@ def _checked_mapping(value: dict[Any, Any], where: str, depth: int) -> dict[str,
             result[key] = below
             continue
         if not isinstance(key, str) or not _path(key) or _BLANK.search(key):
-            raise UsageError(f"parameter {where}: {quoted(str(key))} cannot be a name", "names are text without blanks")
+            raise UsageError(f"parameter {where}: {quoted(str(key))} is not a name", "names are text without blanks")
         path = _path(_checked_text(key, where))
         content = _checked(below, f"{where.rstrip('/')}/{key.strip('/')}", depth + len(path))
         node = result

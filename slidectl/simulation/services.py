@@ -6,6 +6,7 @@ Requests and responses are checked against the type here, so that handlers recei
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
+from dataclasses import dataclass, field
 from typing import Any
 
 from slidectl import msgs, names
@@ -41,36 +42,24 @@ def responding(handler: Callable[[Message], Any], respond: Callable[[Pending], M
     return answer
 
 
+@dataclass(slots=True, eq=False)
 class Service:
-    """One service and its provider. `open` maps each unanswered call to the Pending of the handler.
+    """One service and its provider. Raises UnknownName: no such service type."""
 
-    Raises UnknownName: no such service type.
-    """
+    name: str
+    type: str
+    node: str
+    handler: Handler
+    effect: Effect
+    file_field: str
+    _on_close: Callable[[Service], None]
+    request_type: str = ""
+    response_type: str = ""
+    open: dict[Pending, Pending] = field(default_factory=dict)
+    """The Pending of the handler for each unanswered call."""
 
-    __slots__ = (
-        "_on_close", "effect", "file_field", "handler", "name", "node", "open", "request_type", "response_type", "type",
-    )  # fmt: skip
-
-    def __init__(
-        self,
-        name: str,
-        type_name: str,
-        node: str,
-        handler: Handler,
-        on_close: Callable[[Service], None],
-        effect: Effect = Effect.WRITES,
-        file_field: str = "",
-    ) -> None:
-        self.name = name
-        self.type = type_name
-        self.request_type = msgs.request_type(type_name)
-        self.response_type = msgs.response_type(type_name)
-        self.node = node
-        self.handler = handler
-        self.effect = effect
-        self.file_field = file_field
-        self.open: dict[Pending, Pending] = {}
-        self._on_close = on_close
+    def __post_init__(self) -> None:
+        self.request_type, self.response_type = msgs.request_type(self.type), msgs.response_type(self.type)
 
     def close(self) -> None:
         """Remove the service; unanswered calls fail."""
@@ -111,9 +100,9 @@ class Services:
         names.check_absolute(name, "service")
         if name in self._services:
             raise Refused(f"service {name} is already provided by {self._services[name].node}")
-        service = self._services[name] = Service(name, type_name, node, handler, self._forget, effect, file_field)
+        service = self._services[name] = Service(name, type_name, node, handler, effect, file_field, self._forget)
         self._by_node.setdefault(node, {})[service] = None
-        self._tell_change()
+        self._notify()
         return service
 
     def call(self, name: str, request: Any = None) -> Pending:
@@ -191,9 +180,9 @@ class Services:
             del of_node[service]
             if not of_node:
                 del self._by_node[service.node]
-            self._tell_change()
+            self._notify()
 
-    def _tell_change(self) -> None:
+    def _notify(self) -> None:
         for callback in self.on_change:
             callback()
 

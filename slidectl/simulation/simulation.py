@@ -161,13 +161,13 @@ class Simulation:
             Diverged: the state of a robot is no longer a number, and not `driven`. Refused: a bad number of cycles.
         """
         if not isinstance(cycles, Integral) or cycles < 0:
-            raise Refused(f"a number of cycles is a whole one of 0 or more, not {cycles!r}")
+            raise Refused(f"the number of cycles must be a whole number of 0 or more, not {cycles!r}")
         return self.loop.step(int(cycles))
 
-    def ask_steps(self, cycles: int, reader: str = "") -> Pending:
+    def request_steps(self, cycles: int, reader: str = "") -> Pending:
         """Pause and run `cycles` more cycles: now, or when the driver does. Resolved with their number.
 
-        For `reader` see RunState.ask_steps. Raises Diverged: the world cannot go on before a reset.
+        For `reader` see RunState.request_steps. Raises Diverged: the world cannot go on before a reset.
         """
         if reader:
             self.run.holders.add(reader)
@@ -177,7 +177,7 @@ class Simulation:
             return Pending.of(0)
         self.check_trouble()
         if self.driven:
-            return self.run.ask_steps(cycles, reader)
+            return self.run.request_steps(cycles, reader)
         return Pending.attempt(lambda: self.step(cycles))
 
     def spawn(self, xml: str, name: str, namespace: str | None = None, pose: Pose = ORIGIN) -> SpawnedRobot:
@@ -259,7 +259,7 @@ class Simulation:
         before_ns, clock.time_ns, clock.cycles = clock.time_ns, 0, 0
         self.graph.timers.rebase(before_ns, 0)
         self.reset_world()
-        self.graph.clock_topic.publish_now(0)
+        self.graph.clock_topic.publish(0)
 
     def reset_world(self) -> None:
         """Set every robot back to its state at spawn; time goes on, and controllers stay loaded and running.
@@ -272,5 +272,5 @@ class Simulation:
         self.loop.history.forget()
         with ExitStack() as resetting:  # calls in reverse order, and all of them even if one fails
             resetting.callback(self.robots.reset)
-            for reset in reversed(self.features.resets()):
+            for reset in reversed(self.features.resets):
                 resetting.callback(reset)

@@ -9,9 +9,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass
 from functools import partial
 from itertools import count
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 from slidectl import description, names
 from slidectl.control.controller_manager import ControllerManager
@@ -57,7 +58,25 @@ class ControlParts:
     cycle: ControlCycle
 
 
-class SpawnedRobot:
+@dataclass(eq=False, repr=False)
+class ParsedRobot:
+    """A robot whose URDF was read: its full namespace, its description, and its URDF."""
+
+    name: str
+    namespace: str
+    description: Robot
+    xml: str
+    note: str
+    """The origins of its lines, and the places of its meshes."""
+    caller: int
+    """The session id of the process that requested it, 0 when it is unknown."""
+    is_controlled: bool
+    """False for a model without control: it has no hardware, no controllers and no cycle."""
+    may_use_files: bool
+    """False when it was spawned by a client that may not name files: no file is read or shown for it."""
+
+
+class SpawnedRobot(ParsedRobot):
     """One robot in the world with all its parts.
 
     Only the runners of the cycles may use `parts`. Other code must use `hardware`, `manager`, `cycle` or a callback of
@@ -66,21 +85,11 @@ class SpawnedRobot:
 
     saved_attributes: ClassVar[None] = None
 
-    body: AttachedRobot
+    attached: AttachedRobot
     services: ManagerServices
 
     def __init__(self, parsed: ParsedRobot, node: GraphNode, serial: int) -> None:
-        self.name = parsed.name
-        self.namespace = parsed.namespace
-        self.description = parsed.description
-        self.xml = parsed.xml
-        self.note = parsed.note
-        self.caller = parsed.caller
-        """The session id of the process that requested it, 0 when it is unknown."""
-        self.may_use_files = parsed.may_use_files
-        """False when it was spawned by a client that may not name files: no file is read or shown for it."""
-        self.is_controlled = parsed.is_controlled
-        """False for a model without control: it has no hardware, no controllers and no cycle."""
+        super().__init__(**vars(parsed))
         self.node = node
         self.serial = serial
         """A number that no other robot of this world has or had."""
@@ -146,9 +155,9 @@ class SpawnedRobot:
         for stop in self.on_emergency_stop if stopped else ():
             stop()
 
-    def look(self) -> None:
+    def read_joints(self) -> None:
         """Read the joints outside of a cycle: after a change of the world, and before the first cycle."""
-        self.cycle.look(self.node.now_ns())
+        self.cycle.read_joints(self.node.now_ns())
 
     def reset(self, time_ns: int) -> None:
         """Reset to the state at spawn. Controllers stay loaded and running; each is stopped and started again.
@@ -162,27 +171,8 @@ class SpawnedRobot:
         with watched_hardware(self.hardware, self.manager.known.code):
             self.hardware.reset()
         self.cycle.rewind(time_ns)
-        self.look()
+        self.read_joints()
         self.manager.restart_running(time_ns)
-
-    def __repr__(self) -> str:
-        return f"SpawnedRobot({self.name!r}, {self.namespace!r})"
-
-
-class ParsedRobot(NamedTuple):
-    """A parsed robot that is not spawned yet: its full namespace, its description, and its URDF."""
-
-    name: str
-    namespace: str
-    description: Robot
-    xml: str
-    note: str
-    """The origins of its lines, and the places of its meshes."""
-    caller: int
-    """The session id of the process that requests it, 0 when it is unknown."""
-    is_controlled: bool
-    may_use_files: bool
-    """Its spawner may name files."""
 
 
 class Sources:
@@ -195,7 +185,7 @@ class Sources:
         self._notes: dict[str, str] = {}
         self._characters = 0
 
-    def put(self, digest: str, note: str) -> None:
+    def add(self, digest: str, note: str) -> None:
         """Save a note, and drop the oldest ones above the limits."""
         self._forget(digest)
         self._notes[digest] = note
@@ -296,7 +286,7 @@ class Robots:
         self._check_namespace(parsed)
         self._loop.between_cycles("spawn a robot")
         robot = SpawnedRobot(parsed, self._loop.graph.node(parsed.namespace), next(self._serials))
-        with self._world.attached(parsed.description, parsed.name, pose, hulls) as robot.body, robot.cleanup:
+        with self._world.attached(parsed.description, parsed.name, pose, hulls) as robot.attached, robot.cleanup:
             robot.cleanup.callback(robot.node.shutdown)
             if robot.is_controlled:
                 self._bring_up_control(robot)
@@ -304,7 +294,7 @@ class Robots:
                 bring_up(robot)
             robot.cleanup.callback(self._forget, robot)
             self._robots[robot.name] = robot
-            self._tell_loop()
+            self._update_loop()
             for notice in robot.description.report:
                 if notice.verdict in _SEVERITIES:
                     robot.node.log(_SEVERITIES[notice.verdict], f"{robot.name}: {notice}")
@@ -312,18 +302,18 @@ class Robots:
             _warn_of_overlaps(robot, self._world)
             robot.cleanup = robot.cleanup.pop_all()
         if parsed.note:
-            self.sources.put(source_note.digest(parsed.xml), parsed.note)
+            self.sources.add(source_note.digest(parsed.xml), parsed.note)
         return robot
 
     def _bring_up_control(self, robot: SpawnedRobot) -> None:
         loop, parts, plugin = self._loop, robot.parts, robot.description.plugin or ControlPlugin()
-        _put_description(robot, loop.graph.parameters)
+        _set_description(robot, loop.graph.parameters)
         parts.hardware = self._hardware(robot, plugin.robot_sim_type)
         parts.hardware.read(robot.node.now_ns(), 0.0)
         parts.manager = ControllerManager(parts.hardware, robot.node, self._types)
         period_ns = _control_period(plugin, loop.step_ns, robot)
         parts.cycle = ControlCycle(parts.hardware, parts.manager, period_ns, loop.graph.clock.time_ns)
-        robot.services = ManagerServices(parts.manager, robot.node, robot.look, loop)
+        robot.services = ManagerServices(parts.manager, robot.node, robot.read_joints, loop)
         if parts.hardware.actuator_states():
             topic, period_ns = names.join(robot.namespace, "actuator_states"), SECOND // ACTUATOR_RATE_HZ
             build = partial(_actuator_states, robot)
@@ -332,15 +322,15 @@ class Robots:
             robot.saved["actuator_states"] = states
         if plugin.estop_topic is not None:
 
-            def take_emergency_stop(message: Message) -> None:
+            def receive_emergency_stop(message: Message) -> None:
                 robot.emergency_stop = message["data"]
 
-            robot.node.subscribe(plugin.estop_topic, "std_msgs/Bool", take_emergency_stop)
+            robot.node.subscribe(plugin.estop_topic, "std_msgs/Bool", receive_emergency_stop)
 
     def _hardware(self, robot: SpawnedRobot, sim_type: str) -> MujocoRobotHW:
         """The simulated hardware. Raises BadFile: an unsuitable class. Refused: a user's class failed. Else as
         `MujocoRobotHW`."""
-        places = self._world, robot.body, robot.description, robot.node, robot.namespace
+        places = self._world, robot.attached, robot.description, robot.node, robot.namespace
         cls = self._types.hardware.find(sim_type)
         if cls is None:
             return MujocoRobotHW(*places)
@@ -368,7 +358,7 @@ class Robots:
             text = f"{name} is deleted, but not all went well: {raised(error)}"
             self._loop.graph.log("error", robot.node.name, text)
 
-    def put_joints(self, name: str, joints: Sequence[str], positions: Sequence[float], is_start: bool = False) -> None:
+    def set_joints(self, name: str, joints: Sequence[str], positions: Sequence[float], is_start: bool = False) -> None:
         """Set joints, named `joint` or `robot::joint`, to positions at rest; all or none. `is_start`: resets too.
 
         A joint with a position command stays there until a controller commands another position.
@@ -382,12 +372,12 @@ class Robots:
         short = (joint.removeprefix(f"{robot.name}::") for joint in joints)
         asked = dict(zip(short, positions, strict=True))
         for joint, position in asked.items():
-            check_position(robot.body.place(joint).joint, position)
+            check_position(robot.attached.place(joint).joint, position)
         self._loop.history.forget()
-        self._world.put_joints(name, asked)
+        self._world.set_joints(name, asked)
         if is_start:
-            robot.body.start |= asked
-            robot.warnings = [text for text in robot.warnings if not text.startswith(_put_into(robot))]
+            robot.attached.start |= asked
+            robot.warnings = [text for text in robot.warnings if not text.startswith(_overlap_prefix(robot))]
             _warn_of_overlaps(robot, self._world)
         if robot.is_controlled:
             robot.hardware.stay(asked)
@@ -408,23 +398,23 @@ class Robots:
 
     def _forget(self, robot: SpawnedRobot) -> None:
         self._robots.pop(robot.name, None)
-        self._tell_loop()
+        self._update_loop()
 
-    def _tell_loop(self) -> None:
+    def _update_loop(self) -> None:
         """Pass the controlled robots to the loop. Models have no part of the cycle."""
-        self._loop.take_robots(tuple(robot for robot in self._robots.values() if robot.is_controlled))
+        self._loop.set_robots(tuple(robot for robot in self._robots.values() if robot.is_controlled))
 
     def _check_name(self, name: str) -> None:
         names.check_robot(name)
         if name in RESERVED:
             raise Refused(
-                f"no robot can be named {name!r}: where a frame of reference is asked for, that is the world itself",
+                f"a robot cannot be named {name!r}: as a frame of reference that name means the world itself",
                 "choose another name (-n)",
             )
         if name in self._robots:
             raise Refused(
                 f"there is a robot {name!r} already, in {self._robots[name].namespace}",
-                f"choose another name (-n), or take that one out: slidectl delete {name}",
+                f"choose another name (-n), or delete that robot: slidectl delete {name}",
             )
 
     def _check_namespace(self, parsed: ParsedRobot) -> None:
@@ -436,7 +426,7 @@ class Robots:
             raise Refused(text, "give this one another namespace")
 
 
-def _put_description(robot: SpawnedRobot, parameters: Parameters) -> None:
+def _set_description(robot: SpawnedRobot, parameters: Parameters) -> None:
     name = names.join(robot.namespace, DESCRIPTION)
     before = parameters.get(name, None)
     parameters.set(name, robot.xml, derived=True)
@@ -479,7 +469,7 @@ def _control_period(plugin: ControlPlugin, step_ns: int, robot: SpawnedRobot) ->
 def _warn_of_filled_hollows(robot: SpawnedRobot) -> None:
     """Log and keep in `robot.warnings` the meshes that collide as their hulls, although they should as their faces."""
     for source in mesh_sources(robot.description):
-        hull = robot.body.hulls.get(source)
+        hull = robot.attached.hulls.get(source)
         if isinstance(hull, Hull) and hull.fills_hollows:
             text = "has too many faces to collide as they are: its convex hull does, and its hollows are filled"
             robot.warnings.append(f"{robot.name}: the mesh {source.path} {text}; a simpler mesh has hollows")
@@ -499,11 +489,11 @@ def _warn_of_overlaps(robot: SpawnedRobot, world: World) -> None:
     if len(texts) > MOST_NAMED:
         texts[MOST_NAMED:] = [f"{len(texts) - MOST_NAMED} robots more"]
     for text in texts:
-        robot.warnings.append(_put_into(robot) + text)
+        robot.warnings.append(_overlap_prefix(robot) + text)
         robot.node.log("warn", robot.warnings[-1])
 
 
-def _put_into(robot: SpawnedRobot) -> str:
+def _overlap_prefix(robot: SpawnedRobot) -> str:
     return f"{robot.name}: it was put into "
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -173,22 +174,14 @@ class PeriodicTopic:
             self.publish(message)
 
 
+@dataclass(slots=True, eq=False)
 class TopicSubscription:
     """One subscriber of one topic."""
 
-    __slots__ = ("_on_close", "callback", "node", "topic")
-
-    def __init__(
-        self,
-        topic: Topic | _ComingTopic,
-        node: str,
-        callback: MessageCallback,
-        on_close: Callable[[TopicSubscription], None],
-    ) -> None:
-        self.topic = topic
-        self.node = node
-        self.callback = callback
-        self._on_close = on_close
+    topic: Topic | _ComingTopic
+    node: str
+    callback: MessageCallback
+    _on_close: Callable[[TopicSubscription], None]
 
     def redirect(self, callback: MessageCallback) -> None:
         """Replace the callback."""
@@ -215,7 +208,7 @@ class Topic:
         self.receivers: tuple[MessageCallback, ...] = ()
         self.callbacks: tuple[MessageCallback, ...] = ()
         first = msgs.fields(type_name)[:1]
-        self.has_header = any(field.name == "header" and field.type == "std_msgs/Header" for field in first)
+        self.has_header = any((one.name, one.type) == ("header", "std_msgs/Header") for one in first)
 
     def nodes(self) -> list[str]:
         """Names of the nodes that publish or subscribe it."""
@@ -234,16 +227,13 @@ ANY_TYPE = "*"
 """As the type of a subscription: whatever type the topic has, or will have when somebody advertises it."""
 
 
+@dataclass(slots=True, eq=False)
 class _ComingTopic:
     """The subscriptions of a topic that does not exist yet, by somebody who does not know its type."""
 
-    __slots__ = ("name", "publishers", "subscriptions")
-
-    def __init__(self, name: str) -> None:
-        self.name = name
-        self.publishers: list[TopicPublisher] = []
-        """None: with the first publisher it is a Topic."""
-        self.subscriptions: list[TopicSubscription] = []
+    name: str
+    subscriptions: list[TopicSubscription] = field(default_factory=list)
+    publishers: tuple[()] = ()
 
     def update(self) -> None:
         """Do nothing: there is nothing to deliver yet."""
@@ -429,7 +419,7 @@ class Topics:
         if not users:
             del self._users[user.node]
         if isinstance(user, TopicPublisher):
-            topic.publishers.remove(user)
+            user.topic.publishers.remove(user)
         else:
             topic.subscriptions.remove(user)
         if isinstance(topic, _ComingTopic):

@@ -304,8 +304,8 @@ def test_a_gain_that_the_controller_cannot_take_is_refused(world: World, name: s
     ("service", "request_", "said"),
     [
         ("/rosapi/set_param", {"name": f"{PID}/p", "value": '"fast"'}, "must be a number"),
-        ("/rosapi/set_param", {"name": f"{PID}/p", "value": "NaN"}, "no finite number"),
-        ("/rosapi/set_param", {"name": f"{PID}/p", "value": "null"}, "null is no value"),
+        ("/rosapi/set_param", {"name": f"{PID}/p", "value": "NaN"}, "not a finite number"),
+        ("/rosapi/set_param", {"name": f"{PID}/p", "value": "null"}, "null is not a value"),
         ("/rosapi/set_param", {"name": PID, "value": "5"}, "is a namespace of parameters"),
         ("/rosapi/set_param", {"name": PID, "value": '{"p": "x", "i": 3}'}, "must be a number"),
         ("/slidectl/set_params", {"names": ["/x", f"{PID}/p"], "values": ["1", '"x"']}, "must be a number"),

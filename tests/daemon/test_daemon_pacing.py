@@ -33,7 +33,7 @@ class FakeSimulation:
         done = int(min(cycles, self.breaks_at - self.cycles))
         self.cycles += done
         self.now_s += done * self.cost_s
-        self.run.took(done)
+        self.run.count(done)
         return done
 
 
@@ -157,7 +157,7 @@ def test_a_paused_world_has_nothing_to_do(simulation: FakeSimulation, pacer: Pac
 
 
 def test_steps_run_as_fast_as_possible_and_exactly_as_many(simulation: FakeSimulation, pacer: Pacer) -> None:
-    pending = simulation.run.ask_steps(12_345)
+    pending = simulation.run.request_steps(12_345)
     turns = 0
     while pacer.turn() is not None:
         turns += 1

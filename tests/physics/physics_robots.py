@@ -112,13 +112,13 @@ def transmission(joint: str, *interfaces: str) -> TransmissionInfo:
 
 def state_of(world: World, name: str) -> bytes:
     """Positions and velocities of one robot, to the bit."""
-    body = world.body(name)
+    body = world.robot(name)
     return bytes(world.data.qpos[body.coordinates].tobytes() + world.data.qvel[body.dofs].tobytes())
 
 
 def deviation(world: World, other: World, name: str) -> float:
     """The largest difference between a robot's state here and there."""
-    here, there = world.body(name), other.body(name)
+    here, there = world.robot(name), other.robot(name)
     positions = abs(world.data.qpos[here.coordinates] - other.data.qpos[there.coordinates])
     velocities = abs(world.data.qvel[here.dofs] - other.data.qvel[there.dofs])
     return float(max(positions.max(), velocities.max()))

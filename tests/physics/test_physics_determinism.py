@@ -82,7 +82,7 @@ def start(robot: Robot, pose: Pose) -> World:
     """The robot alone, swinging."""
     world = World()
     world.attach(robot, "subject", pose)
-    for joint in world.body("subject").joints:
+    for joint in world.robot("subject").joints:
         world.set_joint("subject", joint, 0.1, velocity=0.3)
     return world
 
@@ -125,7 +125,7 @@ def test_a_robot_that_comes_later_moves_as_if_it_were_the_only_one() -> None:
     for _ in range(123):
         world.step()
     world.attach(robot, "subject", pose)
-    for joint in world.body("subject").joints:
+    for joint in world.robot("subject").joints:
         world.set_joint("subject", joint, 0.1, velocity=0.3)
     assert record(world, 1000) == alone
 
@@ -143,7 +143,7 @@ def test_steps_taken_at_once_are_the_same_as_steps_one_by_one() -> None:
 @pytest.mark.parametrize("subject", SUBJECTS)
 def test_a_snapshot_brings_the_same_future_again(subject: str) -> None:
     world = start(*SUBJECTS[subject])
-    world.add_joint_force("subject", "joint0", 0.5, duration_ns=700_000_000) if world.body("subject").joints else None
+    world.add_joint_force("subject", "joint0", 0.5, duration_ns=700_000_000) if world.robot("subject").joints else None
     for _ in range(400):
         world.step()
     snapshot = world.snapshot()
@@ -203,7 +203,7 @@ def test_everything_about_the_robots_that_stay_is_kept_when_one_goes() -> None:
 
     def kept() -> list[bytes]:
         data = world.snapshot()["data"]
-        return [data[array][world.body(name).part(kind)].tobytes() for name in stay for array, kind in kinds.items()]
+        return [data[array][world.robot(name).part(kind)].tobytes() for name in stay for array, kind in kinds.items()]
 
     stay = ("first", "last")
     before = kept()

@@ -119,7 +119,7 @@ def test_forces_go_with_their_robot_and_stay_with_the_others() -> None:
 
 def test_what_the_hardware_applies_is_untouched_by_forces_from_outside() -> None:
     world = weightless()
-    place = world.body("one").place("joint1")
+    place = world.robot("one").place("joint1")
     world.data.qfrc_applied[place.dof] = 0.1
     world.add_joint_force("one", "joint1", 0.2, duration_ns=10 * MS)
     for _ in range(5):

@@ -164,7 +164,7 @@ def test_an_interface_that_is_not_simulated_refuses_the_robot(bench: Bench, name
     robot = replace(one_joint(), transmissions=(transmission("joint1", name),))
     with pytest.raises(Refused) as caught:
         bench.take(robot)
-    assert "transmission 'tran_joint1' of robot 'robot': joint 'joint1' asks for" in str(caught.value)
+    assert "transmission 'tran_joint1' of robot 'robot': joint 'joint1' requires" in str(caught.value)
     assert name in str(caught.value)
     assert f"it has: {EFFORT}" in str(caught.value)
 

@@ -136,7 +136,7 @@ def test_motors_go_with_their_robot_and_with_a_reset(bench: Bench) -> None:
     assert bench.world.joint_state("robot", "joint1") == (0.0, 0.0, 0.0)
     bench.cycle(10, joint1=0.5)
     bench.world.detach("robot")
-    assert bench.world.loads.is_empty
+    assert bench.world.applied_forces.is_empty
 
 
 def test_a_joint_without_gains_says_that_it_has_none(bench: Bench) -> None:
@@ -241,7 +241,7 @@ def test_what_motors_say_that_they_push_is_what_they_push(bench: Bench) -> None:
         bench.cycle(joint0=1.5, joint1=-1.0, joint2=1.0 if cycle < 200 else -1.5, joint3=0.5)
         efforts = {joint: bench.handle(joint).effort for joint in robot.joints}
         for joint, effort in efforts.items():
-            other.data.qfrc_applied[other.body("robot").joints[joint].dof] = effort
+            other.data.qfrc_applied[other.robot("robot").joints[joint].dof] = effort
         other.step()
         at_limit += sum(abs(effort) == 10.0 for effort in efforts.values())
     assert at_limit > 20

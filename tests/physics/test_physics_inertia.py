@@ -144,7 +144,7 @@ def test_a_thin_plate_is_spawned_however_it_lies_and_whatever_digits_its_file_ke
     assume(can_move(mass, inertial.inertia))
     world = World(gravity=(0.0, 0.0, 0.0))
     world.attach(tree([Link("plate", inertial)], [], "plate"), "plate")
-    moments = world.model.body_inertia[world.body("plate").links["plate"].body]
+    moments = world.model.body_inertia[world.robot("plate").links["plate"].body]
     # MuJoCo's own turning of a tensor leaves off what is below 1e-12 kg·m².
     assert sorted(moments) == pytest.approx(principal_moments(inertial.inertia), rel=2e-3, abs=1e-12)
 

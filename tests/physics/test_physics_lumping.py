@@ -135,7 +135,7 @@ def test_a_moving_body_and_all_that_is_fixed_to_it_is_one_body() -> None:
     joints = [*robot.joints.values(), *mounts]
     world.attach(tree([*robot.links.values(), *sensors], joints), "robot")
     assert world.model.nbody == 1 + 3
-    assert set(world.body("robot").links) == {"world", "link0", "link1", "sensor0", "sensor1", "sensor2"}
+    assert set(world.robot("robot").links) == {"world", "link0", "link1", "sensor0", "sensor1", "sensor2"}
 
 
 def test_an_overlap_has_the_name_of_the_link_on_a_fixed_joint() -> None:

@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 from physics_robots import arm, at, block, one_joint, state_of
 
-from slidectl.physics import Diverged, EngineError, World, take_warnings
+from slidectl.physics import Diverged, EngineError, World, pop_warnings
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
 RUNAWAY = """
 from physics_robots import one_joint
-from slidectl.physics import Diverged, World, take_warnings
+from slidectl.physics import Diverged, World, pop_warnings
 world = World()
 world.attach(one_joint(), "one")
 world.data.qfrc_applied[:] = float("inf")
@@ -25,7 +25,7 @@ try:
     world.check()
 except Diverged as error:
     assert error.robot == "one"
-    assert any("unstable" in warning for warning in take_warnings())
+    assert any("unstable" in warning for warning in pop_warnings())
 else:
     raise SystemExit("not seen")
 """
@@ -46,7 +46,7 @@ def test_the_robot_that_diverged_is_named_and_the_others_go_on(value: float) -> 
     world.attach(one_joint(), "sane")
     world.attach(one_joint(), "mad")
     world.check()
-    place = world.body("mad").place("joint1")
+    place = world.robot("mad").place("joint1")
     world.data.qvel[place.dof] = value
     for _ in range(3):
         world.step()
@@ -74,7 +74,7 @@ def test_a_reset_brings_a_diverged_robot_back() -> None:
     for _ in range(100):
         fresh.step()
     assert state_of(world, "arm") == state_of(fresh, "arm")
-    take_warnings()
+    pop_warnings()
 
 
 def test_more_contacts_than_the_engine_can_hold_are_an_error_that_a_reset_survives() -> None:

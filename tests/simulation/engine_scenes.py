@@ -126,7 +126,7 @@ def play(scene: Scene, engine: str, driven: bool = False) -> tuple[list[Any], Si
     arrays = [data.qpos, data.qvel, data.qfrc_applied, data.qacc_warmstart]
     left: list[Any] = [simulation.time_ns, simulation.cycles, [array.tobytes() for array in arrays], heard.messages]
     for robot in simulation.robots:
-        places = simulation.world.body(robot.name).joints.values()
+        places = simulation.world.robot(robot.name).joints.values()
         left += [simulation.loop.history.of_joint(place.qpos, place.dof, 0, NEVER).tobytes() for place in places]
         left += [vars_of(joint.handle) for joint in robot.hardware.driven()]
         left += [vars_of(robot.manager.get(name)) for name in robot.manager.names()]

@@ -118,7 +118,7 @@ def test_a_file_that_has_changed_counts_for_those_who_come_after(mesh: Path) -> 
     simulation.spawn(with_mesh(mesh), "a")
     mesh.write_text(TETRAHEDRON.replace("1", "2", 3).replace("f 2", "f 1"), "utf-8")
     simulation.spawn(with_mesh(mesh), "b")
-    (first,), (second,) = (simulation.world.body(name).hulls.values() for name in "ab")
+    (first,), (second,) = (simulation.world.robot(name).hulls.values() for name in "ab")
     assert isinstance(first, hulls.Hull)
     assert first != second
 
@@ -154,12 +154,12 @@ OF_DELETIONS = {
 }
 OF_SPAWNS = {
     "carrying over the state": (world, "carry_over"),
-    "putting it there": (AttachedRobot, "put_at_spawn"),
+    "putting it there": (AttachedRobot, "reset_to_spawn"),
     "bringing it up": (spawned_robots.Robots, "_bring_up_control"),
     "its hardware": (spawned_robots, "MujocoRobotHW"),
     "its manager": (spawned_robots, "ControllerManager"),
     "its services": (spawned_robots, "ManagerServices"),
-    "telling the loop": (Loop, "take_robots"),
+    "telling the loop": (Loop, "set_robots"),
     "its report": (spawned_robots, "_warn_of_overlaps"),
 }
 
@@ -251,7 +251,7 @@ def test_a_deleted_robot_takes_its_forces_along_and_one_that_stays_keeps_them(me
     simulation.step(1)
     simulation.delete("m")
     simulation.step(1)
-    assert [force.body.name for force in simulation.world.loads.joint_forces] == ["other"]
+    assert [force.robot for force in simulation.world.applied_forces.joint_forces] == ["other"]
     simulation.delete("other")
     assert simulation.world.steps_alone
     simulation.step(1)

@@ -196,7 +196,7 @@ def test_a_plugin_lets_a_joint_follow_and_what_it_says_goes_before_a_mimic_tag()
     robot = simulation.spawn(xml, "box", pose=((0.0, 0.0, 5.0), (0.0, 0.0, 0.0, 1.0)))
     said = [(notice.verdict, notice.text) for notice in robot.description.report]
     assert [verdict for verdict, _ in said] == ["ignored", "wrong"]
-    simulation.robots.put_joints("box", ["lead"], [0.2])
+    simulation.robots.set_joints("box", ["lead"], [0.2])
     assert simulation.world.joint_state("box", "tail")[0] == pytest.approx(0.1 - 2.0 * 0.2)
     simulation.reset_world()
     simulation.world.add_joint_force("box", "lead", 0.05)

@@ -127,7 +127,7 @@ def test_a_seed_decides_and_so_does_the_simulated_time() -> None:
         return readings(simulation, 40)
 
     assert noise(1) == noise(1) != noise(2)
-    assert noise(1, lambda simulation: simulation.robots.get("cart").look()) == noise(1)
+    assert noise(1, lambda simulation: simulation.robots.get("cart").read_joints()) == noise(1)
 
 
 def test_the_noise_is_gaussian() -> None:
@@ -479,7 +479,7 @@ def test_what_was_removed_left_no_trace() -> None:
         return {name: getattr(model, name).tobytes() for name in names}
 
     simulation.step(20)
-    before, links = numbers(), dict(simulation.world.body("cart").links)
+    before, links = numbers(), dict(simulation.world.robot("cart").links)
     for kind, target in (("joint-stuck", "joint1"), ("joint-friction", "joint2"), ("payload", "box1")):
         options = {name: FAULT_OPTIONS[name] for name in KINDS[kind].options}
         simulation.faults.add(target, kind, **options)
@@ -494,9 +494,9 @@ def test_what_was_removed_left_no_trace() -> None:
     assert handle.position == state(simulation)[0]
     simulation.step(20)
     assert numbers() == before
-    assert simulation.world.body("cart").links == links
+    assert simulation.world.robot("cart").links == links
     assert simulation.faults.messages() == []
-    assert not simulation.world.loads.has_forces
+    assert not simulation.world.applied_forces.has_forces
     heard = listen(simulation, "/cart/joint_states")
     simulation.step(100)
     assert len(heard) == 5

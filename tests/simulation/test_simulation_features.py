@@ -23,8 +23,8 @@ from slidectl.features.faults import Faults
 from slidectl.features.snapshots import put
 from slidectl.simulation import Feature, SpawnedRobot
 from slidectl.simulation.compiled import object_file
-from slidectl.simulation.cycle import Stages
-from slidectl.simulation.feature import OWN, FeatureFailed, FeatureNameTaken, NotAFeature, UnknownFeature
+from slidectl.simulation.cycle import CycleFailed, Stages
+from slidectl.simulation.feature import OWN, FeatureNameTaken, NotAFeature, UnknownFeature
 
 EXAMPLE = Path(__file__).parent.parent.parent / "examples" / "spawn_counter"
 ENGINES = ["plain", *(["compiled"] if object_file.is_possible() else [])]
@@ -88,7 +88,7 @@ def test_chosen_features_alone_are_there() -> None:
 def test_a_feature_that_does_not_exist_is_refused_with_those_that_do() -> None:
     with pytest.raises(UnknownFeature, match=r"no feature 'fault'.*faults"):
         Simulation(features=["fault"])
-    with pytest.raises(NotAFeature, match="int is no feature"):
+    with pytest.raises(NotAFeature, match="int is not derived from"):
         Simulation(features=[int])  # type: ignore[list-item]
     with pytest.raises(FeatureNameTaken):
         Simulation(features=[Diary, Diary])
@@ -105,7 +105,7 @@ def test_features_do_not_change_the_bits_of_a_robot() -> None:
     states = []
     for simulation in (Simulation(), Simulation(features=[])):
         simulation.spawn(cart(), "cart")
-        simulation.robots.put_joints("cart", ["joint1"], [0.3])
+        simulation.robots.set_joints("cart", ["joint1"], [0.3])
         simulation.step(500)
         states.append(state(simulation))
     assert states[0] == states[1]
@@ -199,7 +199,7 @@ def test_a_hook_that_fails_in_a_cycle_holds_the_world_until_it_goes_on(engine: s
     simulation = running_cart(engine=engine)
     cycles = simulation.features.attach(Cycles, "cycles")
     cycles.fails_ns = simulation.time_ns + 5_000_000
-    with pytest.raises(FeatureFailed, match="before_cycle of the feature cycles: ValueError: no more"):
+    with pytest.raises(CycleFailed, match="before_cycle of the feature cycles: ValueError: no more"):
         simulation.step(40)
     assert "no more" in simulation.run.trouble
     simulation.resume()

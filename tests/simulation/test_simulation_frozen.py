@@ -32,13 +32,13 @@ def add(simulation: Simulation, name: str, at_m: float) -> None:
 
 
 def state(simulation: Simulation, robot: str) -> bytes:
-    body = simulation.world.body(robot)
+    body = simulation.world.robot(robot)
     data = simulation.world.data
     return bytes(data.qpos[body.coordinates].tobytes() + data.qvel[body.dofs].tobytes())
 
 
 def blow_up(simulation: Simulation, robot: str, effort: float) -> None:
-    joint = next(iter(simulation.world.body(robot).joints))
+    joint = next(iter(simulation.world.robot(robot).joints))
     simulation.call(
         "/gazebo/apply_joint_effort",
         {"joint_name": f"{robot}::{joint}", "effort": effort, "duration": {"secs": -1, "nsecs": 0}},

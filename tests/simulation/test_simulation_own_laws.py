@@ -186,7 +186,7 @@ def test_a_law_that_cannot_be_compiled_runs_in_the_interpreter_and_it_is_said(
 @pytest.mark.parametrize(
     ("old", "new", "text"),
     [
-        ('array("d", ', 'array("f", ', "the numbers of its parts() are no writable block of doubles"),
+        ('array("d", ', 'array("f", ', "the numbers of its parts() are not a writable block of doubles"),
         ('array("d", [0.0, 0.0, 0.0])', "[0.0, 0.0, 0.0]", "a bytes-like object is required, not 'list'"),
         ("        return Parts(", "        raise ValueError('no parts')\n        return Parts(", "no parts"),
         ("        return Parts(", "        1 / (self.updates < 4)\n        return Parts(", "division"),

@@ -140,7 +140,7 @@ def test_the_root_can_be_replaced_by_a_mapping_only(parameters: Parameters) -> N
 
 
 @pytest.mark.parametrize("value", ["\ud800", {"\ud800": 1}, [{"a": ["\udfff"]}]])
-def test_half_of_a_surrogate_pair_is_no_text(value: Any) -> None:
+def test_half_of_a_surrogate_pair_is_not_text(value: Any) -> None:
     parameters = Parameters()
     with pytest.raises(UsageError, match="half of a surrogate pair"):
         parameters.set("/x", value)
@@ -161,7 +161,7 @@ def test_what_is_nested_without_end_is_refused(parameters: Parameters) -> None:
 @pytest.mark.parametrize("value", [math.nan, math.inf, 10**400, [0.0, -math.inf], {"p": math.nan}])
 def test_only_finite_numbers_are_parameters(value: Any) -> None:
     parameters = Parameters()
-    with pytest.raises(UsageError, match="is no finite number"):
+    with pytest.raises(UsageError, match="is not a finite number"):
         parameters.set("/x", value)
     assert parameters.names() == []
 

@@ -236,7 +236,7 @@ def test_a_controller_that_fails_to_stop_is_told_of_and_the_robot_goes_all_the_s
 
 @pytest.mark.parametrize("name", ["world", "map"])
 def test_no_robot_can_have_a_name_of_the_worlds(simulation: Simulation, name: str) -> None:
-    with pytest.raises(Refused, match=f"no robot can be named '{name}': .*the world itself\nchoose another name"):
+    with pytest.raises(Refused, match=f"a robot cannot be named '{name}': .*the world itself\nchoose another name"):
         simulation.spawn(cart(), name)
     assert simulation.robots.names() == []
 

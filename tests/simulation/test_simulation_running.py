@@ -36,7 +36,7 @@ def ask(simulation: Simulation, service: str, **request: Any) -> Pending:
 
 def break_physics(simulation: Simulation, robot: str) -> None:
     """Make the robot's velocity no number."""
-    simulation.world.data.qvel[simulation.world.body(robot).dofs] = math.nan
+    simulation.world.data.qvel[simulation.world.robot(robot).dofs] = math.nan
 
 
 def drive(simulation: Simulation, most: int) -> None:
@@ -73,7 +73,7 @@ def test_a_time_that_is_no_whole_number_of_cycles_is_refused(
     simulation: Simulation, seconds: float, possible: str
 ) -> None:
     before = simulation.cycles
-    with pytest.raises(Refused, match="is no whole number of cycles") as refusal:
+    with pytest.raises(Refused, match="is not a whole number of cycles") as refusal:
         simulation.call("/slidectl/step", {"seconds": seconds})
     assert possible in str(refusal.value)
     assert simulation.cycles == before
@@ -92,7 +92,7 @@ def test_a_step_of_nonsense_is_refused(simulation: Simulation, seconds: float) -
 
 @pytest.mark.parametrize("cycles", [-1, 1.5, "3"])
 def test_what_is_no_number_of_cycles_is_refused(simulation: Simulation, cycles: Any) -> None:
-    with pytest.raises(Refused, match="a number of cycles is a whole one of 0 or more"):
+    with pytest.raises(Refused, match="the number of cycles must be a whole number of 0 or more"):
         simulation.step(cycles)
 
 

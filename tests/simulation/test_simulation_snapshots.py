@@ -67,7 +67,7 @@ def everything(simulation: Simulation) -> list[Any]:
     left += [array.tobytes() for array in (data.qpos, data.qvel, data.qfrc_applied, data.qacc_warmstart)]
     model = simulation.world.model
     left += [array.tobytes() for array in (model.dof_frictionloss, model.dof_damping, model.body_inertia)]
-    left += [simulation.faults.messages(), simulation.world.loads.snapshot()["wrenches"]]
+    left += [simulation.faults.messages(), simulation.world.applied_forces.snapshot()["wrenches"]]
     for robot in simulation.robots:
         if robot.is_controlled:
             left += [numbers_of(joint.handle) for joint in robot.hardware.driven()]

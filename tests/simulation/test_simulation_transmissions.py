@@ -204,7 +204,7 @@ def two(*roles: str, second: float | None = 2.0, interface: str = "Effort") -> s
         (two(*ROLES, second=None), "actuator 'm2' has no <mechanicalReduction>"),
         (two(*ROLES, second=0.0), "actuator reduction must not be 0"),
         (two(*ROLES, interface="Position"), "joint 'j2' has other interfaces than joint 'j1'"),
-        (simple(1.0, "").replace("EffortJoint", "TorqueJoint"), "which simulated hardware has not"),
+        (simple(1.0, "").replace("EffortJoint", "TorqueJoint"), "which simulated hardware does not have"),
         (simple(1.0, "").replace("j1", "j3"), "no joint 'j3'"),
     ],
 )  # fmt: skip

@@ -112,7 +112,7 @@ class Journal(HostWrapper):
 
     # --- external input -----------------------------------------------------------------------------------------
 
-    def take(self, session: Session, line: bytes, message: Message) -> None:
+    def record(self, session: Session, line: bytes, message: Message) -> None:
         """Record a line of a client, before it is handled."""
         if not self._matters(message):
             return
@@ -150,7 +150,7 @@ class Journal(HostWrapper):
         is_of_client = services.node_of(service) in {session.node for session in self._clients}
         return services.effects_of(service) == [Effect.READS] and not is_of_client
 
-    def gone(self, session: Session) -> None:
+    def record_end(self, session: Session) -> None:
         """Record that a client has disconnected."""
         number = self._clients.pop(session, None)
         if number is not None:

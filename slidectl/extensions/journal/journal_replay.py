@@ -274,7 +274,7 @@ class Replay(HostWrapper):
         if self._is_over:
             return super().render(world, camera, pose, seed)
         pending = Pending()
-        self._pictures.append((pending, self._own_renderer.look(world, camera, pose, seed)))
+        self._pictures.append((pending, self._own_renderer.request(world, camera, pose, seed)))
         return pending
 
     def _take_picture(self, error: str) -> None:
@@ -287,10 +287,8 @@ class Replay(HostWrapper):
         if error:
             pending.reject(Refused(error))
         elif any(node not in clients for topic in pictures for node in topics.subscribers(topic)):
-            self._own_renderer.ask(request)
-            while (picture := self._own_renderer.take()) is None:
-                pass
-            pending.resolve(picture)
+            self._own_renderer.start(request)
+            pending.resolve(self._own_renderer.receive())
         else:
             pending.resolve("")
 

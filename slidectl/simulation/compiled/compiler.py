@@ -82,18 +82,18 @@ def compile_cycle() -> bytes:
         return lambda controller, joints, pids, time_ns, period_s: update(controller, joints, pids, time_ns, period_s)
 
     get = types.ExternalFunction(guard.GET, types.float64(types.int64, types.int64))
-    put = types.ExternalFunction(guard.PUT, types.void(types.int64, types.int64, types.float64))
+    set_ = types.ExternalFunction(guard.SET, types.void(types.int64, types.int64, types.float64))
 
     @overload(kernel.element, strict=False)
     def _element(variable: Any, index: Any) -> Any:  # noqa: ARG001
         return lambda variable, index: get(variable, index)
 
-    @overload(kernel.put_element, strict=False)
-    def _put_element(variable: Any, index: Any, value: Any) -> Any:  # noqa: ARG001
-        return lambda variable, index, value: put(variable, index, value)
+    @overload(kernel.set_element, strict=False)
+    def _set_element(variable: Any, index: Any, value: Any) -> Any:  # noqa: ARG001
+        return lambda variable, index, value: set_(variable, index, value)
 
     # numba links compiled code at once, though it is never called in this process.
-    for name in (guard.STEP, guard.UPDATE, guard.GET, guard.PUT):
+    for name in (guard.STEP, guard.UPDATE, guard.GET, guard.SET):
         llvm.add_symbol(name, ctypes.cast(ctypes.CDLL(None).abort, ctypes.c_void_p).value)
     code = [
         _made_of(types.int64(*_arguments()), _on_pointers(), guard.CYCLE),

@@ -82,17 +82,17 @@ class Engine:
                 code = _begin_to_compile().wait()
                 if not object_file.is_there():
                     raise Refused(_what_failed(code))
-            self._load()  # removes a damaged file
+            self._load()
             if self._trouble:
                 raise Refused(self._trouble)
-        self.compiled.look_for_laws(wait=True)
+        self.compiled.load_laws(wait=True)
 
     def _load(self) -> None:
         from slidectl.simulation.compiled.runner import CompiledRunner
 
         try:
             code = object_file.load()
-        except FileNotFoundError:  # another version's compiler has just removed it, or it was damaged
+        except FileNotFoundError:  # another version's compiler has just removed it
             self._compiling = None
             return
         except (OSError, RuntimeError, ImportError) as error:
@@ -100,7 +100,7 @@ class Engine:
             return
         self.is_settled = True
         self._loop.runner = self.compiled = CompiledRunner(self._loop, code)
-        self._loop.take_robots(self._loop.robots)
+        self._loop.set_robots(self._loop.robots)
 
     def _give_up(self, trouble: str) -> None:
         self.is_settled = True

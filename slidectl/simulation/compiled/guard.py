@@ -11,7 +11,7 @@ CYCLE = "slidectl_cycle"
 STEP = "slidectl_physics_step"
 UPDATE = "slidectl_update"
 """Calls the law of the controller whose row is at an address."""
-GET, PUT = "slidectl_get", "slidectl_put"
+GET, SET = "slidectl_get", "slidectl_set"
 """Read and write an element of the array that a MuJoCo variable points to; the array moves from step to step."""
 ERROR_TEXT = "slidectl_error_text"
 ENTRY = "slidectl_run"
@@ -75,7 +75,7 @@ define double @slidectl_get(i64 %variable, i64 %index) {
   ret double %value
 }
 
-define void @slidectl_put(i64 %variable, i64 %index, double %value) {
+define void @slidectl_set(i64 %variable, i64 %index, double %value) {
   %place = inttoptr i64 %variable to ptr
   %array = load ptr, ptr %place
   %element = getelementptr double, ptr %array, i64 %index

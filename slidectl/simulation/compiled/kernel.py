@@ -36,18 +36,8 @@ from slidectl.physics.motors import (
 )
 from slidectl.physics.robot_hw import VELOCITY_MOTOR, drive_effort, motor_velocity
 from slidectl.physics.world import HUGE
-from slidectl.simulation.compiled.tables import (
-    CONTROLLER_IN_PYTHON,
-    CONTROLLER_SIZE,
-    DIVERGED,
-    DONE,
-    FAILED,
-    INTERPRETED,
-    NEW_CYCLE,
-    NOT_FINITE,
-    ROBOT_IN_PYTHON,
-    STEP_IN_PYTHON,
-)
+from slidectl.simulation.compiled import tables as turns
+from slidectl.simulation.compiled.tables import CONTROLLER_SIZE, INTERPRETED, NEW_CYCLE
 from slidectl.simulation.cycle import CHECK_EVERY, begin_to_write, control_is_due
 from slidectl.simulation.history import EVERY, ROWS, TAKEN
 from slidectl.simulation.history import HEADER as FIRST_ROW
@@ -90,28 +80,22 @@ def element(variable: int, index: int) -> float:
     raise NotImplementedError
 
 
-def put_element(variable: int, index: int, value: float) -> None:
+def set_element(variable: int, index: int, value: float) -> None:
     """Set an element of the array that the variable at this address points to. Machine code; see `guard.py`."""
     raise NotImplementedError
 
 
 @law
-def read(robot: Any, tables: CycleTables) -> None:
-    """The same as MujocoRobotHW.read."""
+def read(robot: Any, tables: CycleTables, has_outside: int) -> None:
+    """The same as MujocoRobotHW.read. `has_outside`: there are external efforts."""
     for k in range(robot.first_joint, robot.first_joint + robot.joints):
         joint = tables.joints[k]
         angle_or_length = tables.qpos[joint.qpos]
         joint.position = unwrapped(joint.position, angle_or_length) if joint.turns else angle_or_length
         joint.velocity = tables.qvel[joint.dof]
         joint.effort = tables.forces[joint.dof]
-
-
-@law
-def add_outside_efforts(robot: Any, tables: CycleTables) -> None:
-    """The rest of MujocoRobotHW.read, while there are external efforts."""
-    for k in range(robot.first_joint, robot.first_joint + robot.joints):
-        joint = tables.joints[k]
-        joint.effort += tables.outside[joint.dof]
+        if has_outside:
+            joint.effort += tables.outside[joint.dof]
 
 
 @law
@@ -159,7 +143,7 @@ def motor_step(progress: Any, tables: CycleTables) -> int:
             return 1
         for k in range(HEADER, last, MOTOR):
             dof = int(motors[k + DOF])
-            put_element(references, int(motors[k + ROW]), (tables.velocities[dof] - qvel[dof]) / step_s)
+            set_element(references, int(motors[k + ROW]), (tables.velocities[dof] - qvel[dof]) / step_s)
         for stage in range(ACTUATION, CONSTRAINT + 1):
             if physics_step(int(motors[stage]), progress.model, progress.data, progress.error_hook) != 0:
                 return 1
@@ -225,36 +209,34 @@ def run(progress: Any, tables: CycleTables) -> int:
         while progress.robot < progress.robots:
             robot = tables.robots[progress.robot]
             if robot.is_plain:
-                return ROBOT_IN_PYTHON
+                return turns.ROBOT_IN_PYTHON
             if progress.controller == 0:
                 if control_is_due(robot, time_ns):
-                    read(robot, tables)
-                    if progress.has_outside:
-                        add_outside_efforts(robot, tables)
+                    read(robot, tables, progress.has_outside)
                 else:
                     progress.controller = robot.controllers
             while progress.controller < robot.controllers:
                 number = robot.first_controller + progress.controller
                 progress.controller += 1
                 if tables.controllers[number].law == INTERPRETED:
-                    return CONTROLLER_IN_PYTHON
+                    return turns.CONTROLLER_IN_PYTHON
                 address = progress.controllers + number * CONTROLLER_SIZE
                 turn = update_controller(address, progress.joints, progress.pids, time_ns, robot.period_s)
-                if turn != DONE:
+                if turn != turns.DONE:
                     return turn
             if not are_finite(robot, tables):
-                return NOT_FINITE
+                return turns.NOT_FINITE
             period_s = begin_to_write(robot, time_ns)
             write(robot, period_s, tables)
             progress.controller = 0
             progress.robot += 1
         if progress.step == 0:
-            return STEP_IN_PYTHON
+            return turns.STEP_IN_PYTHON
         if tables.motors[COUNT] > 0.0:
             if motor_step(progress, tables) != 0:
-                return FAILED
+                return turns.FAILED
         elif physics_step(progress.step, progress.model, progress.data, progress.error_hook) != 0:
-            return FAILED
+            return turns.FAILED
         progress.robot = NEW_CYCLE
         progress.left -= 1
         progress.cycles += 1
@@ -262,7 +244,7 @@ def run(progress: Any, tables: CycleTables) -> int:
             keep(progress, tables)
         # A velocity is huge some cycles before it is no number, and then disturbs the other robots.
         if not is_sane(tables.qvel, progress.dofs):
-            return DIVERGED
+            return turns.DIVERGED
         if progress.cycles % CHECK_EVERY == 0 and not is_sane(tables.qpos, progress.positions):
-            return DIVERGED
-    return DONE
+            return turns.DIVERGED
+    return turns.DONE

@@ -1,8 +1,7 @@
 """The stored machine code of the cycle, and its loading into this process: by LLVM, without numba.
 
 A file is valid for one version of all its sources; a digest of them is in its name. It is machine code, so it is only
-loaded when it is complete and only the user could have written it. Against: a second user of the machine, and a file
-damaged by a crash, which would end the process without a message.
+loaded when only the user could have written it. Against: a second user of the machine.
 """
 
 from __future__ import annotations
@@ -10,7 +9,6 @@ from __future__ import annotations
 import ctypes
 import functools
 import hashlib
-import importlib.util
 import os
 import platform
 import stat
@@ -31,13 +29,7 @@ from slidectl.writing import replace
 KEPT, KEPT_LAWS = 8, 64
 """The number of stored files of cycles and of users' laws: the last used ones. Each version of any source has its own
 file."""
-_SEAL_BYTES = 32
-_SOURCES = (
-    "control",
-    "physics",
-    "simulation/cycle.py",
-    "simulation/compiled",
-)
+_SOURCES = ("control", "physics", "simulation/cycle.py", "simulation/compiled")
 
 
 class UnsafeFile(PermissionError):
@@ -55,17 +47,11 @@ def is_possible() -> bool:
 
 @functools.cache
 def _compilers() -> tuple[str, ...]:
-    """The versions of numba and llvmlite; empty when one of them is not installed, or only in part."""
-    versions = []
-    for name in ("numba", "llvmlite"):
-        found = importlib.util.find_spec(name)
-        if found is None or found.origin is None:  # a mere folder of that name on the path is no library
-            return ()
-        try:
-            versions.append(metadata.version(name))
-        except metadata.PackageNotFoundError:
-            return ()
-    return tuple(versions) if all(versions) else ()  # no version: the rest of a library that was partly removed
+    """The versions of numba and llvmlite; empty when one of them is not installed."""
+    try:
+        return metadata.version("numba"), metadata.version("llvmlite")
+    except metadata.PackageNotFoundError:
+        return ()
 
 
 def folder() -> Path:
@@ -101,7 +87,7 @@ def report() -> Path:
 def prepare() -> None:
     """Create the folder. Raises OSError: it cannot be created; UnsafeFile."""
     if not folder().is_absolute():
-        raise FileNotFoundError("there is no home folder, and XDG_CACHE_HOME names none")
+        raise FileNotFoundError("there is no home folder, and XDG_CACHE_HOME is not set")
     folder().mkdir(mode=0o700, parents=True, exist_ok=True)
     _check_ours(folder(), folder().stat())
 
@@ -129,7 +115,7 @@ def is_there() -> bool:
 
 def write(path: Path, content: bytes) -> None:
     """Write code to its file, whole or not at all. Raises OSError, also when the folder was removed meanwhile."""
-    replace(path, hashlib.sha256(content).digest() + content, 0o600)
+    replace(path, content, 0o600)
 
 
 def tidy() -> None:
@@ -146,17 +132,13 @@ def tidy() -> None:
 
 
 def _read(path: Path) -> bytes:
-    """The code; its time of use is updated. Raises OSError: missing, or damaged and then removed; UnsafeFile."""
+    """The code; its time of use is updated. Raises OSError: missing; UnsafeFile."""
     with open(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC), "rb") as file:
         _check_ours(path, os.fstat(file.fileno()))
         _check_ours(path.parent, path.parent.stat())
         with suppress(OSError):  # a read-only file system
             os.utime(path)
-        seal, content = file.read(_SEAL_BYTES), file.read()
-    if seal != hashlib.sha256(content).digest():
-        path.unlink(missing_ok=True)
-        raise FileNotFoundError(path)
-    return content
+        return file.read()
 
 
 def _check_ours(path: Path, found: os.stat_result) -> None:

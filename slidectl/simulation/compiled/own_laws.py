@@ -54,7 +54,7 @@ class LawCode:
                 self._give_up(form, trouble)
         return found
 
-    def look(self, wait: bool = False) -> None:
+    def load_finished(self, wait: bool = False) -> None:
         """Load the code of laws whose compilation has ended."""
         for one in [one for one in self.compiling if wait or one.process.poll() is not None]:
             self.compiling.remove(one)

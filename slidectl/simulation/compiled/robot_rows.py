@@ -22,7 +22,6 @@ from slidectl.physics import MujocoRobotHW
 from slidectl.physics.robot_hw import Drive
 from slidectl.simulation.compiled.own_laws import LawCode
 from slidectl.simulation.compiled.tables import (
-    CONSTANT,
     CONTROLLER,
     INTERPRETED,
     JOINT,
@@ -60,14 +59,12 @@ class RobotRows:
         """Controllers that publish, by their position in the order of updates."""
         self.interpreted: dict[int, InterpretedUpdate] = {}
         """Controllers without a row, by the same position."""
-        self._places = robot.body.joints
+        self._places = robot.attached.joints
         self._tables = tables.content
         self._fill: list[Callable[[], None]] = []
-        """Functions that fill the rows of objects which may change while the robot is not loaded."""
+        """Functions that fill the rows from the objects."""
         self._give: list[Callable[[], None]] = []
         """Functions that write back to objects what laws change."""
-        self._constant: list[Callable[[], None]] = []
-        """Functions that fill the rows of constant objects."""
         self._compiled: list[CompiledController] = []
         self._handles: list[tuple[Any, int]] = []
         """Each handle with the offset of its row."""
@@ -94,7 +91,7 @@ class RobotRows:
 
     def has_moved(self) -> bool:
         """True when the robot's indices in MuJoCo's arrays are not those of its rows."""
-        return self.robot.body.joints is not self._places
+        return self.robot.attached.joints is not self._places
 
     def compiled_controllers(self) -> frozenset[str]:
         """The names of controllers that have rows."""
@@ -124,7 +121,7 @@ class RobotRows:
     @property
     def count(self) -> int:
         """The number of its rows in all tables."""
-        return len(self._fill) + len(self._constant)
+        return len(self._fill)
 
     def period_s(self) -> float:
         """The period of the controllers' present update, s."""
@@ -171,8 +168,6 @@ class RobotRows:
         counts = [tables.count(name) for name in RANGES]
         ranges = [part for start, end in zip(starts, counts, strict=True) for part in (start, end - start)]
         self._reserve_row(tables, "robots", self.parts.cycle, False, *ranges)
-        for fill in self._constant:
-            fill()
         self._mark_plain()
         return is_possible
 
@@ -204,9 +199,7 @@ class RobotRows:
         """Reserve a row for an object; `places` are the columns without an attribute. Returns its number."""
         columns, rows = TABLES[table], tables.content[table]
         number = self.number if table == "robots" else tables.add(table)
-        (self._constant if table in CONSTANT else self._fill).append(
-            partial(columns.fill, rows, number, source, *places)
-        )
+        self._fill.append(partial(columns.fill, rows, number, source, *places))
         if columns.changing:
             self._give.append(partial(columns.give, rows, number, source))
         return number
@@ -223,7 +216,7 @@ class InterpretedUpdate:
         self._joints = joints
         self._claimed = [(handle, offset + _COMMAND_OFFSET) for handle, offset in claimed]
 
-    def take_commands(self) -> None:
+    def copy_commands(self) -> None:
         """Copy the commands from the claimed handles to their rows."""
         for handle, offset in self._claimed:
             _NUMBER.pack_into(self._joints, offset, handle.command)
@@ -276,7 +269,9 @@ class CompiledController:
         self._numbers = memoryview(array("d") if parts is None or parts.numbers is None else parts.numbers)
         numbers = self._numbers
         if (numbers.format, numbers.ndim, numbers.c_contiguous, numbers.readonly) != ("d", 1, True, False):
-            raise Refused("the numbers of its parts() are no writable block of doubles", 'array("d", ...), say')
+            raise Refused(
+                "the numbers of its parts() are not a writable block of doubles", 'for example array("d", ...)'
+            )
         memory = (address_of(self._row), address_of(self._members), len(others))
         CONTROLLER.fill(controllers, number, None, self._law, *memory, address_of(self._numbers), len(self._numbers))
 

@@ -68,7 +68,7 @@ class CompiledRunner(Runner):
 
     # -- loading and unloading robots ------------------------------------------------------------------------------
 
-    def take_robots(self, robots: Sequence[SpawnedRobot]) -> None:
+    def set_robots(self, robots: Sequence[SpawnedRobot]) -> None:
         """Replace the robots: by the same ones with more at the end, or by others."""
         if robots[: len(self._rows)] != self._robots[: len(self._rows)]:
             self._begin_again()
@@ -109,16 +109,16 @@ class CompiledRunner(Runner):
     def _unload(self, rows: RobotRows) -> None:
         if rows.is_loaded:
             if self._acting is not None and self._acting.rows is rows:  # its commands are newer than the rows
-                self._acting.take_commands()
+                self._acting.copy_commands()
             self._given_back.append(rows)
             rows.unload()
 
-    def look_for_laws(self, wait: bool = False) -> None:
+    def load_laws(self, wait: bool = False) -> None:
         """Load the code of users' laws that has been compiled meanwhile; with `wait`, wait for all of it."""
         if wait:
             self._prepare()  # requests the code of the laws
         changes = self._laws.changes
-        self._laws.look(wait)
+        self._laws.load_finished(wait)
         if self._laws.changes != changes:
             self.give_back_all()
 
@@ -130,7 +130,7 @@ class CompiledRunner(Runner):
                 rows.load()
         self._given_back = [rows for rows in self._given_back if not rows.is_loaded]
         if self._topic_changes != self._graph.topics.changes:
-            self._look_for_listeners()
+            self._update_publications()
 
     def _make_rows(self) -> None:
         """Make rows for new robots, and new rows for robots that have changed."""
@@ -160,18 +160,18 @@ class CompiledRunner(Runner):
         arrays = (*memory.arrays, self._loop.history.address)
         self._addresses = array("Q", [ctypes.addressof(progress), *addresses.values(), *arrays])
 
-    def _look_for_listeners(self) -> None:
+    def _update_publications(self) -> None:
         """Update which publishers have subscribers."""
         self._topic_changes = self._graph.topics.changes
         for rows in self._rows:
             for publication in rows.publications.values():
                 publication.update_wanted()
 
-    def _look_outside(self) -> None:
+    def _update_step(self) -> None:
         """Update which function makes the steps, and whether there are external efforts."""
         self._step = self._world.step
         self._progress.step = self._step_address if self._world.steps_alone else 0
-        self._progress.has_outside = self._world.loads.has_efforts
+        self._progress.has_outside = self._world.applied_forces.has_efforts
 
     # -- the cycles ------------------------------------------------------------------------------------------------
 
@@ -182,11 +182,11 @@ class CompiledRunner(Runner):
         progress.time_ns, progress.step_ns, progress.cycles = clock.time_ns, loop.step_ns, before
         # At real time this is called for every cycle, with cold caches: state is read again only after a change.
         if self._laws.compiling:
-            self.look_for_laws()
+            self.load_laws()
         if self._is_new or self._given_back or self._topic_changes != self._graph.topics.changes:
             self._prepare()
-        if self._step is not world.step or self._progress.has_outside != world.loads.has_efforts:
-            self._look_outside()
+        if self._step is not world.step or self._progress.has_outside != world.applied_forces.has_efforts:
+            self._update_step()
         loop.in_cycle = True
         try:
             if loop.enough is None:
@@ -233,13 +233,13 @@ class CompiledRunner(Runner):
             clock.time_ns = progress.time_ns
             to_check = turn == turns.DIVERGED
             if turn != turns.DONE and not to_check:
-                self._take_turn(turn)
+                self._run_in_interpreter(turn)
                 if self._is_new:  # a switch may have changed the robot's motors
                     self._find_memory()
                 if world.step is not self._step:  # external efforts or an observer of the steps were added
-                    self._look_outside()
+                    self._update_step()
                 if topics.changes != self._topic_changes:
-                    self._look_for_listeners()
+                    self._update_publications()
                 if turn != turns.STEP_IN_PYTHON:  # in the middle of a cycle
                     continue
                 # The machine code checks for divergence only when it makes the step itself.
@@ -273,11 +273,11 @@ class CompiledRunner(Runner):
         for hook in self._loop.before_cycle:
             hook(progress.time_ns)
         if self._topic_changes != self._graph.topics.changes:
-            self._look_for_listeners()
+            self._update_publications()
 
     # -- the interpreter's turns -----------------------------------------------------------------------------------
 
-    def _take_turn(self, turn: int) -> None:
+    def _run_in_interpreter(self, turn: int) -> None:
         progress = self._progress
         if turn == turns.STEP_IN_PYTHON:
             self._make_step()
@@ -305,7 +305,7 @@ class CompiledRunner(Runner):
         progress.cycles += 1
         if progress.cycles % EVERY == 0:
             self._loop.history.keep(progress.time_ns)
-        self._look_outside()
+        self._update_step()
 
     def _run_robot(self, rows: RobotRows) -> None:
         """Run the whole cycle of a robot that is not loaded; afterwards load it, when that is possible."""
@@ -331,7 +331,7 @@ class CompiledRunner(Runner):
         self._acting = interpreted
         self._try(rows, position, interpreted.update)
         if rows.is_loaded:
-            interpreted.take_commands()
+            interpreted.copy_commands()
 
     def _try(self, rows: RobotRows, position: int, action: Callable[[int, float], None]) -> None:
         """Call the action of one controller. If it fails, or unloads the robot, the interpreter ends the cycle."""

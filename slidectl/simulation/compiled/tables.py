@@ -50,8 +50,6 @@ TABLES: dict[str, Columns] = {
     "pids": Pid.columns,
 }
 """All tables, in the order of `kernel.CycleTables`; MuJoCo's arrays follow."""
-CONSTANT = {"drives"}
-"""Tables whose objects never change."""
 RANGES = ("joints", "controllers", "limits", "drives")
 """Tables in which each robot has a range of rows; the ranges are in ROBOT."""
 
