@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import math
+import zlib
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NoReturn
@@ -20,10 +21,9 @@ from slidectl.daemon.outbox import Outbox, Publications
 from slidectl.daemon.session import Session
 from slidectl.daemon.time_limit import TimeLimit
 from slidectl.description.robot import Camera
-from slidectl.errors import BadFile, Refused
+from slidectl.errors import Refused
 from slidectl.extensions.journal import journal
-from slidectl.extensions.journal.journal import Contents
-from slidectl.extensions.journal.journal_entries import mesh_of
+from slidectl.extensions.journal.journal import Contents, invalid_entry, mesh_of
 from slidectl.physics import World
 from slidectl.physics.hulls import MeshSource
 from slidectl.physics.rendering import PictureRequest, RenderProcess
@@ -73,7 +73,7 @@ class Replay(HostWrapper):
         self.taken = 0
         """The number of consumed entries of the journal: the index of the next."""
         self._limit = self.inner.limit if isinstance(self.inner.limit, TimeLimit) else TimeLimit()
-        self._limit.on_end.append(self._take_limit)
+        self._limit.on_end.append(self._consume_limit)
         self.limit = self._limit
         self._sessions: dict[int, Session] = {}
         self._last_client = 0
@@ -84,9 +84,15 @@ class Replay(HostWrapper):
         self._state = -1, b""
         """The cycle of the last whole second, and the numbers of the world at that time."""
         self._unexpected: Callable[[str], None] = lambda _: None
-        modules = [UserModule(*entry["module"]) for entry in contents.entries if "module" in entry]
-        self.given = {module.name: module for module in modules}
-        self._look_ahead()
+        self.given = {}
+        for number, entry in enumerate(contents.entries, 2):
+            if "module" in entry:
+                try:
+                    module = UserModule(*entry["module"])
+                    self.given[module.name] = module
+                except TypeError as error:
+                    raise invalid_entry(str(error), contents.path, number) from None
+        self._set_limit()
         options = contents.options
         try:
             simulation = Simulation(**options.of_simulation(), host=self)
@@ -101,7 +107,7 @@ class Replay(HostWrapper):
         """Leave the world to the host that this one is around."""
         self._is_over = True
         self._own_renderer.close()
-        self._limit.on_end.remove(self._take_limit)
+        self._limit.on_end.remove(self._consume_limit)
         self._limit.close()
         self._limit.most_s = time_limit.LIMIT_S if self._limit is self.inner.limit else math.inf
         self.given = {}
@@ -156,7 +162,10 @@ class Replay(HostWrapper):
             if self.taken != self._at:
                 self._fail("code of a user that took too long then does not now")
             self._advance()
-            self._carry_out(entries[self._at])
+            try:
+                self._carry_out(entries[self._at])
+            except (TypeError, ValueError, LookupError, zlib.error) as error:
+                raise invalid_entry(repr(error), self.contents.path, self._at + 2) from error
             self.after_entry()
             if self.differs and check:
                 raise ReplayDiffers(self.differs, _UNREPEATABLE)
@@ -165,9 +174,8 @@ class Replay(HostWrapper):
         """Run the cycles up to that one. Returns False when the requested time comes first."""
         simulation, run = self.simulation, self.simulation.run
         if cycle - simulation.cycles > _LONGEST_GAP_NS // simulation.timestep_ns:
-            text = f"its cycle {cycle} is too far after the one before it, {simulation.cycles}"
-            where = self.contents.path, self._at + 2
-            raise BadFile(f"no daemon writes this entry: {text}; a journal has a state for each second", *where)
+            text = f"its cycle {cycle} is more than 2 s after the cycle before it, {simulation.cycles}"
+            raise invalid_entry(text, self.contents.path, self._at + 2)
         while (left := cycle - simulation.cycles) > 0:
             allowed = min(left, (self._until_ns - simulation.time_ns) // simulation.timestep_ns)
             if allowed <= 0:
@@ -206,7 +214,7 @@ class Replay(HostWrapper):
             self._session(entry["gone"]).closed()
             del self._sessions[entry["gone"]]
         elif "meshes" in entry:
-            self._take_meshes(entry["meshes"])
+            self._resolve_meshes(entry["meshes"])
         elif "let_go" in entry:
             lockstep = self.simulation.features["lockstep"]
             members = lockstep.members
@@ -214,7 +222,7 @@ class Replay(HostWrapper):
                 self._fail(f"{entry['let_go']} is not in lock-step now")
             lockstep.let_go(members[entry["let_go"]])
         elif "picture" in entry:
-            self._take_picture(entry["picture"])
+            self._resolve_picture(entry["picture"])
         elif "state" in entry:
             self._compare(entry)
         else:
@@ -227,9 +235,9 @@ class Replay(HostWrapper):
 
     def _advance(self) -> None:
         self.taken += 1
-        self._look_ahead()
+        self._set_limit()
 
-    def _look_ahead(self) -> None:
+    def _set_limit(self) -> None:
         """Set the limit: users' code must end where it was ended in the run, and only there, on any machine."""
         while self._peek("module"):
             self.taken += 1
@@ -262,13 +270,13 @@ class Replay(HostWrapper):
         self._meshes.append((set(sources), pending))
         return pending
 
-    def _take_meshes(self, entries: list[dict[str, Any]]) -> None:
+    def _resolve_meshes(self, entries: list[dict[str, Any]]) -> None:
         hulls = dict(map(mesh_of, entries))
-        asked = next((one for one in self._meshes if not one[1].done and one[0] == set(hulls)), None)
-        if asked is None:
+        request = next((one for one in self._meshes if not one[1].done and one[0] == set(hulls)), None)
+        if request is None:
             self._fail("nobody waits for these meshes now")
-        self._meshes.remove(asked)
-        asked[1].resolve(hulls)
+        self._meshes.remove(request)
+        request[1].resolve(hulls)
 
     def render(self, world: World, camera: Camera, pose: Pose, seed: int) -> Pending:
         if self._is_over:
@@ -277,7 +285,7 @@ class Replay(HostWrapper):
         self._pictures.append((pending, self._own_renderer.look(world, camera, pose, seed)))
         return pending
 
-    def _take_picture(self, error: str) -> None:
+    def _resolve_picture(self, error: str) -> None:
         """Resolve a picture, which is rendered only for users' code: there are no clients."""
         if not self._pictures:
             self._fail("no camera waits for a picture now")
@@ -294,7 +302,7 @@ class Replay(HostWrapper):
         else:
             pending.resolve("")
 
-    def _take_limit(self) -> None:
+    def _consume_limit(self) -> None:
         if self._peek("limit"):
             self._advance()
 

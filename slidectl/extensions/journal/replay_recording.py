@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from slidectl.simulation.topics import TopicSubscription
 
 _NODE = "/record"
-_LOOK_EVERY_NS = 10_000_000
+_CHECK_EVERY_NS = 10_000_000
 """Simulated time between two checks for new topics, besides those after each entry of the journal."""
 
 
@@ -46,10 +46,10 @@ class ReplayRecording:
     def watch(self, replay: Replay) -> None:
         """Set the replay, before it runs."""
         self._replay, self._graph = replay, replay.simulation.graph
-        replay.after_entry = self._look
-        self._graph.timers.every(_LOOK_EVERY_NS, self._look)
+        replay.after_entry = self._subscribe
+        self._graph.timers.every(_CHECK_EVERY_NS, self._subscribe)
 
-    def _look(self) -> None:
+    def _subscribe(self) -> None:
         topics = self._graph.topics
         if self._changes == topics.changes or not self._is_time():
             return
