@@ -94,7 +94,7 @@ def test_other_lengths_fields_and_broken_files_have_a_message_each(held: Held, t
         text.replace("position[0]", "position[1]"): "has other fields than this run: "
         "without /slider/joint_states/position[0], with /slider/joint_states/position[1]",
         "": f"{up}: is empty",
-        "a,b\n": "is no table of a run: it begins with time,topic",
+        "a,b\n": "is not a table of a run: one begins with time,topic",
         text.replace(last, "soon"): "cannot be read as a table: could not convert string to float: 'soon'",
     }.items():
         up.write_text(content, "utf-8")

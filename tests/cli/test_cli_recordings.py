@@ -234,7 +234,7 @@ def test_a_recorder_that_is_killed_leaves_what_came_before(slider: CommandLine, 
     update = ("bag", "diff", str(path), str(tmp_path / "baselines"), "--update-baseline")
     assert f"{path} is being recorded" in slider(*update).stderr
     recorder.end(signal.SIGKILL)
-    assert f"{path} is no baseline: it was not closed" in slider(*update).stderr
+    assert f"{path} cannot be a baseline: it was not closed" in slider(*update).stderr
     assert not (tmp_path / "baselines").exists()
     done = slider("bag", "info", str(path), "--json")
     record = json.loads(done.stdout)
@@ -457,7 +457,7 @@ def test_copies_and_tables(slider: CommandLine, tmp_path: Path) -> None:
     begin = next(time_ns for topic, time_ns, _ in messages(tmp_path / "run.bag") if topic == STATES) / 1e9
     expression = f"topic == '{STATES}' and t - {begin} < 0.19 and m.position[0] >= 0"
     assert f"10 of {count} messages" in slider.ok("bag", "filter", *words, expression)
-    assert "is there already" in slider("bag", "filter", *words, expression).stderr
+    assert "already exists" in slider("bag", "filter", *words, expression).stderr
     refused = slider("bag", "filter", *words, "m.nothing > 0", "--force")
     assert (refused.returncode, "no field 'nothing'" in refused.stderr) == (2, True)
     slider.ok("bag", "export", str(tmp_path / "run.bag"), "--csv", str(tmp_path / "run.csv"), "--topic", STATES)
@@ -512,7 +512,7 @@ def test_a_table_takes_the_place_of_no_file_unasked_and_never_of_its_recording(
     assert (tmp_path / "run.bag").read_bytes() == before
     (tmp_path / "-").touch()
     done = slidectl("bag", "export", "run.bag", "--parquet", "-", cwd=tmp_path)
-    assert (done.returncode, "- is there already" in done.stderr) == (1, True)
+    assert (done.returncode, "- already exists" in done.stderr) == (1, True)
 
 
 def two_publishers(path: Path) -> None:
@@ -584,7 +584,7 @@ def test_a_split_that_cannot_go_on_keeps_what_it_has_and_says_why(slider: Comman
         slider.ok("sim", "step", "300ms")
         done = recorder.ended()
         assert done.returncode == 1
-        assert f"s_1{suffix} is there already" in done.stderr
+        assert f"s_1{suffix} already exists" in done.stderr
         assert "Traceback" not in done.stderr
         [file] = json.loads(done.stdout)["files"]
         assert len(messages(Path(file))) == json.loads(done.stdout)["messages"] == 5

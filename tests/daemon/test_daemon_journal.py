@@ -509,7 +509,7 @@ def test_a_replay_is_recorded_without_a_change_of_its_bits(
     with opened(end) as recording:
         assert recording.summary().counts["/slider/joint1_position_controller/state"] in (25, 26)
     again = command(runtime, "replay", str(journal_file), "--record", str(end))
-    assert (again.returncode, again.stderr.split(",")[0].splitlines()[0]) == (1, f"error: {end} is there already")
+    assert (again.returncode, again.stderr.split(",")[0].splitlines()[0]) == (1, f"error: {end} already exists")
 
 
 def test_the_last_seconds_before_a_time_are_recorded_though_the_clock_was_set_back(

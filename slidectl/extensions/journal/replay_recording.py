@@ -32,7 +32,7 @@ class ReplayRecording:
     def __init__(self, path: Path, begin_s: float = 0.0) -> None:
         """Raises Refused: the file exists, or cannot be created. UsageError, NoMcap: as recording_files.create."""
         if path.exists():
-            raise Refused(f"{path} is there already", "give the recording another name, or remove that file")
+            raise Refused(f"{path} already exists", "give the recording another name, or remove that file")
         self._files = Recorder(path)
         self._trouble: OSError | None = None
         self._begin_s = begin_s

@@ -99,7 +99,7 @@ class Baselines:
                 elif table.rows:
                     result.verdict = FAILED
                     result.message = f"it has no baseline {path}"
-                    result.hint = "make it of this run: --update-baseline"
+                    result.hint = "to make this run the baseline: --update-baseline"
                 return
             found = table.differences(GoldenTable.read(path), str(path))
         except SlidectlError as error:

@@ -17,7 +17,6 @@ from slidectl.extensions.scenarios.case_process import run_apart
 from slidectl.extensions.scenarios.case_run import BAD, ERROR, XFAILED, CaseResult, told
 from slidectl.extensions.scenarios.scenario_file import Case
 from slidectl.extensions.scenarios.stages import CaseRuns
-from slidectl.paths import shown
 
 NOT_RUN = "not run"
 
@@ -76,7 +75,7 @@ class ScenarioItem(pytest.Item):
 
     def _report(self) -> str:
         assert self.result is not None
-        return shown("\n".join(told(self.case, self.result)))
+        return "\n".join(told(self.case, self.result))
 
     def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> Any:
         """The report of a case that failed, without a traceback."""

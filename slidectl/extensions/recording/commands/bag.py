@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 import os
 import sys
 from collections.abc import Callable, Iterator
@@ -22,9 +23,8 @@ from slidectl.paths import install_command
 from slidectl.writing import CannotWrite, whole_file, write_whole
 
 if TYPE_CHECKING:
-    from slidectl.extensions.recording.flat_rows import Rows
+    from slidectl.extensions.recording.codec import Record
     from slidectl.extensions.recording.recording_files import Recording
-    from slidectl.extensions.recording.records import Record
 
 _SECOND = 10**9
 
@@ -180,8 +180,13 @@ def reindex(ctx: Context, file: str) -> None:
         recording.refuse_written()
         kept = path.with_name(f"{path.stem}.orig{path.suffix}")
         if kept.exists():
-            raise Refused(f"{kept} is there already", f"it is from an earlier reindex; remove it, or rename {file}")
-        count = copy(recording.records(), recording, path, recording.summary().compression, kept)
+            raise Refused(f"{kept} already exists", f"it is from an earlier reindex; remove it, or rename {file}")
+        path.rename(kept)
+        try:
+            count = copy(recording.records(), recording, path, recording.summary().compression)
+        except BaseException:
+            kept.rename(path)
+            raise
     ctx.done({"file": file, "messages": count, "kept": str(kept)}, f"{file}: {count} messages, what it was is {kept}")
 
 
@@ -271,8 +276,6 @@ def export(
     target = csv_file or parquet_file
     if target is None or (csv_file and parquet_file):
         raise UsageError("give one of --csv and --parquet")
-    from slidectl.extensions.recording.flat_rows import Rows
-
     path = None if csv_file == "-" else _target(target, file, force)
     with open_recording(ctx, file) as recording:
         wanted = {names.resolve(topic, recording.topics, kind="topic") for topic in topics} or set(recording.topics)
@@ -281,6 +284,44 @@ def export(
         count = _write_csv(path, rows, columns) if csv_file else _write_parquet(Path(target), rows, columns)
     if path is not None:
         ctx.done({"file": target, "rows": count, "columns": len(columns)}, f"{target}: {count} rows")
+
+
+class Rows:
+    """The messages of some topics as flat rows: `time` (s), `topic`, and each field by its path.
+
+    If there are several topics, paths begin with the topic. nan becomes None.
+    """
+
+    def __init__(self, recording: Recording, topics: set[str]) -> None:
+        self._recording = recording
+        self._topics = topics
+
+    def columns(self) -> list[str]:
+        """All columns in order of first use. All messages are read for that, as arrays may grow."""
+        found: dict[str, None] = {"time": None, "topic": None}
+        for row in self:
+            found.update(dict.fromkeys(row))
+        return list(found)
+
+    def __iter__(self) -> Iterator[dict[str, Any]]:
+        for record in self._recording.records(self._topics):
+            prefix = "" if len(self._topics) == 1 else f"{record.channel.topic}/"
+            row: dict[str, Any] = {"time": record.time_ns / _SECOND, "topic": record.channel.topic}
+            row.update(_flat(prefix, self._recording.message(record)))
+            yield row
+
+
+def _flat(name: str, value: Any) -> Iterator[tuple[str, Any]]:
+    if isinstance(value, dict) and value.keys() == {"secs", "nsecs"}:
+        yield name, value["secs"] + value["nsecs"] / _SECOND
+    elif isinstance(value, dict):
+        for key, below in value.items():
+            yield from _flat(f"{name}{'' if not name or name.endswith('/') else '.'}{key}", below)
+    elif isinstance(value, list):
+        for index, below in enumerate(value):
+            yield from _flat(f"{name}[{index}]", below)
+    else:
+        yield name, None if isinstance(value, float) and math.isnan(value) else value
 
 
 def _write_csv(path: Path | None, rows: Rows, columns: list[str]) -> int:

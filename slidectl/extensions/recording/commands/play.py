@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import heapq
 import math
 import os
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from itertools import repeat
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
@@ -24,8 +25,8 @@ from slidectl.msgs.schema import nanoseconds
 
 if TYPE_CHECKING:
     from slidectl.cli.detached import Background
-    from slidectl.extensions.recording.playback import DueMessage
-    from slidectl.extensions.recording.records import RecordedTopic
+    from slidectl.extensions.recording.codec import RecordedTopic
+    from slidectl.extensions.recording.recording_files import Recording
 
 _SECOND = 10**9
 _AHEAD, _AHEAD_BYTES = 1000, 4 * 1024 * 1024
@@ -96,8 +97,6 @@ def play(
 
         background = Background(ctx.paths, "playing")
         background.fork()
-    from slidectl.extensions.recording.playback import due_messages, span_ns
-
     with ExitStack() as stack:
         recordings = [stack.enter_context(open_recording(ctx, file)) for file in files]
         known = sorted({topic for recording in recordings for topic in recording.topics})
@@ -105,7 +104,7 @@ def play(
         renames = {names.resolve(old, known, kind="topic"): new for old, new in renames.items()}
         left_out = {"/rosout", "/rosout_agg", *(() if clock else (CLOCK,))} - chosen
         wanted = (chosen or set(known)) - left_out
-        begin_ns, last_ns = span_ns(recordings)
+        begin_ns, last_ns = _span_ns(recordings)
         for channel in (channel for recording in recordings for channel in recording.channels):
             if channel.topic in wanted:
                 _check_type(channel)
@@ -116,7 +115,7 @@ def play(
         if not at_recorded_times:
             base_ns = nanoseconds(ctx.call("/rosapi/get_time")["time"]) + _FIRST_DELAY_NS
         for _ in repeat(None) if loop else (None,):
-            due = due_messages(recordings, wanted, start_ns, end_ns, rate)
+            due = _due_messages(recordings, wanted, start_ns, end_ns, rate)
             base_ns = player.publish(due, base_ns) + _FIRST_DELAY_NS
             if player.refused:
                 break
@@ -154,6 +153,51 @@ def _check_type(channel: RecordedTopic) -> None:
         )
 
 
+class _DueMessage(NamedTuple):
+    """A message to publish at `at_ns` after the start; `size` is its number of bytes in the recording."""
+
+    at_ns: int
+    topic: str
+    type: str
+    latch: bool
+    message: Any
+    size: int
+
+
+def _span_ns(recordings: Sequence[Recording]) -> tuple[int, int]:
+    """The times of the first and the last message of all recordings; zeros if there are no messages."""
+    summaries = [recording.summary() for recording in recordings]
+    begin = min((one.begin_ns for one in summaries if one.begin_ns is not None), default=0)
+    return begin, max((one.end_ns for one in summaries if one.end_ns is not None), default=begin)
+
+
+def _due_messages(
+    recordings: Sequence[Recording], topics: set[str], start_ns: int = 0, end_ns: int | None = None, rate: float = 1.0
+) -> Iterator[_DueMessage]:
+    """The messages from `start_ns` to before `end_ns` after the first message, by time; `rate` divides their times.
+
+    Latched messages from before the start come first: the last one of each topic.
+    """
+    begin_ns = _span_ns(recordings)[0]
+    streams = [((record, recording) for record in recording.records(topics)) for recording in recordings]
+    latched: dict[str, _DueMessage] = {}
+    for record, recording in heapq.merge(*streams, key=lambda pair: pair[0].time_ns):
+        channel, offset_ns = record.channel, record.time_ns - begin_ns - start_ns
+        if end_ns is not None and offset_ns + start_ns >= end_ns:
+            break
+        if offset_ns < 0 and not channel.latching:
+            continue
+        at_ns, message = round(max(offset_ns, 0) / rate), recording.message(record)
+        due = _DueMessage(at_ns, channel.topic, channel.type, channel.latching, message, len(record.raw))
+        if offset_ns < 0:
+            latched[channel.topic] = due
+            continue
+        yield from latched.values()
+        latched.clear()
+        yield due
+    yield from latched.values()
+
+
 class _Player:
     """Publishes messages at simulated times, some sent ahead."""
 
@@ -170,7 +214,7 @@ class _Player:
         self._first_ns: int | None = None
         self._last_ns = 0
 
-    def publish(self, messages: Iterator[DueMessage], base_ns: int) -> int:
+    def publish(self, messages: Iterator[_DueMessage], base_ns: int) -> int:
         """Publish all messages; returns the simulated time of the last one. Raises NoDaemon, Refused."""
         client = self._ctx.client
         waiting: deque[tuple[str, int]] = deque()
