@@ -73,7 +73,7 @@ class Entities:
             return WORLD
         return self.model_frame(name) if name in self._robots else self.link_frame(*self.find("link", name))
 
-    def put(self, name: str, place: Pose | None, moving: Twist | None, viewer: Frame) -> None:
+    def set_state(self, name: str, place: Pose | None, moving: Twist | None, viewer: Frame) -> None:
         """Set the pose and the twist of a robot's root, expressed in `viewer`; None keeps the present one.
 
         Raises UnknownName, and Refused: a twist for a robot fixed to the world, or numbers that are not finite.

@@ -170,7 +170,7 @@ def _parameter_services(parameters: Parameters) -> dict[str, ServiceEntry]:
         check_size(value, request["name"])
         return {"value": json.dumps(value)}
 
-    def put(request: Message) -> Message:
+    def set_value(request: Message) -> Message:
         parameters.set(absolute(request["name"]), from_json(request["value"]))
         return {}
 
@@ -180,7 +180,7 @@ def _parameter_services(parameters: Parameters) -> dict[str, ServiceEntry]:
 
     return {
         "get_param": ("GetParam", get),
-        "set_param": ("SetParam", put),
+        "set_param": ("SetParam", set_value),
         "delete_param": ("DeleteParam", delete),
         "search_param": ("SearchParam", lambda r: {"global_name": parameters.search("/", r["name"]) or ""}),
         "has_param": ("HasParam", lambda r: {"exists": parameters.has(absolute(r["name"]))}),

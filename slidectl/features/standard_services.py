@@ -176,7 +176,7 @@ class StandardServices(Feature):
         results: list[Message] = []
         answer = Pending()
 
-        def take_and_go_on(done: Pending) -> None:
+        def on_spawned(done: Pending) -> None:
             results.append(done.result())
             go_on()
 
@@ -185,7 +185,7 @@ class StandardServices(Feature):
                 spawning = self._spawn(requests[len(results)])
                 answer.on_cancel = spawning.cancel
                 if not spawning.done:
-                    spawning.then(take_and_go_on)
+                    spawning.then(on_spawned)
                     return
                 results.append(spawning.result())
             result = _ok()
@@ -284,7 +284,7 @@ class StandardServices(Feature):
         except Refused as error:
             raise FailedRequest("INVALID_POSE", str(error), "SetEntityStateResponse") from None
         moving = twist(state["twist"]) if request["set_twist"] else None
-        self._entities.put(name, place, moving, self._entities.frame(state["header"]["frame_id"]))
+        self._entities.set_state(name, place, moving, self._entities.frame(state["header"]["frame_id"]))
         text = "an acceleration follows from forces and is not set" if "set_acceleration" in pushes else ""
         return {"result": _ok(text)}
 

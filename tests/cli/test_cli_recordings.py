@@ -258,7 +258,7 @@ def test_a_recorder_that_is_killed_leaves_what_came_before(slider: CommandLine, 
 _NEVER_FLUSHED = """
 from slidectl.cli import entry
 from slidectl.extensions.recording.commands import record
-record._LOOK_EVERY_S = 1000.0
+record._CHECK_EVERY_S = 1000.0
 entry()
 """
 """The command line with a recorder that comes to no regular flush."""

@@ -39,13 +39,13 @@ class RecordedFields:
         self._records: list[tuple[str, int, Any]] = []
         self._subscriptions: list[Any] = []
 
-    def look(self) -> None:
+    def update(self) -> None:
         """Handle received messages, and subscribe to new topics."""
         for topic, kind in self._client.topics().items():
             if topic not in self._types and self._is_wanted(topic, kind):
                 self._types[topic] = kind
                 self._subscriptions.append(
-                    self._client.subscribe(topic, kind, queue_length=_QUEUE, take=self._take, wait=False)
+                    self._client.subscribe(topic, kind, queue_length=_QUEUE, take=self._add, wait=False)
                 )
         self._client.flush()
 
@@ -54,11 +54,11 @@ class RecordedFields:
             return kind == _JOINT_STATES
         return any(topic == name or topic.endswith(f"/{name}") for name in self._names)
 
-    def _take(self, published: dict[str, Any]) -> None:
+    def _add(self, published: dict[str, Any]) -> None:
         self._records.append((published["topic"], nanoseconds(published["time"]), published["msg"]))
 
     def table(self) -> GoldenTable:
-        """The table of the messages up to the last `look`. Raises UnknownName, AmbiguousName, Refused."""
+        """The table of the messages up to the last `update`. Raises UnknownName, AmbiguousName, Refused."""
         self._client.close()
         if lost := sum(subscription.dropped for subscription in self._subscriptions):
             raise Refused(f"{lost} messages of its fields came faster than they could be taken in")

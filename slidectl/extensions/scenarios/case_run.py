@@ -95,7 +95,7 @@ class Stage:
 
 @dataclass
 class CaseRun:
-    """Runs the steps of a case on a stage, teardown included, and calls `look` after each step before the teardown."""
+    """Runs the steps of a case on a stage, with the teardown. `after_step` is called after each step before that."""
 
     case: Case
     commands: Commands
@@ -103,7 +103,7 @@ class CaseRun:
     sim_timeout: float
     temporary: str
     steps: Sequence[ScenarioStep]
-    look: Callable[[], None]
+    after_step: Callable[[], None]
 
     def __post_init__(self) -> None:
         self.sim_timeout = self.case.sim_timeout or self.sim_timeout
@@ -132,7 +132,7 @@ class CaseRun:
             for step in self.steps:
                 if step.section != "teardown":
                     self._do(step, self.sim_timeout - self.stage.now_s())
-                    self.look()
+                    self.after_step()
             self._end_background()
         except _Failed as failure:
             self._note(failure, FAILED if failure.step.section == "steps" else ERROR)
@@ -267,7 +267,7 @@ def _late(outcome: StepOutcome, limit: str) -> StepOutcome:
     return outcome._replace(message=f"not done within {limit} of simulated time: {outcome.message}")
 
 
-def told(case: Case, result: CaseResult) -> list[str]:
+def report_lines(case: Case, result: CaseResult) -> list[str]:
     """The lines that describe a failure."""
     lines = [result.message]
     lines += [result.hint] if result.hint else []

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from slidectl.extensions.scenarios.case_process import run_apart
-from slidectl.extensions.scenarios.case_run import BAD, ERROR, XFAILED, CaseResult, told
+from slidectl.extensions.scenarios.case_run import BAD, ERROR, XFAILED, CaseResult, report_lines
 from slidectl.extensions.scenarios.scenario_file import Case
 from slidectl.extensions.scenarios.stages import CaseRuns
 
@@ -75,7 +75,7 @@ class ScenarioItem(pytest.Item):
 
     def _report(self) -> str:
         assert self.result is not None
-        return "\n".join(told(self.case, self.result))
+        return "\n".join(report_lines(self.case, self.result))
 
     def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> Any:
         """The report of a case that failed, without a traceback."""

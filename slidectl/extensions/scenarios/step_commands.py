@@ -101,8 +101,8 @@ def split(text: str) -> list[str]:
         raise UsageError(f"cannot part the words of {text!r}: {error}", "a quote needs its end") from None
 
 
-def words_of(command: StepCommand, given: Mapping[str, Any], tell: Callable[[SlidectlError], None]) -> list[str]:
-    """The words after the command's name, from values by name. A value with a mistake is passed to `tell` and left out.
+def words_of(command: StepCommand, given: Mapping[str, Any], report: Callable[[SlidectlError], None]) -> list[str]:
+    """The words after the command's name, from values by name. `report` is called for a wrong value, which is left out.
 
     Raises UsageError: an argument is missing.
     """
@@ -116,7 +116,7 @@ def words_of(command: StepCommand, given: Mapping[str, Any], tell: Callable[[Sli
             elif name not in arguments:
                 raise UnknownName("option", name, [*arguments, *options], f"of {command.name}")
         except SlidectlError as mistake:
-            tell(mistake)
+            report(mistake)
     places: list[str] = []
     for argument in command.arguments:
         if argument.name in given:

@@ -123,7 +123,7 @@ def play(
                 length_s = (last_ns - begin_ns) / _SECOND
                 ctx.warn(f"there is no message to play in that part; the recording is {length_s:.3f} s long")
                 break
-        player.tell()
+        player.print_summary()
 
 
 def _sorted(words: tuple[str, ...]) -> tuple[list[str], dict[str, str]]:
@@ -205,8 +205,8 @@ class _Player:
         self._ctx = ctx
         self._background = background
         self._renames = renames
-        self._told: set[str] = set()
-        self._has_looked = False
+        self._warned: set[str] = set()
+        self._is_checked = False
         self.published = 0
         self.late = 0
         self.refused = 0
@@ -228,18 +228,18 @@ class _Player:
             self._last_ns = at_ns
             while waiting and (len(waiting) >= _AHEAD or ahead + due.size > _AHEAD_BYTES):
                 publish_id, size = waiting.popleft()
-                self._take(publish_id)
+                self._confirm(publish_id)
                 ahead -= size
             waiting.append((client.publish_at(topic, due.message, at_ns, due.type, due.latch), due.size))
             ahead += due.size
         for publish_id, _ in waiting:
-            self._take(publish_id)
+            self._confirm(publish_id)
         return at_ns
 
-    def _take(self, publish_id: str) -> None:
+    def _confirm(self, publish_id: str) -> None:
         client = self._ctx.client
-        if not self._has_looked:  # its answer confirms that the daemon has all messages sent so far
-            self._has_looked = True
+        if not self._is_checked:  # its answer confirms that the daemon has all messages sent so far
+            self._is_checked = True
             status = self._ctx.call("/slidectl/status")
             if status["paused"]:
                 self._ctx.say(f"{paused(status)}; nothing is played until it goes on: {resume_hint(status)}")
@@ -251,11 +251,11 @@ class _Player:
             self.published += 1
         except MessageRefused as error:
             self.refused += 1
-            if error.message not in self._told and len(self._told) < _MOST_WARNINGS:
-                self._told.add(error.message)
+            if error.message not in self._warned and len(self._warned) < _MOST_WARNINGS:
+                self._warned.add(error.message)
                 self._ctx.warn(error.message)
 
-    def tell(self) -> None:
+    def print_summary(self) -> None:
         """Print what was played. Raises Refused when messages were refused."""
         seconds = 0.0 if self._first_ns is None else (self._last_ns - self._first_ns) / _SECOND
         record = {

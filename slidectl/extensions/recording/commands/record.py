@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from slidectl.client import Subscription
     from slidectl.extensions.recording.recording_files import Recorder
 
-_LOOK_EVERY_S = 0.2
+_CHECK_EVERY_S = 0.2
 _FLUSH_EVERY_S = 1.0
 """So much wall time of messages is lost at the most when the recorder is killed. Each flush ends a chunk of the file,
 which costs some bytes in it and in memory: so not more often, save in the first second, when little is there."""
@@ -149,7 +149,7 @@ class _Choice:
                 if not name.startswith("/"):  # a topic with a full name is recorded as soon as it exists
                     raise
 
-    def takes(self, topic: str) -> bool:
+    def includes(self, topic: str) -> bool:
         if self._exclude is not None and self._exclude.fullmatch(topic):
             return False
         return self._every or topic in self.named or any(pattern.fullmatch(topic) for pattern in self._patterns)
@@ -170,7 +170,7 @@ class _RecordedTopics:
         self._choice = choice
         self._out = out
         self._limit = given["limit"]
-        self._tells_progress = given["progress"]
+        self._prints_progress = given["progress"]
         self._length_s = None if given["split"] else given["duration"]
         self.subscriptions: dict[str, Subscription] = {}
         self._sleep: str | None = None
@@ -193,7 +193,7 @@ class _RecordedTopics:
 
     def _subscribe_new(self, topics: dict[str, str]) -> None:
         for topic, kind in topics.items():
-            if topic not in self._out.topics and topic not in self._left_out and self._choice.takes(topic):
+            if topic not in self._out.topics and topic not in self._left_out and self._choice.includes(topic):
                 try:
                     self._out.add(topic, kind)
                 except SlidectlError as error:
@@ -203,7 +203,7 @@ class _RecordedTopics:
         new = [topic for topic in self._out.topics if topic not in self.subscriptions]
         for topic in new:  # all subscriptions begin at the same time
             self.subscriptions[topic] = client.subscribe(
-                topic, topics[topic], queue_length=_QUEUE, take=self._take, wait=False
+                topic, topics[topic], queue_length=_QUEUE, take=self._write, wait=False
             )
         if new:
             try:
@@ -211,7 +211,7 @@ class _RecordedTopics:
             except MessageRefused as error:  # a node advertised it with another type meanwhile
                 self._ctx.warn(f"not recorded: {error.message}")
 
-    def _take(self, published: dict[str, Any]) -> None:
+    def _write(self, published: dict[str, Any]) -> None:
         topic = published["topic"]
         if self._failure is not None or (self._limit is not None and self._out.counts[topic] >= self._limit):
             return
@@ -231,18 +231,18 @@ class _RecordedTopics:
         client = self._ctx.client
         began = flushed = client.monotonic()
         try:
-            with status_line(self._ctx, wanted=not self._tells_progress) as show:
+            with status_line(self._ctx, wanted=not self._prints_progress) as show:
                 while not is_over() and not self._is_done():
-                    look_at = client.monotonic() + _LOOK_EVERY_S
-                    for _ in client.events(_LOOK_EVERY_S):
-                        if is_over() or self._is_done() or client.monotonic() >= look_at:
+                    check_at = client.monotonic() + _CHECK_EVERY_S
+                    for _ in client.events(_CHECK_EVERY_S):
+                        if is_over() or self._is_done() or client.monotonic() >= check_at:
                             break
-                    self._look_for_topics()
+                    self._subscribe_to_new()
                     now = client.monotonic()
                     if now >= flushed + _FLUSH_EVERY_S or now < began + _FLUSH_EVERY_S:
                         flushed = now
                         self._flush()
-                    if self._tells_progress:
+                    if self._prints_progress:
                         self._progress()
                     else:
                         show(self._so_far())
@@ -262,7 +262,7 @@ class _RecordedTopics:
         except OSError as error:
             self._failure = error
 
-    def _look_for_topics(self) -> None:
+    def _subscribe_to_new(self) -> None:
         client = self._ctx.client
         if self._topics_call is not None and client.is_answered(self._topics_call):
             answer = client.answer(self._topics_call)

@@ -145,7 +145,7 @@ def test(
     more = iter(()) if baselines is None else baselines.without_case(known)
     runner = CaseRunner(cases, options, 1 if live else workers or usable_cores(), maxfail, more)
     fault = _run(ctx, runner)
-    failed = _tell(ctx, runner.cases, runner.results)
+    failed = _print_results(ctx, runner.cases, runner.results)
     if fault is not None:
         raise fault
     if junitxml is not None:
@@ -235,9 +235,9 @@ def _run(ctx: Context, runner: CaseRunner) -> Exception | None:
 # --- output ---------------------------------------------------------------------------------------------------------
 
 
-def _tell(ctx: Context, cases: Sequence[Case], results: Mapping[str, CaseResult]) -> int:
+def _print_results(ctx: Context, cases: Sequence[Case], results: Mapping[str, CaseResult]) -> int:
     """Print the results in the order of the cases. Returns how many failed."""
-    from slidectl.extensions.scenarios.case_run import BAD, told
+    from slidectl.extensions.scenarios.case_run import BAD, report_lines
 
     ran = [(case, results[case.id]) for case in cases if case.id in results]
     failures = [(case, result) for case, result in ran if result.verdict in BAD]
@@ -252,7 +252,7 @@ def _tell(ctx: Context, cases: Sequence[Case], results: Mapping[str, CaseResult]
         table = [{"case": row["id"], **row} for row in rows]
         output.write(output.table(table, ["case", "verdict", "sim_time", "wall_time"]))
     for case, result in failures:
-        details = textwrap.indent("\n".join(told(case, result)), "  ")
+        details = textwrap.indent("\n".join(report_lines(case, result)), "  ")
         output.write(f"\n{result.verdict.upper()} {case.id}\n{details}")
     if written := [result.baseline for _, result in ran if result.baseline]:
         output.write("\n" + "\n".join(written))

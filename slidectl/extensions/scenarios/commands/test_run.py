@@ -28,7 +28,7 @@ import pytest
 
 from slidectl.errors import UsageError
 from slidectl.extensions.scenarios.baselines import Baselines
-from slidectl.extensions.scenarios.case_run import BAD, ERROR, CaseResult, told
+from slidectl.extensions.scenarios.case_run import BAD, ERROR, CaseResult, report_lines
 from slidectl.extensions.scenarios.commands.step_runner import StepRunner
 from slidectl.extensions.scenarios.scenario_file import Case
 from slidectl.extensions.scenarios.scenario_items import NOT_RUN, ScenarioItem
@@ -200,7 +200,7 @@ class CaseRunner:
         for case, result in [] if self.interrupted else self._more:
             self.cases.append(case)
             self.results[case.id] = result
-            _log(session, _node_id(case), "failed", "\n".join(told(case, result)))
+            _log(session, _node_id(case), "failed", "\n".join(report_lines(case, result)))
 
 
 def _log(session: pytest.Session, node_id: str, outcome: Any, text: Any) -> None:
