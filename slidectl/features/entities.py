@@ -151,4 +151,4 @@ def check_size(kind: str, xml: str) -> None:
     """Raise Refused for too many elements: reading them would block the world."""
     tags = xml.count("<") - xml.count("</")
     if tags > _MOST_TAGS:
-        raise Refused(f"the {kind} has {tags} tags, and {_MOST_TAGS} is the most")
+        raise Refused(f"the {kind} has {tags} tags; the maximum is {_MOST_TAGS}")

@@ -582,7 +582,7 @@ class Faults(Feature):
             raise Refused(f"it is {now_ns / SECOND:g} s already: a fault cannot begin at {start_ns / SECOND:g} s", hint)
         check_span(start_ns / SECOND, end_ns / SECOND)
         if len(self._faults) >= self.MOST:
-            raise Refused(f"there are {self.MOST} faults, which is the most", "slidectl fault clear")
+            raise Refused(f"there are {self.MOST} faults already, the maximum", "slidectl fault clear")
         target_kind = KINDS[kind].target
         targets = self._targets(target_kind)
         full = names.resolve(target, targets, kind=target_kind, namespace=namespace)
@@ -714,7 +714,7 @@ class Faults(Feature):
         if name in self._faults:
             raise Refused(f"there is a fault {name!r} already", "give another name, or remove that one first")
         if name and not names.is_component(name):
-            raise UsageError(f"{quoted(name)} is no name of a fault: a letter, then letters, digits and '_'")
+            raise UsageError(f"{quoted(name)} is not a name for a fault: a letter, then letters, digits and '_'")
         stem, number = kind.replace("-", "_"), 1
         while f"{stem}_{number}" in self._faults:
             number += 1

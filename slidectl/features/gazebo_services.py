@@ -188,7 +188,7 @@ class GazeboServices(Feature):
         root = self._robots.get(robot).description.root
         if link != root:
             raise Refused(
-                f"{robot}::{link} hangs on a joint; only the root link {robot}::{root} can be put somewhere",
+                f"{robot}::{link} is held by a joint; only the root link {robot}::{root} can be moved",
                 "move joints with /gazebo/set_model_configuration",
             )
         return self._set_model_state({**state, "model_name": robot})

@@ -85,7 +85,7 @@ class LockStepService(Feature):
 
     def _serve(self, request: Message) -> Message | Pending:
         if not self._loop.driven:
-            raise Refused("nobody drives this world: it goes on by its step() alone")
+            raise Refused("this world has no driver: it advances only by its step()")
         node = self._graph.calling_node
         if request["leave"]:
             self._member(node)
@@ -105,7 +105,7 @@ class LockStepService(Feature):
         if node not in self.members:
             why = self._removed.pop(node, "")
             text = f"{node} is not in lock-step" + (f": {why}" if why else "")
-            raise Refused(text, "join with a period above 0, also after it was let go")
+            raise Refused(text, "join with a period above 0, also after a removal")
         return self.members[node]
 
     def _join(self, node: str, period_s: float, timeout_s: float) -> None:
@@ -132,7 +132,7 @@ class LockStepService(Feature):
     def _on_node_closed(self, node: str) -> None:
         self._removed.pop(node, None)
         if node in self.members:
-            self._graph.log("warn", OWN_NODE, f"{node} has gone; the lock-step goes on without it")
+            self._graph.log("warn", OWN_NODE, f"{node} has disconnected; the lock-step continues without it")
             self._leave(node)
 
 

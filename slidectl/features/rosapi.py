@@ -196,9 +196,9 @@ def absolute(name: str) -> str:
 def from_json(text: str) -> Any:
     """The value of a request. Raises BadMessage."""
     if len(text) > _LONGEST:
-        raise BadMessage(f"a value of {len(text)} characters, and {_LONGEST} is the most", "value")
+        raise BadMessage(f"the value has {len(text)} characters; the maximum is {_LONGEST}", "value")
     if text.count(",") + text.count("[") + text.count("{") > _MOST_VALUES:
-        raise BadMessage(f"a value of more than {_MOST_VALUES} parts", "value", "set parts of it one after the other")
+        raise BadMessage(f"the value has more than {_MOST_VALUES} parts", "value", "set its parts one by one")
     try:
         return json.loads(text)
     except (ValueError, RecursionError) as error:

@@ -58,7 +58,7 @@ class Snapshots(Feature):
         if not names.is_component(name):
             raise BadName(name, "name of a snapshot: letters, digits and '_', and the first is a letter")
         if len(self._kept) >= self.MOST and name not in self._kept:
-            raise Refused(f"there are {self.MOST} snapshots, which is the most", "slidectl sim delete NAME")
+            raise Refused(f"there are {self.MOST} snapshots already, the maximum", "slidectl sim delete NAME")
         snapshot = capture(self._simulation)
         first(snapshot)
         self._kept.pop(name, None)

@@ -263,7 +263,7 @@ def _check_settled(simulation: Simulation, action: str) -> None:
         if robot.is_controlled and robot.services.is_busy:
             raise Refused(
                 f"cannot {action}: a switch of controllers of {robot.name!r} is under way",
-                "let the world go on until it is done",
+                "let the world run until the switch is done",
             )
 
 

@@ -214,7 +214,7 @@ class Wait:
         )
 
     def _why_not(self) -> str:
-        alone = "" if self._graph.topics.publishers(self._topic) else "; nobody publishes it"
+        alone = "" if self._graph.topics.publishers(self._topic) else "; it has no publisher"
         if self._last is _NOTHING:
             return alone or "; no message came"
         return f"; last {_shown(self._last)}, closest {_shown(self._closest)}{alone}"

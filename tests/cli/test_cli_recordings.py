@@ -163,7 +163,7 @@ def test_playing_keeps_the_distances_on_other_topics_and_at_other_rates(slider: 
     slider.ok("sim", "reset")
     recorded(slider, tmp_path / "run.bag", STATES)
     recorder = Recorder(slider, "/copy", "-O", str(tmp_path / "copy.bag"))
-    assert "nobody publishes /copy yet" in recorder.said
+    assert "/copy has no publisher yet" in recorder.said
     player = slider.start(
         "play",
         str(tmp_path / "run.bag"),
@@ -217,7 +217,7 @@ def test_a_part_without_messages_is_said_to_be_empty(slider: CommandLine, tmp_pa
     slider.ok("sim", "reset")
     recorded(slider, tmp_path / "run.bag", STATES)
     done = slider("play", str(tmp_path / "run.bag"), "--start", "1e6")
-    assert "no message to play in that part; the recording is 0.9" in done.stderr
+    assert "no messages in this part; the recording is 0.9" in done.stderr
     assert done.stdout == "played 0 messages on 0 topics, 0.000 s\n"
 
 
@@ -601,7 +601,7 @@ BAD = [
     (("record",), 2, "give the topics, or -a for all"),
     (("record", "nothing"), 1, "no topic 'nothing'"),
     (("record", "-a", "-O", "x.txt"), 2, "neither a .bag nor a .mcap file"),
-    (("record", "-a", "-O", "x.bag", "--compression", "zstd"), 2, "there is: none, bz2, lz4"),
+    (("record", "-a", "-O", "x.bag", "--compression", "zstd"), 2, "choose from: none, bz2, lz4"),
     (("record", "-a", "-O", "/nowhere/x.bag"), 1, "cannot write /nowhere/x.bag: No such file or directory"),
     (("record", "-e", "(", "-O", "x.bag"), 2, "is not a regular expression"),
     (("record", "-a", "--split", "-O", "x.bag"), 2, "--split needs --duration or --size"),

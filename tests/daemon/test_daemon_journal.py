@@ -633,8 +633,11 @@ def sealed(entry: dict[str, Any]) -> bytes:
 
 SPOILT: dict[str, tuple[Callable[[bytes], bytes], str]] = {
     "empty": (lambda _: b"", "it is empty: the daemon ended before it wrote anything"),
-    "another file": (lambda _: b"<robot/>\n", "it is no journal of slidectl\none is written by: slidectl daemon start"),
-    "a binary file": (lambda _: bytes(range(256)) * 50, "it is no journal of slidectl"),
+    "another file": (
+        lambda _: b"<robot/>\n",
+        "not a journal of slidectl\none is written by: slidectl daemon start",
+    ),
+    "a binary file": (lambda _: bytes(range(256)) * 50, "it is not a journal of slidectl"),
     "a bit of the first line": (lambda text: text[:80], "it is cut off in its first line"),
     "of a later version": (
         lambda text: sealed({"slidectl_journal": 2, "version": "9.1"}) + text[text.index(b"\n") :],
@@ -670,9 +673,9 @@ STRANGE: dict[str, tuple[dict[str, Any] | bytes, str]] = {
     "a cycle before the first": ({"cycle": -1, "limit": ""}, NO_CYCLE),
     "a cycle beyond all time": ({"cycle": 2**70, "limit": ""}, NO_CYCLE),
     "a line beyond all time": (b'{"cycle":99999999999999999999,"client":1,"line":{}', NO_CYCLE),
-    "a cycle in the past": ({"cycle": 1, "state": ""}, "in cycle 1: the world is past it now, at cycle 4000"),
+    "a cycle in the past": ({"cycle": 1, "state": ""}, "in cycle 1: the world is already at cycle 4000"),
     "a cycle in years": ({"cycle": 10**12, "state": ""}, "its cycle 1000000000000 is more than 2 s after the cycle"),
-    "an unknown record": ({"cycle": 4000, "wind": 3}, "the world did not ask for what stands in the journal next"),
+    "an unknown record": ({"cycle": 4000, "wind": 3}, "the world did not ask for the next entry of the journal"),
     "a client by name": ({"cycle": 4000, "client": "me", "node": "/me"}, "invalid entry: TypeError"),
     "a client twice": ({"cycle": 4000, "client": 1, "node": "/me"}, "there was a client 1 before"),
     "a client that is not there": ({"cycle": 4000, "gone": 77}, "in cycle 4000: there is no client 77"),

@@ -762,7 +762,7 @@ def test_snapshots_are_bounded_and_a_name_may_be_saved_again(monkeypatch: pytest
     monkeypatch.setattr(type(simulation.snapshots), "MOST", 2)
     for name in ("one", "two", "one"):
         simulation.save(name)
-    with pytest.raises(Refused, match="there are 2 snapshots, which is the most\nslidectl sim delete"):
+    with pytest.raises(Refused, match="there are 2 snapshots already, the maximum\nslidectl sim delete"):
         simulation.save("three")
 
 

@@ -285,7 +285,7 @@ def _contents(path: str, file: BinaryIO) -> Contents:
     body = _checked(first) if is_journal else None
     if body is None:
         raise BadFile(
-            "it is no journal of slidectl", path, hint="one is written by: slidectl daemon start --journal FILE"
+            "it is not a journal of slidectl", path, hint="one is written by: slidectl daemon start --journal FILE"
         )
     header = _json(body, path, 1)
     if header["slidectl_journal"] != FORMAT:

@@ -34,7 +34,7 @@ from slidectl.simulation.loop import FAILED
 from slidectl.simulation.pending import Pending
 from slidectl.simulation.simulation import Simulation
 
-_UNREPEATABLE = "code of users that looks at the wall time, random numbers or other files is not repeatable"
+_UNREPEATABLE = "user code that reads the wall time, random numbers or other files is not repeatable"
 _LONGEST_GAP_NS = 2 * SECOND
 """The most simulated time without an entry. There is one for each second, so that no number lets a replay run on."""
 _CONSUMED_ENTRIES = frozenset(("limit", "module"))
@@ -160,7 +160,7 @@ class Replay(HostWrapper):
             if not self._step_to(entries[self._at]["cycle"]):
                 return True
             if self.taken != self._at:
-                self._fail("code of a user that took too long then does not now")
+                self._fail("user code that took too long in the journal does not now")
             self._advance()
             try:
                 self._carry_out(entries[self._at])
@@ -189,7 +189,7 @@ class Replay(HostWrapper):
             if not done or run.trouble != trouble:
                 break
         if simulation.cycles > cycle:
-            self._fail(f"the world is past it now, at cycle {simulation.cycles}")
+            self._fail(f"the world is already at cycle {simulation.cycles}")
         if simulation.cycles != cycle:
             self._fail(f"the world is at cycle {simulation.cycles} now{run.trouble and f': {run.trouble}'}")
         return True
@@ -226,7 +226,7 @@ class Replay(HostWrapper):
         elif "state" in entry:
             self._compare(entry)
         else:
-            self._fail("the world did not ask for what stands in the journal next")
+            self._fail("the world did not ask for the next entry of the journal")
 
     def _session(self, number: int) -> Session:
         if number not in self._sessions:
@@ -259,7 +259,7 @@ class Replay(HostWrapper):
             return super().read(what, look)
         entry = self.contents.entries[self.taken]
         if entry.get("read") != what:
-            self._fail(f"the world reads the {what} now, and did not then")
+            self._fail(f"the world reads the {what} now, but did not in the journal")
         self._advance()
         return entry["found"]
 
@@ -274,7 +274,7 @@ class Replay(HostWrapper):
         hulls = dict(map(mesh_of, entries))
         request = next((one for one in self._meshes if not one[1].done and one[0] == set(hulls)), None)
         if request is None:
-            self._fail("nobody waits for these meshes now")
+            self._fail("nothing waits for these meshes now")
         self._meshes.remove(request)
         request[1].resolve(hulls)
 

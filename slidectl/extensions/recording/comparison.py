@@ -109,12 +109,11 @@ def compare_file(
         open_file: opens a recording, and may warn of damage.
 
     Raises:
-        BadFile: there is no such baseline. Refused: it cannot be written, or the run is incomplete. Also what `compare`
-            raises.
+        BadFile: no such baseline. Refused: it cannot be written, or the run is incomplete. Also what `compare` raises.
     """
     kept = baseline if baseline.suffix in (*COMPRESSIONS, TABLE) else baseline / run.name
     if not update and not kept.exists():
-        raise BadFile("there is no such baseline", str(kept), hint=_UPDATE)
+        raise BadFile("the baseline does not exist", str(kept), hint=_UPDATE)
     if kept.suffix == TABLE:
         return _compare_table(run, kept, fields, tolerance, update, open_file)
     if update:

@@ -123,7 +123,7 @@ def check_kind(path: Path, compression: str = "none") -> None:
     if known is None:
         raise UsageError(f"{path} is neither a .bag nor a .mcap file", "the suffix is the format")
     if compression not in known:
-        raise UsageError(f"{path.suffix} files have no compression {compression!r}", f"there is: {', '.join(known)}")
+        raise UsageError(f"{path.suffix} files have no compression {compression!r}", f"choose from: {', '.join(known)}")
     if path.suffix == ".mcap":
         _check_mcap()
 

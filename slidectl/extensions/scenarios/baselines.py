@@ -61,7 +61,7 @@ class RecordedFields:
         """The table of the messages up to the last `update`. Raises UnknownName, AmbiguousName, Refused."""
         self._client.close()
         if lost := sum(subscription.dropped for subscription in self._subscriptions):
-            raise Refused(f"{lost} messages of its fields came faster than they could be taken in")
+            raise Refused(f"{lost} messages of its fields came faster than they could be read")
         fields = self._wanted.fields or {
             f"{topic}/{field}": self._wanted.tol for topic in sorted(self._types) for field in _DEFAULT
         }
@@ -114,7 +114,7 @@ class Baselines:
             table.write(path)
             result.baseline = f"{path}: updated; before, {what.removeprefix(f'{path}: ')}"
             return
-        result.verdict, result.message, result.hint = FAILED, f"not as its baseline: {what}", hint
+        result.verdict, result.message, result.hint = FAILED, f"differs from its baseline: {what}", hint
         result.detail, result.failed_at = detail, time_s
 
     def without_case(self, known: Sequence[Case]) -> Iterator[tuple[Case, CaseResult]]:
@@ -131,5 +131,5 @@ class Baselines:
             ]
             others = [file for file in scenarios if os.path.isfile(file) and os.path.realpath(file) not in read]
             if path not in mine and not others:
-                result = CaseResult(str(path), FAILED, message="this baseline belongs to no case", hint=f"rm {path}")
+                result = CaseResult(str(path), FAILED, message="no case has this baseline", hint=f"rm {path}")
                 yield Case(str(path), "", path.stem), result

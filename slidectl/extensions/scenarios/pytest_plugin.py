@@ -115,7 +115,7 @@ class _JournaledRun:
             file.unlink(missing_ok=True)
             return [f"no recording: {done.stderr.strip()}"]
         found = json.loads(done.stdout)
-        differs = [f"which is not as the test was: {found['differs']}"] if found["differs"] else []
+        differs = [f"which differs from the test: {found['differs']}"] if found["differs"] else []
         return [f"recording: {file}, up to {found['time']:.3f} s", *differs]
 
     def forget(self) -> None:

@@ -98,7 +98,7 @@ def split(text: str) -> list[str]:
     try:
         return shlex.split(text)
     except ValueError as error:
-        raise UsageError(f"cannot part the words of {text!r}: {error}", "a quote needs its end") from None
+        raise UsageError(f"cannot split {text!r} into words: {error}", "close the quote") from None
 
 
 def words_of(command: StepCommand, given: Mapping[str, Any], report: Callable[[SlidectlError], None]) -> list[str]:

@@ -28,7 +28,7 @@ _LONGEST_START_S = 1e6
 
 def _time(_click: click.Context, _param: click.Parameter, value: float | None) -> float | None:
     if value is not None and not 0 <= value < 1e9:
-        raise click.BadParameter(f"{value:g} is no simulated time in s")
+        raise click.BadParameter(f"{value:g} is not a simulated time in s")
     return value
 
 
@@ -49,9 +49,9 @@ def _step_effects(parameters: Mapping[str, Any], has_daemon: bool) -> StepEffect
 )
 @click.argument("file", metavar="FILE", shell_complete=completion.files)
 @click.option("--to", "until", type=float, callback=_time, metavar="T", help="End at this simulated time, s.")
-@click.option("--check", is_flag=True, help="Exit 1 at the first state that is not that of the journal.")
+@click.option("--check", is_flag=True, help="Exit 1 at the first state that differs from the journal's.")
 @click.option("--record", "recording", metavar="FILE", shell_complete=completion.files,
-              help="Record what was published into a new .bag or .mcap file.")  # fmt: skip
+              help="Record the published messages in a new .bag or .mcap file.")  # fmt: skip
 @click.option("--last", type=float, callback=simulated_seconds, metavar="S",
               help="Record only the last S simulated seconds.")  # fmt: skip
 @click.option("--keep", is_flag=True, help="Leave the world in a daemon (-i NAME), paused.")

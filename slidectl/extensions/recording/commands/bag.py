@@ -120,8 +120,8 @@ def _info_text(record: dict[str, Any]) -> str:
     "--fields", cls=Variadic, metavar="F[=TOL]...", help="Only these topics or fields, with tolerances in their units."
 )
 @click.option("--tol", type=click.FloatRange(min=0), default=0.0, callback=finite, metavar="T",
-              help="How far numbers may be off, in their own units (0).")  # fmt: skip
-@click.option("--update-baseline", is_flag=True, help="Make the run the baseline instead.")
+              help="Tolerance of numbers, in their own units (0).")  # fmt: skip
+@click.option("--update-baseline", is_flag=True, help="Make this run the baseline instead.")
 @click.pass_obj
 def diff(ctx: Context, run: str, baseline: str, fields: tuple[str, ...], tol: float, update_baseline: bool) -> None:
     """Tell where a recording first differs from a baseline.
@@ -187,7 +187,7 @@ def reindex(ctx: Context, file: str) -> None:
         except BaseException:
             kept.rename(path)
             raise
-    ctx.done({"file": file, "messages": count, "kept": str(kept)}, f"{file}: {count} messages, what it was is {kept}")
+    ctx.done({"file": file, "messages": count, "kept": str(kept)}, f"{file}: {count} messages; the original is {kept}")
 
 
 @bag.command(
@@ -201,7 +201,7 @@ def reindex(ctx: Context, file: str) -> None:
 @click.argument("target", shell_complete=completion.files)
 @click.argument("condition", required=False, metavar="[EXPR]")
 @click.option("--compression", metavar="KIND", default="none", help=".bag: bz2, lz4; .mcap: lz4, zstd (none).")
-@click.option("--force", is_flag=True, help="Write over a file that is there.")
+@click.option("--force", is_flag=True, help="Overwrite an existing file.")
 @click.pass_obj
 def filter_command(
     ctx: Context, source: str, target: str, condition: str | None, compression: str, force: bool
@@ -262,7 +262,7 @@ def _condition(text: str | None, recording: Recording) -> Callable[[Record], boo
 @click.option("--csv", "csv_file", metavar="FILE", help="A CSV file; - is stdout.")
 @click.option("--parquet", "parquet_file", metavar="FILE", help="A Parquet file (needs pyarrow).")
 @click.option("--topic", "topics", multiple=True, metavar="TOPIC", help="Only this topic; may repeat.")
-@click.option("--force", is_flag=True, help="Write over a file that is there.")
+@click.option("--force", is_flag=True, help="Overwrite an existing file.")
 @click.pass_obj
 def export(
     ctx: Context, file: str, csv_file: str | None, parquet_file: str | None, topics: tuple[str, ...], force: bool

@@ -58,10 +58,10 @@ _SECONDS: dict[str, Any] = {"type": click.FloatRange(min=0), "callback": finite,
 )
 @click.option("-s", "--start", default=0.0, help="Begin S simulated seconds after its start.", **_SECONDS)
 @click.option("-u", "--until", help="End S simulated seconds after its start.", **_SECONDS)
-@click.option("-l", "--loop", is_flag=True, help="Again and again, until Ctrl-C.")
-@click.option("--at-recorded-times", is_flag=True, help="At the very simulated times of the recording.")
-@click.option("--clock", is_flag=True, help="Also the recorded /clock, which the world itself publishes.")
-@click.option("--detach", is_flag=True, help="Return when it plays; it goes on in the background.")
+@click.option("-l", "--loop", is_flag=True, help="Repeat until Ctrl-C.")
+@click.option("--at-recorded-times", is_flag=True, help="Publish at exactly the simulated times of the recording.")
+@click.option("--clock", is_flag=True, help="Also play the recorded /clock, which the world itself publishes.")
+@click.option("--detach", is_flag=True, help="Return when playing has begun; it continues in the background.")
 @click.pass_obj
 def play(
     ctx: Context,
@@ -121,7 +121,7 @@ def play(
                 break
             if not player.published:
                 length_s = (last_ns - begin_ns) / _SECOND
-                ctx.warn(f"there is no message to play in that part; the recording is {length_s:.3f} s long")
+                ctx.warn(f"no messages in this part; the recording is {length_s:.3f} s long")
                 break
         player.print_summary()
 
@@ -138,7 +138,7 @@ def _sorted(words: tuple[str, ...]) -> tuple[list[str], dict[str, str]]:
         else:
             files.append(word)
     if not files:
-        raise UsageError("which recording?", "slidectl play FILE [OLD:=NEW]...")
+        raise UsageError("name the recording", "slidectl play FILE [OLD:=NEW]...")
     return files, renames
 
 
@@ -242,7 +242,7 @@ class _Player:
             self._is_checked = True
             status = self._ctx.call("/slidectl/status")
             if status["paused"]:
-                self._ctx.say(f"{paused(status)}; nothing is played until it goes on: {resume_hint(status)}")
+                self._ctx.say(f"{paused(status)}; playing waits until it resumes: {resume_hint(status)}")
             if self._background is not None:
                 self._ctx.emit({"pid": os.getpid(), "log": self._background.log}, str(os.getpid()))
                 self._background.everything_runs()
@@ -263,8 +263,8 @@ class _Player:
             "seconds": seconds,
         }  # fmt: skip
         if self.late:
-            text = f"{self.late} messages came after their time, and were published at once"
-            self._ctx.warn(f"{text}; in a world that is paused when the playing begins none is late")
+            text = f"{self.late} messages were late and were published at once"
+            self._ctx.warn(f"{text}; none is late if the world is paused at the start")
         messages = f"{output.count(self.published, 'message')} on {output.count(len(self._topics), 'topic')}"
         self._ctx.done(record, f"played {messages}, {seconds:.3f} s")
         if self.refused:

@@ -65,21 +65,21 @@ def _chosen(topics: tuple[str, ...], **given: Any) -> tuple[_Choice, Path]:
     ],
 )
 @click.argument("topics", nargs=-1, metavar="[TOPIC]...", shell_complete=completion.topics)
-@click.option("-a", "--all", "every", is_flag=True, help="All topics, those too that come later.")
+@click.option("-a", "--all", "every", is_flag=True, help="All topics, including those created later.")
 @click.option("-e", "--regex", is_flag=True, help="TOPIC is a regular expression for whole names.")
-@click.option("-x", "--exclude", metavar="REGEX", help="Without the topics that match.")
-@click.option("-O", "--output-name", "file", metavar="FILE", help="The file; its suffix says .bag or .mcap.")
-@click.option("--force", is_flag=True, help="Write over a file that is there.")
-@click.option("--duration", callback=_duration, metavar="T", help="End after so much simulated time: 30 (s), 5m, 1h.")
+@click.option("-x", "--exclude", metavar="REGEX", help="Leave out topics that match.")
+@click.option("-O", "--output-name", "file", metavar="FILE", help="The file; its suffix is the format, .bag or .mcap.")
+@click.option("--force", is_flag=True, help="Overwrite an existing file.")
+@click.option("--duration", callback=_duration, metavar="T", help="End after this simulated time: 30 (s), 5m, 1h.")
 @click.option("--size", type=click.FloatRange(min=0, min_open=True), callback=finite, metavar="MB",
               help="End at this size, 10^6 bytes.")  # fmt: skip
-@click.option("--split", is_flag=True, help="Go on in a new file where --duration or --size would end it.")
+@click.option("--split", is_flag=True, help="Start a new file where --duration or --size would end it.")
 @click.option("--max-splits", type=click.IntRange(min=1), metavar="N", help="Keep only the last N files.")
 @click.option("-l", "--limit", type=click.IntRange(min=1), metavar="N", help="At most N messages of each topic.")
 @click.option("--compression", metavar="KIND", default="none", help=".bag: bz2, lz4; .mcap: lz4, zstd (none).")
-@click.option("--repeat-latched", is_flag=True, help="Latched messages again in each file of a split.")
-@click.option("--progress", is_flag=True, help="Print each second how much has come.")
-@click.option("--detach", is_flag=True, help="Return when it records; it goes on in the background.")
+@click.option("--repeat-latched", is_flag=True, help="Write latched messages again in each file of a split.")
+@click.option("--progress", is_flag=True, help="Print the number of messages each second.")
+@click.option("--detach", is_flag=True, help="Return when recording has begun; it continues in the background.")
 @click.option("--pid", "pid_file", metavar="FILE", help="Write the process id to FILE.")
 @click.pass_obj
 def record(ctx: Context, /, topics: tuple[str, ...], **given: Any) -> None:
@@ -189,7 +189,7 @@ class _RecordedTopics:
             client.flush()  # the duration begins before this method returns
         for name in self._choice.named:
             if name not in topics:
-                self._ctx.warn(f"nobody publishes {name} yet; it is recorded as soon as somebody does")
+                self._ctx.warn(f"{name} has no publisher yet; it is recorded as soon as it has one")
 
     def _subscribe_new(self, topics: dict[str, str]) -> None:
         for topic, kind in topics.items():

@@ -86,7 +86,7 @@ class StepRunner:
             with redirect_stdout(io.StringIO()):
                 leaf, command, values = _parsed(words, context)
         except click.exceptions.Exit:
-            raise UsageError(f"{words[-1]!r} prints something and does nothing", "leave it out") from None
+            raise UsageError(f"{words[-1]!r} only prints text", "leave it out") from None
         except click.ClickException as error:
             message, hint, _ = described(error)
             raise UsageError(message, hint) from None
