@@ -173,32 +173,32 @@ class SignalFault(RobotFault):
                     setattr(handle, attribute, value)
 
 
-def _noisy(fault: SignalFault, time_ns: int, values: Values) -> Values:
+def _add_noise(fault: SignalFault, time_ns: int, values: Values) -> Values:
     source = fault.source(time_ns)
     return [value + source.gauss(0.0, fault.request.options["sd"]) for value in values]
 
 
-def _drifted(fault: SignalFault, time_ns: int, values: Values) -> Values:
+def _add_drift(fault: SignalFault, time_ns: int, values: Values) -> Values:
     drift = fault.request.options["rate"] * ((time_ns - fault.request.start_ns) / SECOND)
     return [value + drift for value in values]
 
 
-def _in_steps(fault: SignalFault, _: int, values: Values) -> Values:
-    step = fault.request.options["step"]
-    return [step * math.floor(value / step + 0.5) for value in values]
-
-
-def _cut(fault: SignalFault, _: int, values: Values) -> Values:
+def _saturate(fault: SignalFault, _: int, values: Values) -> Values:
     most = fault.request.options["limit"]
     return [min(max(values[0], -most), most), *values[1:]]
 
 
+def _quantise(fault: SignalFault, _: int, values: Values) -> Values:
+    step = fault.request.options["step"]
+    return [step * math.floor(value / step + 0.5) for value in values]
+
+
 _CHANGES: dict[str, Callable[[SignalFault, int, Values], Values]] = {
-    "sensor-noise": _noisy,
+    "sensor-noise": _add_noise,
     "sensor-bias": lambda fault, _, values: [value + fault.request.options["bias"] for value in values],
-    "sensor-drift": _drifted,
-    "sensor-quantisation": _in_steps,
-    "command-saturation": _cut,
+    "sensor-drift": _add_drift,
+    "sensor-quantisation": _quantise,
+    "command-saturation": _saturate,
     "command-reversed": lambda _fault, _time_ns, values: [-value for value in values],
 }
 
@@ -626,9 +626,10 @@ class Faults(Feature):
         self.remove()
 
     def make_parts(self, parts: list[Any]) -> None:
-        """Replace all faults by new ones for these requests. Raises Refused: no such joint or link."""
+        """Replace all faults by new ones for these requests. Raises Refused, UsageError: no such part, or options."""
         wanted = [FaultRequest(*one) for one in parts]
         for request in wanted:
+            checked_options(request.kind, request.options)  # the request may come from a file
             kind = KINDS[request.kind].target
             if kind not in ("topic", "controller"):  # these may have been removed since
                 robot, part = self._targets(kind).get(request.target, (None, ""))
