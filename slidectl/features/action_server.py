@@ -76,7 +76,7 @@ class ActionGoal:
             self.ended_ns = self._server.now_ns()
 
     def request_cancel(self) -> bool:
-        """Note a client's request to cancel. True when the goal's owner must be told."""
+        """Note a client's request to cancel. True when the goal's owner must be notified."""
         wanted = {GoalStatus.PENDING: GoalStatus.RECALLING, GoalStatus.ACTIVE: GoalStatus.PREEMPTING}
         if self.state not in wanted:
             return False

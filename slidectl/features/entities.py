@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 WORLD_FRAMES = ("", "world", "map", "/map", "/world")
 _MOST_TAGS = 25_000
-"""The most elements of a URDF: about a thousand links with all that stands in them. Reading more holds the world."""
+"""The most elements of a URDF: about a thousand links. Reading more would block the world."""
 
 Placed = tuple[ParsedRobot, Pose]
 """A parsed robot, and its pose in the world."""

@@ -96,7 +96,7 @@ class Snapshot:
     features: list[str]
     """The features of which it has a state."""
     parts: dict[str, list[Any]]
-    """What makes the parts of features again, by their names; see Feature.save_parts."""
+    """The requests for the parts of features, by the features' names; see Feature.save_parts."""
     parameters: dict[str, Any]
     derived: list[str]
     """The parameters that no client has set."""

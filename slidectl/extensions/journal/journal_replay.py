@@ -70,7 +70,7 @@ class Replay(HostWrapper):
         self._until_ns = NEVER if until is None else from_seconds(until)
         self._at = 0
         """Index of the entry that is being handled."""
-        self.taken = 0
+        self.consumed = 0
         """The number of consumed entries of the journal: the index of the next."""
         self._limit = self.inner.limit if isinstance(self.inner.limit, TimeLimit) else TimeLimit()
         self._limit.on_end.append(self._consume_limit)
@@ -152,14 +152,14 @@ class Replay(HostWrapper):
         """Run the entries. Returns True when the requested time came before the end."""
         entries = self.contents.entries
         while True:
-            self._at = self.taken
+            self._at = self.consumed
             while self._at < len(entries) and not _CONSUMED_ENTRIES.isdisjoint(entries[self._at]):
                 self._at += 1
             if self._at == len(entries):
                 return False
             if not self._step_to(entries[self._at]["cycle"]):
                 return True
-            if self.taken != self._at:
+            if self.consumed != self._at:
                 self._fail("user code that took too long in the journal does not now")
             self._advance()
             try:
@@ -234,19 +234,19 @@ class Replay(HostWrapper):
         return self._sessions[number]
 
     def _advance(self) -> None:
-        self.taken += 1
+        self.consumed += 1
         self._set_limit()
 
     def _set_limit(self) -> None:
         """Set the limit: users' code must end where it was ended in the run, and only there, on any machine."""
         while self._peek("module"):
-            self.taken += 1
+            self.consumed += 1
         is_limited = self._peek("limit")
         self._limit.most_s = time_limit.LIMIT_S if is_limited else math.inf
 
     def _peek(self, kind: str) -> bool:
         entries = self.contents.entries
-        return self.taken < len(entries) and kind in entries[self.taken]
+        return self.consumed < len(entries) and kind in entries[self.consumed]
 
     def _fail(self, why: str) -> NoReturn:
         cycle = self.contents.entries[self._at]["cycle"] if self.contents.entries else 0
@@ -255,9 +255,9 @@ class Replay(HostWrapper):
     # --- external input -----------------------------------------------------------------------------------------
 
     def read(self, what: str, look: Callable[[], Any]) -> Any:
-        if self._is_over or self.taken == len(self.contents.entries):  # it may have been cut off before this read
+        if self._is_over or self.consumed == len(self.contents.entries):  # it may have been cut off before this read
             return super().read(what, look)
-        entry = self.contents.entries[self.taken]
+        entry = self.contents.entries[self.consumed]
         if entry.get("read") != what:
             self._fail(f"the world reads the {what} now, but did not in the journal")
         self._advance()

@@ -3,7 +3,7 @@
 * A recorder that is killed loses no more than a chunk: `write_chunk` puts the open one into the file, and
   `chunk_threshold` bounds it. `bio`, the file itself, is locked while it is written.
 * A long recording needs little memory: `write_chunk` leaves the index of a chunk that is in the file in `connections`.
-* The real rosbag understands no lz4 frames as the library makes them: `compressor` makes others.
+* rosbag of ROS cannot read the lz4 frames of the library: `compressor` makes frames that it can.
 * A bag that was cut off has no index, and `Reader` refuses it: `Header` and the functions beside it read its records.
 * `chunk_infos`, `chunks` and `decompressors` tell how many chunks a bag has, and how they are compressed.
 

@@ -47,7 +47,7 @@ class CaseRuns:
     is_ready: bool = False
 
     def prepare(self) -> None:
-        """Load in this process, once, what the cases need in theirs, which are forked from it."""
+        """Load, once, what the cases need: their processes are forked from this one."""
         if not self.is_ready:
             self.is_ready = True
             self.stages.warm(self.commands, self.cases)

@@ -49,7 +49,7 @@ def open_recording(ctx: Context, file: str | Path) -> Recording:
 @click.argument("file", shell_complete=completion.files)
 @click.pass_obj
 def info(ctx: Context, file: str) -> None:
-    """Show what a recording holds.
+    """Show the content of a recording.
 
     Times are simulated, in s. JSON keys: path, duration, start, end, size, messages, compression, chunks, damage, types
     (type and md5sum), topics (topic, type, messages, latching).
@@ -124,12 +124,12 @@ def _info_text(record: dict[str, Any]) -> str:
 @click.option("--update-baseline", is_flag=True, help="Make this run the baseline instead.")
 @click.pass_obj
 def diff(ctx: Context, run: str, baseline: str, fields: tuple[str, ...], tol: float, update_baseline: bool) -> None:
-    """Tell where a recording first differs from a baseline.
+    """Show the first differences of a recording from a baseline.
 
     BASELINE is a recording, a folder with one of the same name, or a .csv file of --baseline in 'slidectl test'.
-    Compared are the messages of the baseline's topics but /rosout, or of --fields, that were published at the same
-    simulated time, exactly or within a tolerance; of a .csv file all columns. Exits 1 on a difference. JSON keys, a
-    line a field that differs: topic, field, time, value, baseline, tolerance.
+    The command compares messages with the same simulated time, exactly or within a tolerance: those of the baseline's
+    topics except /rosout, or those of --fields; of a .csv file all columns. Exits 1 on a difference. JSON keys, one
+    line for each field that differs: topic, field, time, value, baseline, tolerance.
     """
     from slidectl.extensions.recording.comparison import compare_file, tolerances_of
 
@@ -167,8 +167,8 @@ def _target(file: str, source: str, force: bool) -> Path:
 def reindex(ctx: Context, file: str) -> None:
     """Complete a recording whose recorder was killed.
 
-    Everything that can be read is written into a new file in its place, with an index. What was there before is kept
-    as NAME.orig.bag (or .mcap). JSON keys: file, messages, kept.
+    All readable messages are written to a new file of this name, with an index. The original is kept as NAME.orig.bag
+    (or .mcap). JSON keys: file, messages, kept.
     """
     from slidectl.extensions.recording.recording_files import copy, opened
 
@@ -208,9 +208,9 @@ def filter_command(
 ) -> None:
     """Copy the messages for which EXPR is true.
 
-    EXPR sees topic, t (simulated s) and the fields of the message m, with the operators of Python and the functions of
-    its math module; topics whose messages lack a field that EXPR names are left out. Without EXPR everything is copied:
-    from .bag to .mcap or back, or with another compression. JSON keys: file, messages, of.
+    EXPR can use topic, t (simulated s) and the fields of the message m, with the operators of Python and the functions
+    of its math module; topics without a field of EXPR are left out. Without EXPR all messages are copied: from .bag to
+    .mcap or back, or with another compression. JSON keys: file, messages, of.
     """
     from slidectl.extensions.recording.recording_files import copy
 
@@ -267,11 +267,11 @@ def _condition(text: str | None, recording: Recording) -> Callable[[Record], boo
 def export(
     ctx: Context, file: str, csv_file: str | None, parquet_file: str | None, topics: tuple[str, ...], force: bool
 ) -> None:
-    """Write a table: a row a message, a column a field.
+    """Write a table with a row for each message and a column for each field.
 
-    The first columns are time (simulated, s) and topic, the others are named after the fields: of one topic as
-    position[0] or pose.position.x, of several with the topic before them (/slider/joint_states/position[0]). A cell
-    is empty where the message of the row has no such field. JSON keys: file, rows, columns.
+    The first columns are time (simulated, s) and topic. The others have the names of the fields: for one topic
+    position[0] or pose.position.x, for several topics with the topic before them (/slider/joint_states/position[0]). A
+    cell is empty if the message of its row has no such field. JSON keys: file, rows, columns.
     """
     target = csv_file or parquet_file
     if target is None or (csv_file and parquet_file):

@@ -77,14 +77,14 @@ def play(
 ) -> None:
     """Publish the messages of recordings again.
 
-    Each is published in the cycle that is as far from the first as it was, in simulated time: a world that is paused
-    holds the playing, and on every run the same cycles see the same messages. The first comes 0.2 s after now; with
-    --at-recorded-times each comes at the time that it was recorded at, so a recording of the commands, played into a
-    world as it was at its beginning, gives the same bits. It returns when the last was published; with --detach when
-    the daemon has the first ones, and prints the process id. It exits with 1 when messages were refused.
+    Messages keep their distances in simulated time: a paused world pauses the playing, and in every run the same
+    cycles get the same messages. The first message is published 0.2 s from now. With --at-recorded-times each message
+    is published at its recorded time: a recording of the commands, played into a world in its initial state, gives the
+    same bits. The command returns after the last message; with --detach it prints the process id and returns when the
+    daemon has the first messages. It exits with 1 if messages were refused.
 
-    OLD:=NEW publishes on another topic. /rosout is left out, and /clock is without --clock. JSON keys: published, late
-    (messages whose time had passed when the daemon got them), refused, topics, seconds; with --detach pid, log.
+    OLD:=NEW publishes on another topic. /rosout is left out, and so is /clock without --clock. JSON keys: published,
+    late (messages that reached the daemon after their time), refused, topics, seconds; with --detach pid, log.
     """
     if at_recorded_times and (loop or rate != 1.0):
         raise UsageError("--at-recorded-times goes neither with --loop nor with --rate")

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 
 _CHECK_EVERY_S = 0.2
 _FLUSH_EVERY_S = 1.0
-"""So much wall time of messages is lost at the most when the recorder is killed. Each flush ends a chunk of the file,
-which costs some bytes in it and in memory: so not more often, save in the first second, when little is there."""
+"""Wall time between two flushes: a killed recorder loses at most the messages of this time. Each flush ends a chunk,
+which costs some bytes in the file and in memory. In the first second each check flushes."""
 _PROGRESS_EVERY_S = 1.0
 _QUEUE = 100_000
 _DURATION = re.compile(r"(\d+\.?\d*|\.\d+)([smh]?)\Z")
@@ -85,12 +85,12 @@ def _chosen(topics: tuple[str, ...], **given: Any) -> tuple[_Choice, Path]:
 def record(ctx: Context, /, topics: tuple[str, ...], **given: Any) -> None:
     """Record topics into a file.
 
-    Messages are stored with the simulated time at which they were published, in the order in which they came. It ends
-    at Ctrl-C, SIGTERM, or what --duration, --size or (where topics are named) --limit say, and exits 0 then; 1 when
-    messages were lost because they came too fast, or the disk is full. When the daemon ends meanwhile the file is
+    Messages are stored with the simulated time of their publication, in the order in which they arrive. The recording
+    ends at Ctrl-C, at SIGTERM, or at the limit of --duration, --size or (for named topics) --limit; the exit code is 0.
+    It is 1 if messages were lost because they came too fast, or if the disk is full. If the daemon ends, the file is
     completed and the exit code is 3. Without -O the file is named after the date. A recorder that is killed loses at
-    most its last second, and 'slidectl bag reindex' completes the file. With --detach the process id is printed;
-    'kill PID' ends it, and so does the daemon's end.
+    most its last second, and 'slidectl bag reindex' completes the file. With --detach the process id is printed; 'kill
+    PID' ends the recording, and so does the end of the daemon.
 
     JSON keys: files, messages, topics, seconds (simulated), bytes, dropped; of --progress: messages, topics, seconds.
     """

@@ -143,7 +143,7 @@ class StepRunner:
 
 
 def _declared(command: click.Command) -> CommandStep | None:
-    """What a command says of itself as a step. A command that is of click only is a plain one."""
+    """How a command acts as a step; a plain click command has the default."""
     step: CommandStep | None = getattr(command, "step", CommandStep())
     return step
 

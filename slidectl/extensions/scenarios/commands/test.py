@@ -89,11 +89,11 @@ def test(
 ) -> None:
     """Run scenarios: files of steps that a robot must pass.
 
-    Each case runs in a process and a world of its own, without a daemon, as fast as the machine can, and gives the same
-    bits on every run. All files are checked before anything runs. A folder means all .yaml and .yml files below it.
-    Exits 0 when all passed or failed as known (xfail), 1 when something failed, and 2 when a file is wrong or nothing
-    was chosen. Ctrl-C ends what runs, with its teardown, and reports what ran (130). JSON keys: id, verdict, sim_time,
-    wall_time, steps, step, section, line, message, hint, detail, failed_at, log, kept, baseline, was_ended.
+    Each case runs in a process and a world of its own, without a daemon, as fast as possible, and gives the same bits
+    in every run. All files are checked before the first case. A folder means all .yaml and .yml files below it. Exits 0
+    if all cases passed or failed as known (xfail), 1 after a failure, and 2 if a file is wrong or no case was chosen.
+    Ctrl-C ends the running cases, with their teardowns, and reports the results so far (130). JSON keys: id, verdict,
+    sim_time, wall_time, steps, step, section, line, message, hint, detail, failed_at, log, kept, baseline, was_ended.
     """
     ctx: Context = click_context.obj
     gc.disable()  # little is freed, and the search for it would take a tenth of the time of a short scenario

@@ -248,7 +248,7 @@ def _environment(**variables: str) -> Iterator[None]:
 
 
 class _Fault:
-    """What pytest says of a fault of its own, or of this module."""
+    """The text of an internal error of pytest, or of this module."""
 
     text = ""
 
