@@ -157,7 +157,7 @@ ELSEWHERE = {
     "paths.py": "what pip wrote about the installation",
     "processes.py": "locks and logs of the instance, which slidectl wrote",
     "extensions/scenarios/pytest_plugin.py": "the log of the instance, which slidectl wrote",
-    "extensions/scenarios/case_process.py": "a pipe to the parent, a log that is written, and /dev/null",
+    "extensions/scenarios/scenario_items.py": "a log that is written, and /dev/null",
     "extensions/scenarios/commands/test_run.py": "files in a temporary folder, which slidectl and pytest wrote",
     "simulation/compiled/object_file.py": "the package's own code, and the cache of machine code, which slidectl wrote",
     "extensions/viewing/world_monitor.py": "the log of the instance, which slidectl wrote",

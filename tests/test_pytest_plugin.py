@@ -221,7 +221,7 @@ def test_module(slidectl_daemon):
     assert "TimedOut: the simulated time is up: 2 s" in said
     assert "sim_timeout=4" in said
     assert len(re.findall(r"^E +assert np\.float64\(3\.0\) == 4\.0$", said, re.M)) == 2
-    assert "which is not as the test was" not in said
+    assert "which differs from the test" not in said
     assert "takes timestep, gravity, ground, engine, imports, paused, rtf, sim_timeout by name, not timestp" in said
     assert "there is no engine 'steam'" in said
     assert "client.py" not in said, "the traceback ends with the test's own line"

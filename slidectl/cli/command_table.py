@@ -28,7 +28,7 @@ _SECTIONS = {
     "The daemon": {
         "daemon": ("cli.daemon", "Start, stop and watch the daemon that holds the world."),
         "sim": ("cli.sim", "Time of the world: status, pause, step, reset; snapshots."),
-        "replay": ("extensions.journal.commands.replay", "Run again what a journal has, with the same bits."),
+        "replay": ("extensions.journal.commands.replay", "Repeat the run of a journal, with the same bits."),
     },
     "Robots": {
         "spawn": ("cli.spawn", "Put a robot into the world."),

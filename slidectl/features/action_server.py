@@ -76,7 +76,7 @@ class ActionGoal:
             self.ended_ns = self._server.now_ns()
 
     def request_cancel(self) -> bool:
-        """Note a client's request to cancel. True when the goal's owner must be told."""
+        """Note a client's request to cancel. True when the goal's owner must be notified."""
         wanted = {GoalStatus.PENDING: GoalStatus.RECALLING, GoalStatus.ACTIVE: GoalStatus.PREEMPTING}
         if self.state not in wanted:
             return False
@@ -129,8 +129,8 @@ class ActionServer:
         self._results = node.advertise("result", f"{type_name}ActionResult")
         self._feedback = node.advertise("feedback", f"{type_name}ActionFeedback")
         self._status = node.advertise("status", "actionlib_msgs/GoalStatusArray", latch=True)
-        node.subscribe("goal", f"{type_name}ActionGoal", self._take_goal)
-        node.subscribe("cancel", "actionlib_msgs/GoalID", self._take_cancel)
+        node.subscribe("goal", f"{type_name}ActionGoal", self._receive_goal)
+        node.subscribe("cancel", "actionlib_msgs/GoalID", self._receive_cancel)
         self._status_call = node.call_every(STATUS_PERIOD_NS, self.publish_status, enters=False)
         self.publish_status()
 
@@ -161,8 +161,8 @@ class ActionServer:
         """Publish the progress of a goal."""
         self._feedback.publish({"header": header_of(self.now_ns()), "status": goal.message(), "feedback": feedback})
 
-    def _take_goal(self, message: Message) -> None:
-        self._look_at_clock()
+    def _receive_goal(self, message: Message) -> None:
+        self._check_clock()
         goal = ActionGoal(self, message["goal_id"], message["goal"])
         now_ns = self.now_ns()
         if not goal.id:
@@ -182,9 +182,9 @@ class ActionServer:
         else:
             self._on_goal(goal)
 
-    def _take_cancel(self, message: Message) -> None:
+    def _receive_cancel(self, message: Message) -> None:
         """Cancel the goal of this id and all up to this stamp; without both, all. An id may arrive before its goal."""
-        self._look_at_clock()
+        self._check_clock()
         wanted, stamp_ns = message["id"], nanoseconds(message["stamp"])
         is_known = False
         for goal in list(self._goals):
@@ -199,7 +199,7 @@ class ActionServer:
             self._goals.append(early)
         self._last_cancel_ns = max(self._last_cancel_ns, stamp_ns)
 
-    def _look_at_clock(self) -> None:
+    def _check_clock(self) -> None:
         """After a reset, discard the last cancellation time: stamps of goals start again, and all would be below it."""
         now_ns = self.now_ns()
         if now_ns < self._latest_ns:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 WORLD_FRAMES = ("", "world", "map", "/map", "/world")
 _MOST_TAGS = 25_000
-"""The most elements of a URDF: about a thousand links with all that stands in them. Reading more holds the world."""
+"""The most elements of a URDF: about a thousand links. Reading more would block the world."""
 
 Placed = tuple[ParsedRobot, Pose]
 """A parsed robot, and its pose in the world."""
@@ -73,7 +73,7 @@ class Entities:
             return WORLD
         return self.model_frame(name) if name in self._robots else self.link_frame(*self.find("link", name))
 
-    def put(self, name: str, place: Pose | None, moving: Twist | None, viewer: Frame) -> None:
+    def set_state(self, name: str, place: Pose | None, moving: Twist | None, viewer: Frame) -> None:
         """Set the pose and the twist of a robot's root, expressed in `viewer`; None keeps the present one.
 
         Raises UnknownName, and Refused: a twist for a robot fixed to the world, or numbers that are not finite.
@@ -151,4 +151,4 @@ def check_size(kind: str, xml: str) -> None:
     """Raise Refused for too many elements: reading them would block the world."""
     tags = xml.count("<") - xml.count("</")
     if tags > _MOST_TAGS:
-        raise Refused(f"the {kind} has {tags} tags, and {_MOST_TAGS} is the most")
+        raise Refused(f"the {kind} has {tags} tags; the maximum is {_MOST_TAGS}")

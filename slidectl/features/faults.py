@@ -55,20 +55,13 @@ class FaultRequest(NamedTuple):
     options: dict[str, Any]
 
 
-class BadFault(Refused):
-    """A fault of a snapshot has no name, no times or no seed."""
-
-    def __init__(self, name: object) -> None:
-        super().__init__(f"the fault {quoted(str(name))} of the snapshot has no name, no times or no seed")
-
-
 class Fault:
     """One fault, and its state so far. Subclasses define the effect."""
 
     saved_attributes: ClassVar[tuple[str, ...]] = ("count", "is_done")
 
-    def __init__(self, asked: FaultRequest) -> None:
-        self.asked = asked
+    def __init__(self, request: FaultRequest) -> None:
+        self.request = request
         self.count = 0
         """The number of cycles, or messages, in which it acted."""
         self.is_done = False
@@ -76,31 +69,31 @@ class Fault:
 
     def holds(self, time_ns: int) -> bool:
         """True when it acts at that time."""
-        return self.asked.start_ns <= time_ns < self.asked.end_ns and not self.is_done
+        return self.request.start_ns <= time_ns < self.request.end_ns and not self.is_done
 
     def is_over(self, time_ns: int) -> bool:
         """True when it will not act any more."""
-        return time_ns >= self.asked.end_ns or self.is_done
+        return time_ns >= self.request.end_ns or self.is_done
 
     def source(self, number: int) -> Random:
         """The random numbers for one cycle or message, seeded by seed, kind, target and number."""
-        return Random(f"{self.asked.seed}/{self.asked.kind}/{self.asked.target}/{number}")
+        return Random(f"{self.request.seed}/{self.request.kind}/{self.request.target}/{number}")
 
     def end(self) -> None:
         """Undo what the fault changed, and discard its state."""
 
     def message(self, time_ns: int) -> Message:
         """The fault as slidectl/Fault."""
-        asked = self.asked
+        request = self.request
         return {
-            "name": asked.name,
-            "kind": asked.kind,
-            "target": asked.target,
-            "start": asked.start_ns / SECOND,
-            "end": math.inf if asked.end_ns == NEVER else asked.end_ns / SECOND,
-            "seed": asked.seed,
-            "options": json.dumps(asked.options),
-            "state": "over" if self.is_over(time_ns) else "active" if time_ns >= asked.start_ns else "waiting",
+            "name": request.name,
+            "kind": request.kind,
+            "target": request.target,
+            "start": request.start_ns / SECOND,
+            "end": math.inf if request.end_ns == NEVER else request.end_ns / SECOND,
+            "seed": request.seed,
+            "options": json.dumps(request.options),
+            "state": "over" if self.is_over(time_ns) else "active" if time_ns >= request.start_ns else "waiting",
             "count": self.count,
         }
 
@@ -116,10 +109,10 @@ class RobotFault(Fault):
     busy_until_ns = 0
     """The end of a slow update that began with the last read; 0 when there is none."""
 
-    def __init__(self, asked: FaultRequest, robot: SpawnedRobot) -> None:
-        super().__init__(asked)
+    def __init__(self, request: FaultRequest, robot: SpawnedRobot) -> None:
+        super().__init__(request)
         self.robot = robot
-        self.part = asked.part
+        self.part = request.part
 
     def after_read(self, time_ns: int, acts: bool) -> None:
         """Called after the joints were read."""
@@ -140,13 +133,13 @@ class SignalFault(RobotFault):
     Subclasses override `change`.
     """
 
-    def __init__(self, asked: FaultRequest, robot: SpawnedRobot) -> None:
-        super().__init__(asked, robot)
-        self.is_of_command = asked.kind.startswith("command")
+    def __init__(self, request: FaultRequest, robot: SpawnedRobot) -> None:
+        super().__init__(request, robot)
+        self.is_of_command = request.kind.startswith("command")
 
     def change(self, time_ns: int, values: Values) -> Values | None:
         """The changed values; None when the fault leaves them as they are."""
-        changed = _CHANGES[self.asked.kind](self, time_ns, values)
+        changed = _CHANGES[self.request.kind](self, time_ns, values)
         return None if changed == values else changed
 
     def note(self, time_ns: int, values: Values) -> None:
@@ -158,7 +151,7 @@ class SignalFault(RobotFault):
 
     def after_read(self, time_ns: int, acts: bool) -> None:
         if not self.is_of_command:
-            quantities = QUANTITIES if self.asked.options["of"] == "all" else [self.asked.options["of"]]
+            quantities = QUANTITIES if self.request.options["of"] == "all" else [self.request.options["of"]]
             handles = self.robot.parts.hardware.handles(self.part)
             self._pass(time_ns, acts, [[(handle, quantity) for quantity in quantities] for handle in handles])
 
@@ -180,32 +173,32 @@ class SignalFault(RobotFault):
                     setattr(handle, attribute, value)
 
 
-def _noisy(fault: SignalFault, time_ns: int, values: Values) -> Values:
+def _add_noise(fault: SignalFault, time_ns: int, values: Values) -> Values:
     source = fault.source(time_ns)
-    return [value + source.gauss(0.0, fault.asked.options["sd"]) for value in values]
+    return [value + source.gauss(0.0, fault.request.options["sd"]) for value in values]
 
 
-def _drifted(fault: SignalFault, time_ns: int, values: Values) -> Values:
-    drift = fault.asked.options["rate"] * ((time_ns - fault.asked.start_ns) / SECOND)
+def _add_drift(fault: SignalFault, time_ns: int, values: Values) -> Values:
+    drift = fault.request.options["rate"] * ((time_ns - fault.request.start_ns) / SECOND)
     return [value + drift for value in values]
 
 
-def _in_steps(fault: SignalFault, _: int, values: Values) -> Values:
-    step = fault.asked.options["step"]
-    return [step * math.floor(value / step + 0.5) for value in values]
-
-
-def _cut(fault: SignalFault, _: int, values: Values) -> Values:
-    most = fault.asked.options["limit"]
+def _saturate(fault: SignalFault, _: int, values: Values) -> Values:
+    most = fault.request.options["limit"]
     return [min(max(values[0], -most), most), *values[1:]]
 
 
+def _quantise(fault: SignalFault, _: int, values: Values) -> Values:
+    step = fault.request.options["step"]
+    return [step * math.floor(value / step + 0.5) for value in values]
+
+
 _CHANGES: dict[str, Callable[[SignalFault, int, Values], Values]] = {
-    "sensor-noise": _noisy,
-    "sensor-bias": lambda fault, _, values: [value + fault.asked.options["bias"] for value in values],
-    "sensor-drift": _drifted,
-    "sensor-quantisation": _in_steps,
-    "command-saturation": _cut,
+    "sensor-noise": _add_noise,
+    "sensor-bias": lambda fault, _, values: [value + fault.request.options["bias"] for value in values],
+    "sensor-drift": _add_drift,
+    "sensor-quantisation": _quantise,
+    "command-saturation": _saturate,
     "command-reversed": lambda _fault, _time_ns, values: [-value for value in values],
 }
 
@@ -221,7 +214,7 @@ class LostSignal(SignalFault):
         self.kept = values
 
     def change(self, time_ns: int, values: Values) -> Values | None:
-        probability = self.asked.options.get("probability", 1.0)
+        probability = self.request.options.get("probability", 1.0)
         if self.kept is None or len(self.kept) != len(values) or self.source(time_ns).random() >= probability:
             self.kept = values
             return None
@@ -236,8 +229,8 @@ class LateSignal(SignalFault):
 
     saved_attributes: ClassVar[tuple[str, ...]] = ("past",)
 
-    def __init__(self, asked: FaultRequest, robot: SpawnedRobot) -> None:
-        super().__init__(asked, robot)
+    def __init__(self, request: FaultRequest, robot: SpawnedRobot) -> None:
+        super().__init__(request, robot)
         self.past: deque[tuple[int, Values]] = deque()
         """Times and values; the first entry is the one in use."""
 
@@ -245,7 +238,7 @@ class LateSignal(SignalFault):
         if self.past and self.past[-1][0] == time_ns:
             self.past.pop()
         self.past.append((time_ns, values))
-        then = time_ns - from_seconds(self.asked.options["delay"])
+        then = time_ns - from_seconds(self.request.options["delay"])
         while len(self.past) > 1 and self.past[1][0] <= then:
             self.past.popleft()
 
@@ -264,14 +257,14 @@ class ChangeFault(RobotFault):
 
     saved_attributes: ClassVar[tuple[str, ...]] = ("change",)
 
-    def __init__(self, asked: FaultRequest, robot: SpawnedRobot, change: Change) -> None:
-        super().__init__(asked, robot)
+    def __init__(self, request: FaultRequest, robot: SpawnedRobot, change: Change) -> None:
+        super().__init__(request, robot)
         self.change = change
 
     def excludes(self, other: ChangeFault) -> bool:
         """True when both change the same at overlapping times."""
-        last_start_ns = max(self.asked.start_ns, other.asked.start_ns)
-        if self.robot is not other.robot or last_start_ns >= min(self.asked.end_ns, other.asked.end_ns):
+        last_start_ns = max(self.request.start_ns, other.request.start_ns)
+        if self.robot is not other.robot or last_start_ns >= min(self.request.end_ns, other.request.end_ns):
             return False
         if isinstance(self.change, Payload):
             return isinstance(other.change, Payload) and self.change.body == other.change.body
@@ -294,22 +287,22 @@ class ChangeFault(RobotFault):
 class PushFault(RobotFault):
     """A wrench on a link."""
 
-    def __init__(self, asked: FaultRequest, robot: SpawnedRobot, world: World) -> None:
-        super().__init__(asked, robot)
+    def __init__(self, request: FaultRequest, robot: SpawnedRobot, world: World) -> None:
+        super().__init__(request, robot)
         self._world = world
 
     def before_step(self, acts: bool) -> None:
         if not acts:
             return
         self.count += 1
-        world, asked = self._world, self.asked
-        if not any(wrench.source == asked.name for wrench in world.applied_forces.wrenches):  # a reset removes it
-            duration_ns = -1 if asked.end_ns == NEVER else asked.end_ns - asked.start_ns - 1
-            acting = asked.options["force"], asked.options["torque"], asked.start_ns, duration_ns
-            world.add_wrench(self.robot.name, self.part, *acting, asked.name)
+        world, request = self._world, self.request
+        if not any(wrench.source == request.name for wrench in world.applied_forces.wrenches):  # a reset removes it
+            duration_ns = -1 if request.end_ns == NEVER else request.end_ns - request.start_ns - 1
+            acting = request.options["force"], request.options["torque"], request.start_ns, duration_ns
+            world.add_wrench(self.robot.name, self.part, *acting, request.name)
 
     def end(self) -> None:
-        self._world.drop_wrenches(self.asked.name)
+        self._world.drop_wrenches(self.request.name)
 
 
 class RaisedByFault(SlidectlError):
@@ -320,9 +313,9 @@ class ControllerFault(RobotFault):
     """A controller raises, is killed, or has a slow update."""
 
     def before_update(self, acts: bool) -> None:
-        manager, kind = self.robot.parts.manager, self.asked.kind
+        manager, kind = self.robot.parts.manager, self.request.kind
         if acts and kind == "controller-raise":
-            self.is_done = manager.fail(self.part, RaisedByFault(f"fault {self.asked.name!r} made it raise"))
+            self.is_done = manager.fail(self.part, RaisedByFault(f"fault {self.request.name!r} made it raise"))
         elif acts and kind == "controller-kill":
             self.is_done = manager.kill(self.part)
         self.count += self.is_done
@@ -333,9 +326,9 @@ class ControllerFault(RobotFault):
     def begin_update(self, time_ns: int) -> None:
         """Begin the controller's update; a `controller-slow` fault makes it long."""
         is_running = any(entry.name == self.part for entry in self.robot.parts.manager.running)
-        if self.asked.kind == "controller-slow" and is_running and self.holds(time_ns):
+        if self.request.kind == "controller-slow" and is_running and self.holds(time_ns):
             self.count += 1
-            self.busy_until_ns = time_ns + from_seconds(self.asked.options["takes"])
+            self.busy_until_ns = time_ns + from_seconds(self.request.options["takes"])
 
     def before_write(self, time_ns: int, acts: bool) -> None:  # noqa: ARG002
         self.busy_until_ns = 0
@@ -365,7 +358,7 @@ class FaultyCycle:
         self._updated_ns = self._written_ns = 0
         """Times of the last update and the last write before an update that takes long."""
 
-    def take(self, faults: list[RobotFault]) -> None:
+    def set_faults(self, faults: list[RobotFault]) -> None:
         """Replace the active faults."""
         self.restore_true_values()
         self._faults = faults
@@ -460,10 +453,10 @@ class TopicFault(Fault):
     def lateness_ns(self) -> int | None:
         """The delay of the next message; None when it is dropped."""
         self.seen += 1
-        if self.source(self.seen).random() >= self.asked.options["probability"]:
+        if self.source(self.seen).random() >= self.request.options["probability"]:
             return 0
         self.count += 1
-        return from_seconds(self.asked.options["delay"]) if "delay" in self.asked.options else None
+        return from_seconds(self.request.options["delay"]) if "delay" in self.request.options else None
 
     def end(self) -> None:
         self.seen = 0
@@ -484,7 +477,7 @@ class FaultyTopic:
         self._timer = Timer(0, self._deliver)
         self._timer.cancel()
 
-    def take(self, message: Message, behind: TopicFault | None = None) -> None:
+    def handle(self, message: Message, behind: TopicFault | None = None) -> None:
         """Pass on a message; with `behind`, one that this fault has delayed."""
         now_ns = self._graph.clock.time_ns
         for fault in self._faults[0 if behind is None else self._faults.index(behind) + 1 :]:
@@ -494,9 +487,9 @@ class FaultyTopic:
             if late_ns:
                 self._hold(now_ns + late_ns, fault, message)
                 return
-        self._graph.topics.hand_on(self._topic, message, self.take)
+        self._graph.topics.hand_on(self._topic, message, self.handle)
 
-    def have(self, faults: list[TopicFault]) -> None:
+    def set_faults(self, faults: list[TopicFault]) -> None:
         """Replace the faults, and drop late messages of others."""
         self._faults = faults
         self.waiting = [late for late in self.waiting if late[1] in faults]
@@ -524,7 +517,7 @@ class FaultyTopic:
         for _, fault, message in due:
             if fault in self._faults:  # a subscriber may remove faults
                 with suppress(SlidectlError):  # the publisher cannot receive an error any more
-                    self.take(message, fault)
+                    self.handle(message, fault)
         self._arm()
 
 
@@ -589,26 +582,26 @@ class Faults(Feature):
             raise Refused(f"it is {now_ns / SECOND:g} s already: a fault cannot begin at {start_ns / SECOND:g} s", hint)
         check_span(start_ns / SECOND, end_ns / SECOND)
         if len(self._faults) >= self.MOST:
-            raise Refused(f"there are {self.MOST} faults, which is the most", "slidectl fault clear")
+            raise Refused(f"there are {self.MOST} faults already, the maximum", "slidectl fault clear")
         target_kind = KINDS[kind].target
         targets = self._targets(target_kind)
         full = names.resolve(target, targets, kind=target_kind, namespace=namespace)
         robot, part = targets[full]
         owner = robot.name if robot is not None else ""
-        asked = FaultRequest(self._free_name(name, kind), kind, full, owner, part, start_ns, end_ns, seed, checked)
-        fault = self._made(asked)
+        request = FaultRequest(self._free_name(name, kind), kind, full, owner, part, start_ns, end_ns, seed, checked)
+        fault = self._made(request)
         if isinstance(fault, ChangeFault):
             fault.change.check()
             for other in self._faults.values():
                 if isinstance(other, ChangeFault) and fault.excludes(other):
-                    text = f"{other.asked.kind} {other.asked.name!r} is on {other.asked.target} in that time"
+                    text = f"{other.request.kind} {other.request.name!r} is on {other.request.target} in that time"
                     hint = "give other times, or remove that one first"
                     raise Refused(f"{text}, and the two exclude each other", hint)
         if isinstance(fault, RobotFault):
             fault.robot.node.enter()  # brings its handles up to date
             fault.after_read(now_ns, False)
             fault.before_write(now_ns, False)
-        self._faults[asked.name] = fault
+        self._faults[request.name] = fault
         self._install(fault)
         return fault.message(now_ns)
 
@@ -627,24 +620,22 @@ class Faults(Feature):
 
     def save_parts(self) -> list[Any]:
         """The requests of all faults."""
-        return [fault.asked for fault in self._faults.values()]
+        return [fault.request for fault in self._faults.values()]
 
     def drop_parts(self) -> None:
         self.remove()
 
     def make_parts(self, parts: list[Any]) -> None:
-        """Replace all faults by new ones for these requests.
-
-        Raises Refused: a fault is on a joint or a link that does not exist. BadFault: no client can make the request.
-        """
-        wanted = [_checked(FaultRequest(*one)) for one in parts]
-        for asked in wanted:
-            kind = KINDS[asked.kind].target
+        """Replace all faults by new ones for these requests. Raises Refused, UsageError: no such part, or options."""
+        wanted = [FaultRequest(*one) for one in parts]
+        for request in wanted:
+            checked_options(request.kind, request.options)  # the request may come from a file
+            kind = KINDS[request.kind].target
             if kind not in ("topic", "controller"):  # these may have been removed since
-                robot, part = self._targets(kind).get(asked.target, (None, ""))
-                if robot is None or (robot.name, part) != (asked.robot, asked.part):
-                    raise Refused(f"the fault {asked.name} is on the {kind} {asked.target}, which is not there")
-        self._faults = {asked.name: self._made(asked) for asked in wanted}
+                robot, part = self._targets(kind).get(request.target, (None, ""))
+                if robot is None or (robot.name, part) != (request.robot, request.part):
+                    raise Refused(f"the fault {request.name} is on the {kind} {request.target}, which is not there")
+        self._faults = {request.name: self._made(request) for request in wanted}
         for fault in self._faults.values():
             self._install(fault)
 
@@ -667,29 +658,31 @@ class Faults(Feature):
         """They act again at their times, if these are still to come."""
         for fault in self._faults.values():
             fault.end()
-            if self._graph.clock.time_ns < fault.asked.start_ns or not self._graph.clock.time_ns:
+            if self._graph.clock.time_ns < fault.request.start_ns or not self._graph.clock.time_ns:
                 fault.count, fault.is_done = 0, False
         for topic in self._topics.values():
-            topic.have([])
+            topic.set_faults([])
         for fault in self._faults.values():
             self._install(fault)
 
     def _install(self, changed: Fault) -> None:
         """Update the robot or topic of a fault to its present faults."""
         if isinstance(changed, TopicFault):
-            topic = changed.asked.target
-            faults = [one for one in self._faults.values() if isinstance(one, TopicFault) and one.asked.target == topic]
+            topic = changed.request.target
+            faults = [
+                one for one in self._faults.values() if isinstance(one, TopicFault) and one.request.target == topic
+            ]
             faulty = self._topics.setdefault(topic, FaultyTopic(self._simulation, topic))
-            faulty.have(faults)
+            faulty.set_faults(faults)
             if not faults:
                 del self._topics[topic]
-            self._graph.topics.intercept(topic, faulty.take, begins=bool(faults))
+            self._graph.topics.intercept(topic, faulty.handle, begins=bool(faults))
             return
         assert isinstance(changed, RobotFault)
         robot, time_ns = changed.robot, self._graph.clock.time_ns
         mine = [one for one in self._faults.values() if isinstance(one, RobotFault) and one.robot is robot]
         cycle = self._cycles.setdefault(robot.name, FaultyCycle(robot))
-        cycle.take([fault for fault in mine if not fault.is_over(time_ns)])
+        cycle.set_faults([fault for fault in mine if not fault.is_over(time_ns)])
         if not mine:
             del self._cycles[robot.name]
 
@@ -722,31 +715,31 @@ class Faults(Feature):
         if name in self._faults:
             raise Refused(f"there is a fault {name!r} already", "give another name, or remove that one first")
         if name and not names.is_component(name):
-            raise UsageError(f"{quoted(name)} is no name of a fault: a letter, then letters, digits and '_'")
+            raise UsageError(f"{quoted(name)} is not a name for a fault: a letter, then letters, digits and '_'")
         stem, number = kind.replace("-", "_"), 1
         while f"{stem}_{number}" in self._faults:
             number += 1
         return name or f"{stem}_{number}"
 
-    def _made(self, asked: FaultRequest) -> Fault:
-        kind, options, world = asked.kind, asked.options, self._simulation.world
+    def _made(self, request: FaultRequest) -> Fault:
+        kind, options, world = request.kind, request.options, self._simulation.world
         if KINDS[kind].target == "topic":
-            return TopicFault(asked)
-        robot = self._simulation.robots.get(asked.robot)
+            return TopicFault(request)
+        robot = self._simulation.robots.get(request.robot)
         if kind in _SIGNALS:
-            return _SIGNALS[kind](asked, robot)
+            return _SIGNALS[kind](request, robot)
         if kind == "push":
-            return PushFault(asked, robot, world)
+            return PushFault(request, robot, world)
         if kind.startswith("controller"):
-            return ControllerFault(asked, robot)
+            return ControllerFault(request, robot)
         change: Change
         if kind == "joint-stuck":
-            change = StuckJoint(world, robot.attached, robot.parts.hardware, asked.part)
+            change = StuckJoint(world, robot.attached, robot.parts.hardware, request.part)
         elif kind == "joint-friction":
-            change = JointFriction(world, robot.attached, asked.part, options["friction"], options["damping"])
+            change = JointFriction(world, robot.attached, request.part, options["friction"], options["damping"])
         else:
-            change = Payload(world, robot.attached, asked.part, options["mass"], options["at"])
-        return ChangeFault(asked, robot, change)
+            change = Payload(world, robot.attached, request.part, options["mass"], options["at"])
+        return ChangeFault(request, robot, change)
 
     def _serve_add(self, request: Message) -> Message:
         times = {field: request[field] for field in ("start", "end")}
@@ -763,14 +756,6 @@ class Faults(Feature):
         checked_options(request["kind"], options)  # before they are used as keywords
         named = request["name"], request["namespace"] or "/"
         return {"fault": self.add(request["target"], request["kind"], start, end, request["seed"], *named, **options)}
-
-
-def _checked(asked: FaultRequest) -> FaultRequest:
-    """The request, which may come from a file. Raises BadFault, UsageError: no client can make it."""
-    times = asked.start_ns, asked.end_ns, abs(asked.seed)
-    if not names.is_component(asked.name) or not all(type(one) is int and 0 <= one <= NEVER for one in times):
-        raise BadFault(asked.name)
-    return asked._replace(options=checked_options(asked.kind, asked.options))
 
 
 def _serve_kinds(_: Message) -> Message:

@@ -89,10 +89,10 @@ class GazeboServices(Feature):
         ):
             node.advertise_service(name, kind, _acting(action))
 
-        def take_model_state(message: Message) -> None:
+        def on_model_state(message: Message) -> None:
             self._set_model_state(message)
 
-        node.subscribe("set_model_state", "gazebo_msgs/ModelState", take_model_state)
+        node.subscribe("set_model_state", "gazebo_msgs/ModelState", on_model_state)
         for topic, kind, build in (
             ("model_states", "ModelStates", self._model_states),
             ("link_states", "LinkStates", self._link_states),
@@ -160,7 +160,7 @@ class GazeboServices(Feature):
         """Move a robot's root as gazebo_msgs/ModelState says."""
         name = state["model_name"]
         viewer = self._entities.frame(state["reference_frame"])
-        self._entities.put(name, pose(state["pose"]), twist(state["twist"]), viewer)
+        self._entities.set_state(name, pose(state["pose"]), twist(state["twist"]), viewer)
         return f"set the state of {name!r}", {}
 
     def _configure(self, request: Message) -> Answer:
@@ -188,7 +188,7 @@ class GazeboServices(Feature):
         root = self._robots.get(robot).description.root
         if link != root:
             raise Refused(
-                f"{robot}::{link} hangs on a joint; only the root link {robot}::{root} can be put somewhere",
+                f"{robot}::{link} is held by a joint; only the root link {robot}::{root} can be moved",
                 "move joints with /gazebo/set_model_configuration",
             )
         return self._set_model_state({**state, "model_name": robot})

@@ -70,10 +70,10 @@ class _TraceToCome:
         self._rows = [sample()]
         self.pending = Pending(on_cancel=self._close)
         timers = simulation.graph.timers
-        self._timer = timers.every(self._period_ns, self._take)
+        self._timer = timers.every(self._period_ns, self._add_sample)
         self._end = timers.after(duration_ns, self._finish)
 
-    def _take(self) -> None:
+    def _add_sample(self) -> None:
         try:
             row = self._sample()
         except SlidectlError as error:  # the robot was deleted
@@ -84,7 +84,7 @@ class _TraceToCome:
             self._rows.append(row)
 
     def _finish(self) -> None:
-        self._take()
+        self._add_sample()
         self._close()
         self.pending.resolve(_answer(self._period_ns, b"".join(self._rows)))  # does nothing after a `reject`
 

@@ -53,11 +53,11 @@ class LockStepService(Feature):
         self._host = simulation.host
         self._graph = graph = simulation.graph
         self._loop = simulation.loop
-        self._let_go: dict[str, str] = {}
+        self._removed: dict[str, str] = {}
         """The reasons of removals, by node, until it was told."""
         self.members: dict[str, LockStepMember] = {}
-        graph.node(OWN_NODE, OWN_NODE).advertise_service("lockstep", "slidectl/LockStep", self._take)
-        graph.on_node_closed.append(self._gone)
+        graph.node(OWN_NODE, OWN_NODE).advertise_service("lockstep", "slidectl/LockStep", self._serve)
+        graph.on_node_closed.append(self._on_node_closed)
 
     def status(self) -> Message:
         return {"lockstep": sorted(self.members)}
@@ -81,11 +81,11 @@ class LockStepService(Feature):
         why = f"it held the world for more than {member.timeout_s:g} s"
         self._graph.log("warn", OWN_NODE, f"{member.node} has left the lock-step: {why}")
         self._leave(member.node)
-        self._let_go[member.node] = why
+        self._removed[member.node] = why
 
-    def _take(self, request: Message) -> Message | Pending:
+    def _serve(self, request: Message) -> Message | Pending:
         if not self._loop.driven:
-            raise Refused("nobody drives this world: it goes on by its step() alone")
+            raise Refused("this world has no driver: it advances only by its step()")
         node = self._graph.calling_node
         if request["leave"]:
             self._member(node)
@@ -103,9 +103,9 @@ class LockStepService(Feature):
 
     def _member(self, node: str) -> LockStepMember:
         if node not in self.members:
-            why = self._let_go.pop(node, "")
+            why = self._removed.pop(node, "")
             text = f"{node} is not in lock-step" + (f": {why}" if why else "")
-            raise Refused(text, "join with a period above 0, also after it was let go")
+            raise Refused(text, "join with a period above 0, also after a removal")
         return self.members[node]
 
     def _join(self, node: str, period_s: float, timeout_s: float) -> None:
@@ -117,7 +117,7 @@ class LockStepService(Feature):
         if node in self.members:
             _check_not_waiting(self.members[node])
         self.members[node] = LockStepMember(node, period_ns, timeout_s, self._graph.clock)
-        self._let_go.pop(node, None)
+        self._removed.pop(node, None)
         if self not in self._loop.run.gates:
             self._loop.run.gates.append(self)
 
@@ -129,10 +129,10 @@ class LockStepService(Feature):
         if not self.members:
             self._loop.run.gates.remove(self)
 
-    def _gone(self, node: str) -> None:
-        self._let_go.pop(node, None)
+    def _on_node_closed(self, node: str) -> None:
+        self._removed.pop(node, None)
         if node in self.members:
-            self._graph.log("warn", OWN_NODE, f"{node} has gone; the lock-step goes on without it")
+            self._graph.log("warn", OWN_NODE, f"{node} has disconnected; the lock-step continues without it")
             self._leave(node)
 
 

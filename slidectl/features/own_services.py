@@ -365,7 +365,7 @@ class OwnServices(Feature):
             robot.hardware.command(commands)
         joints = list(dict.fromkeys(joint for _, joint in commands))
         text = "; ".join(f"{joint} keeps {_PHRASES[kind]} {value:g}" for (kind, joint), value in commands.items())
-        return text or "no joint is concerned", {"joints": joints}
+        return text or "no joints affected", {"joints": joints}
 
     def _update_times(self, request: Message) -> Message:
         robot = self._robot(request["robot"])

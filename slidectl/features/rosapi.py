@@ -170,7 +170,7 @@ def _parameter_services(parameters: Parameters) -> dict[str, ServiceEntry]:
         check_size(value, request["name"])
         return {"value": json.dumps(value)}
 
-    def put(request: Message) -> Message:
+    def set_value(request: Message) -> Message:
         parameters.set(absolute(request["name"]), from_json(request["value"]))
         return {}
 
@@ -180,7 +180,7 @@ def _parameter_services(parameters: Parameters) -> dict[str, ServiceEntry]:
 
     return {
         "get_param": ("GetParam", get),
-        "set_param": ("SetParam", put),
+        "set_param": ("SetParam", set_value),
         "delete_param": ("DeleteParam", delete),
         "search_param": ("SearchParam", lambda r: {"global_name": parameters.search("/", r["name"]) or ""}),
         "has_param": ("HasParam", lambda r: {"exists": parameters.has(absolute(r["name"]))}),
@@ -196,9 +196,9 @@ def absolute(name: str) -> str:
 def from_json(text: str) -> Any:
     """The value of a request. Raises BadMessage."""
     if len(text) > _LONGEST:
-        raise BadMessage(f"a value of {len(text)} characters, and {_LONGEST} is the most", "value")
+        raise BadMessage(f"the value has {len(text)} characters; the maximum is {_LONGEST}", "value")
     if text.count(",") + text.count("[") + text.count("{") > _MOST_VALUES:
-        raise BadMessage(f"a value of more than {_MOST_VALUES} parts", "value", "set parts of it one after the other")
+        raise BadMessage(f"the value has more than {_MOST_VALUES} parts", "value", "set its parts one by one")
     try:
         return json.loads(text)
     except (ValueError, RecursionError) as error:

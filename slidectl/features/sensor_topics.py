@@ -8,7 +8,8 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Callable
-from typing import TYPE_CHECKING, ClassVar
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -33,7 +34,7 @@ from slidectl.description.robot import (
     Sensor,
 )
 from slidectl.features.gazebo_frames import pose_message, twist_message, vector_message
-from slidectl.physics import rendering, sensing
+from slidectl.physics import World, rendering, sensing
 from slidectl.rotations import Vector, add, cross, subtract
 from slidectl.simulation.clock import period_ns_of
 from slidectl.simulation.feature import Feature
@@ -46,14 +47,112 @@ if TYPE_CHECKING:
     from slidectl.simulation.simulation import Simulation
 
 _CHANNELS = {"mono8": 1, "rgb8": 3, "bgr8": 3}
-_TYPES = {
-    Laser: "sensor_msgs/LaserScan",
-    Imu: ImuSensorController.message_type,
-    ForceTorque: ForceTorqueSensorController.message_type,
-    GroundTruth: "nav_msgs/Odometry",
-    Bumper: "gazebo_msgs/ContactsState",
-    JointStates: "sensor_msgs/JointState",
+
+
+# -- what each kind of sensor measures ---------------------------------------------------------------------------------
+
+
+def _scan(world: World, robot: str, sensor: Laser, time_ns: int) -> Message:
+    pose = sensing.sensor_pose(world, robot, sensor)
+    rays = _rays(sensor.min_angle, sensor.max_angle, sensor.samples)
+    distances = sensing.distances(world, pose, rays, sensor.min_range, sensor.max_range)
+    draw = sensing.draws(robot, sensor, time_ns)
+    noisy = [
+        min(max(distance + draw(), sensor.min_range), sensor.max_range) if distance < math.inf else math.inf
+        for distance in distances.tolist()
+    ]
+    spacings = max(1, sensor.samples - 1)
+    return {
+        "header": header_of(time_ns, sensor.frame),
+        "angle_min": sensor.min_angle,
+        "angle_max": sensor.max_angle,
+        "angle_increment": (sensor.max_angle - sensor.min_angle) / spacings,
+        "time_increment": 0.0,
+        "scan_time": 0.0,
+        "range_min": sensor.min_range,
+        "range_max": sensor.max_range,
+        "ranges": noisy,
+        "intensities": [0.0] * sensor.samples,
+    }
+
+
+@lru_cache
+def _rays(min_angle: float, max_angle: float, samples: int) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """The unit vectors of a scan in the sensor's frame: samples x 3."""
+    angles = np.linspace(min_angle, max_angle, samples)
+    return np.column_stack([np.cos(angles), np.sin(angles), np.zeros(samples)])
+
+
+def _imu(world: World, robot: str, sensor: Imu, time_ns: int) -> Message:
+    return imu_message(header_of(time_ns, sensor.frame), sensing.imu(world, robot, sensor, time_ns))
+
+
+def _wrench(world: World, robot: str, sensor: ForceTorque, time_ns: int) -> Message:
+    return wrench_message(header_of(time_ns, sensor.frame), sensing.force_torque(world, robot, sensor, time_ns))
+
+
+def _odometry(world: World, robot: str, sensor: GroundTruth, time_ns: int) -> Message:
+    draw, variance = sensing.draws(robot, sensor, time_ns), sensor.noise**2
+    pose = sensing.sensor_pose(world, robot, sensor)
+    linear, angular = sensing.sensor_twist(world, robot, sensor)
+    covariance = [variance if row == column else 0.0 for row in range(6) for column in range(6)]
+    place = sensing.noisy(pose[0], draw), pose[1]
+    moving = sensing.noisy(linear, draw), sensing.noisy(angular, draw)
+    return {
+        "header": header_of(time_ns, sensor.frame),
+        "child_frame_id": sensor.link,
+        "pose": {"pose": pose_message(place), "covariance": covariance},
+        "twist": {"twist": twist_message(moving), "covariance": covariance},
+    }
+
+
+def _contacts(world: World, robot: str, sensor: Bumper, time_ns: int) -> Message:
+    origin = world.link_pose(robot, sensor.link)[0]
+    by_pair: dict[str, list[sensing.Touch]] = {}
+    for touch in sensing.touches(world, robot, sensor.link):
+        by_pair.setdefault(touch.other, []).append(touch)
+    states = [_contact_state(origin, touches) for touches in by_pair.values()]
+    return {"header": header_of(time_ns, sensor.frame), "states": states}
+
+
+def _contact_state(origin: Vector, touches: list[sensing.Touch]) -> Message:
+    """The touches of one pair of shapes as gazebo_msgs/ContactState. Torques are about the origin."""
+    wrenches = []
+    total_force: Vector = (0.0, 0.0, 0.0)
+    total_torque: Vector = (0.0, 0.0, 0.0)
+    for touch in touches:
+        torque = cross(subtract(touch.position, origin), touch.force)
+        total_force, total_torque = add(total_force, touch.force), add(total_torque, torque)
+        wrenches.append({"force": vector_message(touch.force), "torque": vector_message(torque)})
+    return {
+        "info": f"{len(touches)} contact points",
+        "collision1_name": touches[0].own,
+        "collision2_name": touches[0].other,
+        "wrenches": wrenches,
+        "total_wrench": {"force": vector_message(total_force), "torque": vector_message(total_torque)},
+        "contact_positions": [vector_message(touch.position) for touch in touches],
+        "contact_normals": [vector_message(touch.normal) for touch in touches],
+        "depths": [touch.depth for touch in touches],
+    }
+
+
+def _joints(world: World, robot: str, sensor: JointStates, time_ns: int) -> Message:
+    moving = [joint for joint in sensor.joints if joint in world.robot(robot).joints]
+    states = [world.joint_state(robot, joint) for joint in moving]
+    positions, velocities, efforts = (list(column) for column in zip(*states, strict=True)) if states else ([], [], [])
+    header = header_of(time_ns, sensor.frame)
+    return {"header": header, "name": moving, "position": positions, "velocity": velocities, "effort": efforts}
+
+
+_MEASURED: dict[type[Sensor], tuple[str, Callable[[World, str, Any, int], Message]]] = {
+    Laser: ("sensor_msgs/LaserScan", _scan),
+    Imu: (ImuSensorController.message_type, _imu),
+    ForceTorque: (ForceTorqueSensorController.message_type, _wrench),
+    GroundTruth: ("nav_msgs/Odometry", _odometry),
+    Bumper: ("gazebo_msgs/ContactsState", _contacts),
+    JointStates: ("sensor_msgs/JointState", _joints),
 }
+"""The message type of each kind of sensor, and the function that measures: world, robot, sensor and time to message."""
 
 
 class SensorTopic:
@@ -62,131 +161,19 @@ class SensorTopic:
     saved_attributes: ClassVar[tuple[str, ...]] = ("_topic",)
 
     def __init__(self, simulation: Simulation, robot: SpawnedRobot, sensor: Sensor) -> None:
-        self._simulation = simulation
-        self._world = simulation.world
-        self._robot = robot.name
-        self._sensor = sensor
-        build: dict[type[Sensor], Callable[[], Message]] = {
-            Laser: self._scan,
-            Imu: self._imu,
-            ForceTorque: self._wrench,
-            GroundTruth: self._odometry,
-            Bumper: self._contacts,
-            JointStates: self._joints,
-        }
-        if isinstance(sensor, Laser):
-            angles = np.linspace(sensor.min_angle, sensor.max_angle, sensor.samples)
-            self._directions = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(sensor.samples)])
+        message_type, measure = _MEASURED[type(sensor)]
         self._topic = PeriodicTopic(
             simulation.graph,
             names.join(robot.namespace, sensor.topic),
-            _TYPES[type(sensor)],
-            names.join(robot.namespace, "gazebo") if robot.namespace != "/" else "/gazebo",
+            message_type,
+            names.join(robot.namespace, "gazebo"),
             period_ns_of(sensor.rate_hz, simulation.timestep_ns),
-            build[type(sensor)],
+            lambda: measure(simulation.world, robot.name, sensor, simulation.time_ns),
         )
         robot.cleanup.callback(self._topic.close)
 
-    def _header(self) -> Message:
-        return header_of(self._simulation.time_ns, self._sensor.frame)
 
-    def _draws(self) -> Callable[[], float]:
-        """The noise for this message."""
-        return sensing.draws(self._robot, self._sensor, self._simulation.time_ns)
-
-    def _scan(self) -> Message:
-        sensor = self._sensor
-        assert isinstance(sensor, Laser)
-        pose = sensing.sensor_pose(self._world, self._robot, sensor)
-        found = sensing.distances(self._world, pose, self._directions, sensor.min_range, sensor.max_range)
-        draw = self._draws()
-        noisy = [
-            min(max(distance + draw(), sensor.min_range), sensor.max_range) if distance < math.inf else math.inf
-            for distance in found.tolist()
-        ]
-        spacings = max(1, sensor.samples - 1)
-        return {
-            "header": self._header(),
-            "angle_min": sensor.min_angle,
-            "angle_max": sensor.max_angle,
-            "angle_increment": (sensor.max_angle - sensor.min_angle) / spacings,
-            "time_increment": 0.0,
-            "scan_time": 0.0,
-            "range_min": sensor.min_range,
-            "range_max": sensor.max_range,
-            "ranges": noisy,
-            "intensities": [0.0] * sensor.samples,
-        }
-
-    def _imu(self) -> Message:
-        sensor = self._sensor
-        assert isinstance(sensor, Imu)
-        return imu_message(self._header(), sensing.imu(self._world, self._robot, sensor, self._simulation.time_ns))
-
-    def _wrench(self) -> Message:
-        sensor = self._sensor
-        assert isinstance(sensor, ForceTorque)
-        return wrench_message(
-            self._header(), sensing.force_torque(self._world, self._robot, sensor, self._simulation.time_ns)
-        )
-
-    def _odometry(self) -> Message:
-        draw, variance = self._draws(), self._sensor.noise**2
-        pose = sensing.sensor_pose(self._world, self._robot, self._sensor)
-        linear, angular = sensing.sensor_twist(self._world, self._robot, self._sensor)
-        covariance = [variance if row == column else 0.0 for row in range(6) for column in range(6)]
-        position = sensing.noisy(pose[0], draw)
-        return {
-            "header": self._header(),
-            "child_frame_id": self._sensor.link,
-            "pose": {"pose": pose_message((position, pose[1])), "covariance": covariance},
-            "twist": {
-                "twist": twist_message((sensing.noisy(linear, draw), sensing.noisy(angular, draw))),
-                "covariance": covariance,
-            },
-        }
-
-    def _contacts(self) -> Message:
-        by_pair: dict[str, list[sensing.Touch]] = {}
-        for touch in sensing.touches(self._world, self._robot, self._sensor.link):
-            by_pair.setdefault(touch.other, []).append(touch)
-        states = [self._contact_state(other, touches) for other, touches in by_pair.items()]
-        return {"header": self._header(), "states": states}
-
-    def _contact_state(self, other: str, touches: list[sensing.Touch]) -> Message:
-        """The state as gazebo_msgs/ContactState. Torques are about the link's origin."""
-        origin = self._world.link_pose(self._robot, self._sensor.link)[0]
-        wrenches = []
-        total_force: Vector = (0.0, 0.0, 0.0)
-        total_torque: Vector = (0.0, 0.0, 0.0)
-        for touch in touches:
-            torque = cross(subtract(touch.position, origin), touch.force)
-            total_force, total_torque = add(total_force, touch.force), add(total_torque, torque)
-            wrenches.append({"force": vector_message(touch.force), "torque": vector_message(torque)})
-        return {
-            "info": f"{len(touches)} contact points",
-            "collision1_name": touches[0].own,
-            "collision2_name": other,
-            "wrenches": wrenches,
-            "total_wrench": {"force": vector_message(total_force), "torque": vector_message(total_torque)},
-            "contact_positions": [vector_message(touch.position) for touch in touches],
-            "contact_normals": [vector_message(touch.normal) for touch in touches],
-            "depths": [touch.depth for touch in touches],
-        }
-
-    def _joints(self) -> Message:
-        sensor = self._sensor
-        assert isinstance(sensor, JointStates)
-        moving = [joint for joint in sensor.joints if joint in self._world.robot(self._robot).joints]
-        states = [self._world.joint_state(self._robot, joint) for joint in moving]
-        return {
-            "header": self._header(),
-            "name": moving,
-            "position": [state[0] for state in states],
-            "velocity": [state[1] for state in states],
-            "effort": [state[2] for state in states],
-        }
-
+# -- cameras -----------------------------------------------------------------------------------------------------------
 
 _KEEPS_UP = 0.9
 """The part of the rate that is asked from which on a camera keeps up."""
@@ -215,7 +202,7 @@ class CameraTopics:
         self._due = self._skipped = 0
         """Pictures that were due, and those of them that were skipped, since the rate was counted last."""
         self._reached_hz: float | None = None
-        self._is_told = False
+        self._has_warned = False
         self._rendering: Pending | None = None
         """The picture that is being rendered."""
         node = names.join(robot.namespace, "gazebo")
@@ -223,7 +210,7 @@ class CameraTopics:
         self._asked_hz = 1e9 / (period_ns or simulation.timestep_ns)
         topic, info = (_inside(robot.namespace, topic) for topic in (camera.topic, camera.info_topic))
         self.topic = topic
-        self._pictures = PeriodicTopic(simulation.graph, topic, "sensor_msgs/Image", node, period_ns, self._take)
+        self._pictures = PeriodicTopic(simulation.graph, topic, "sensor_msgs/Image", node, period_ns, self._render)
         robot.cleanup.callback(self._pictures.close)
         self._info = PeriodicTopic(simulation.graph, info, "sensor_msgs/CameraInfo", node, period_ns, self._geometry)
         robot.cleanup.callback(self._info.close)
@@ -232,7 +219,7 @@ class CameraTopics:
     def _header(self) -> Message:
         return header_of(self._simulation.time_ns, self._camera.frame)
 
-    def _take(self) -> None:
+    def _render(self) -> None:
         """Start to render the present state; the picture is published when it is done."""
         self._count()
         if self._rendering is not None or self._is_broken:
@@ -244,7 +231,7 @@ class CameraTopics:
         self._rendering.then(lambda done: self._publish(header, done))
 
     def _count(self) -> None:
-        """Count a picture that is due, and once in a simulated second the rate; say it when it is too low.
+        """Count a picture that is due, and once in a simulated second the rate; warn when it is too low.
 
         The first picture does not count: what draws is started for it.
         """
@@ -256,8 +243,8 @@ class CameraTopics:
             return
         self._reached_hz = self._asked_hz * (self._due - self._skipped) / self._due
         self._due = self._skipped = 0
-        if self._reached_hz < _KEEPS_UP * self._asked_hz and not self._is_told:
-            self._is_told = True
+        if self._reached_hz < _KEEPS_UP * self._asked_hz and not self._has_warned:
+            self._has_warned = True
             rates = f"{self._asked_hz:.3g} Hz asked, {self._reached_hz:.3g} reached"
             self._robot.node.log("warn", f"{self.topic}: {rates}; {_TO_KEEP_UP}")
 
@@ -331,12 +318,9 @@ class Sensors(Feature):
         self._simulation = simulation
 
     def on_spawn(self, robot: SpawnedRobot) -> None:
+        make: dict[type[Sensor], Callable[..., Any]] = {Camera: CameraTopics, OtherSensor: OtherSensorTopic}
         robot.saved["sensors"] = [
-            CameraTopics(self._simulation, robot, sensor)
-            if isinstance(sensor, Camera)
-            else OtherSensorTopic(self._simulation, robot, sensor)
-            if isinstance(sensor, OtherSensor)
-            else SensorTopic(self._simulation, robot, sensor)
+            make.get(type(sensor), SensorTopic)(self._simulation, robot, sensor)
             for sensor in robot.description.sensors
             if sensor.topic
         ]

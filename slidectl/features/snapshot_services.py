@@ -12,7 +12,7 @@ from slidectl.effects import Effect
 from slidectl.errors import BadName, Refused, UnknownName, UsageError
 from slidectl.features import snapshot_files
 from slidectl.features.own_services import absolute_path
-from slidectl.features.snapshots import Snapshot, put, take
+from slidectl.features.snapshots import Snapshot, capture, restore
 from slidectl.simulation.clock import SECOND
 from slidectl.simulation.feature import Feature
 from slidectl.simulation.services import Handler
@@ -53,21 +53,21 @@ class Snapshots(Feature):
     def save(self, name: str, first: Callable[[Snapshot], None] = lambda _: None) -> Snapshot:
         """Save the present state under the name, after `first` was called with it. An older one is replaced.
 
-        Raises as `take`, the errors of `first`, and BadName; then nothing has changed.
+        Raises as `capture`, the errors of `first`, and BadName; then nothing has changed.
         """
         if not names.is_component(name):
             raise BadName(name, "name of a snapshot: letters, digits and '_', and the first is a letter")
         if len(self._kept) >= self.MOST and name not in self._kept:
-            raise Refused(f"there are {self.MOST} snapshots, which is the most", "slidectl sim delete NAME")
-        snapshot = take(self._simulation)
+            raise Refused(f"there are {self.MOST} snapshots already, the maximum", "slidectl sim delete NAME")
+        snapshot = capture(self._simulation)
         first(snapshot)
         self._kept.pop(name, None)
         self._kept[name] = snapshot
         return snapshot
 
     def load(self, name: str) -> list[str]:
-        """Restore a snapshot. Returns the names of the robots spawned again. Raises UnknownName, and as `put`."""
-        return put(self._simulation, self.get(name))
+        """Restore a snapshot. Returns the names of the robots spawned again. Raises UnknownName, and as `restore`."""
+        return restore(self._simulation, self.get(name))
 
     def delete(self, name: str) -> None:
         """Delete a snapshot. Raises UnknownName."""
@@ -84,7 +84,8 @@ class Snapshots(Feature):
         if bool(name) == bool(file):
             raise UsageError("give the name of a snapshot that is kept, or a file")
         simulation = self._simulation
-        made = self.load(name) if name else put(simulation, snapshot_files.read(absolute_path(file), simulation.host))
+        snapshot = self.get(name) if name else snapshot_files.read(absolute_path(file), simulation.host)
+        made = restore(simulation, snapshot)
         return {"time": simulation.graph.clock.seconds, "robots": made}
 
     def _list(self, _: Message) -> Message:

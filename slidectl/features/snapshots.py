@@ -30,7 +30,7 @@ from slidectl.simulation.spawned_robots import ParsedRobot, SpawnedRobot
 if TYPE_CHECKING:
     from slidectl.simulation.simulation import Simulation
 
-PUT_BACK = "The simulation was put back to a time before this goal was sent"
+RESTORED = "The simulation was restored to a time before this goal was sent"
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ class Snapshot:
     features: list[str]
     """The features of which it has a state."""
     parts: dict[str, list[Any]]
-    """What makes the parts of features again, by their names; see Feature.save_parts."""
+    """The requests for the parts of features, by the features' names; see Feature.save_parts."""
     parameters: dict[str, Any]
     derived: list[str]
     """The parameters that no client has set."""
@@ -106,7 +106,7 @@ class Snapshot:
     """The saved form of `_tree`; its objects are in `entries`."""
 
 
-def take(simulation: Simulation) -> Snapshot:
+def capture(simulation: Simulation) -> Snapshot:
     """A snapshot of the present state.
 
     Raises:
@@ -115,13 +115,9 @@ def take(simulation: Simulation) -> Snapshot:
     """
     simulation.loop.between_cycles("save a snapshot")
     if simulation.run.trouble:
-        raise Refused(f"a world that cannot go on is not saved: {simulation.run.trouble}", "slidectl sim reset")
+        raise Refused(f"a world that cannot go on cannot be saved: {simulation.run.trouble}", "slidectl sim reset")
     _check_settled(simulation, "save a snapshot")
     simulation.loop.settle()
-    return _taken(simulation)
-
-
-def _taken(simulation: Simulation) -> Snapshot:
     simulation.types.code.activate()  # `save_state` of users' classes may be called
     saving = Saving()
     state = saving.value(_tree(simulation, simulation.features.with_state()))
@@ -143,7 +139,7 @@ def _taken(simulation: Simulation) -> Snapshot:
     )
 
 
-def put(simulation: Simulation, snapshot: Snapshot) -> list[str]:
+def restore(simulation: Simulation, snapshot: Snapshot) -> list[str]:
     """Restore a snapshot, all or nothing. Returns the names of the robots that were spawned again.
 
     Goals that clients have sent since then end as PREEMPTED.
@@ -163,14 +159,12 @@ def put(simulation: Simulation, snapshot: Snapshot) -> list[str]:
     before = None
     if not is_sure and not simulation.run.trouble:
         try:
-            before = take(simulation)
+            before = capture(simulation)
         except SlidectlError as error:
             text = f"cannot load a snapshot: should that fail, the world could not be as it is now: {error.message}"
             raise Refused(text, error.hint) from None
     try:
-        made = _put(simulation, snapshot)
-        if snapshot.is_from_file:  # what cannot be saved and loaded again is no state of a simulation
-            _put(simulation, _taken(simulation))
+        made = _restore(simulation, snapshot)
     except BaseException as error:
         if before is not None:
             _go_back(simulation, before)
@@ -185,14 +179,14 @@ def put(simulation: Simulation, snapshot: Snapshot) -> list[str]:
 def _go_back(simulation: Simulation, before: Snapshot) -> None:
     """Restore the world after a failed restore, which may have lost any part of it."""
     try:
-        _put(simulation, before)
+        _restore(simulation, before)
     except Exception:  # robots have lost parts: they are spawned again
         for name in reversed([robot.name for robot in simulation.robots]):
             simulation.robots.delete(name)
-        _put(simulation, before)
+        _restore(simulation, before)
 
 
-def _put(simulation: Simulation, snapshot: Snapshot) -> list[str]:
+def _restore(simulation: Simulation, snapshot: Snapshot) -> list[str]:
     simulation.types.code.activate()
     with_state = _with_state(simulation, snapshot)
     for feature in simulation.features:
@@ -209,11 +203,9 @@ def _put(simulation: Simulation, snapshot: Snapshot) -> list[str]:
         simulation.features[name].make_parts(parts)
     for goal in goals:
         if goal.ended_ns is None:
-            goal.cancel(text=PUT_BACK)
+            goal.cancel(text=RESTORED)
     live = _tree(simulation, with_state)
     restoring = Restoring(snapshot.entries, timers, _modules_of_users(simulation))
-    if snapshot.is_from_file:
-        restoring.check_complete(snapshot.state, live)
     state = restoring.value(snapshot.state, live)
     for robot in simulation.robots:
         robot.node.command_warning = state["robots"][robot.name]["command_warning"]
@@ -271,7 +263,7 @@ def _check_settled(simulation: Simulation, action: str) -> None:
         if robot.is_controlled and robot.services.is_busy:
             raise Refused(
                 f"cannot {action}: a switch of controllers of {robot.name!r} is under way",
-                "let the world go on until it is done",
+                "let the world run until the switch is done",
             )
 
 

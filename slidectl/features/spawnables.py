@@ -72,13 +72,13 @@ def read(
     if uri and uri not in models.shipped() and not may_use_files:
         raise failure(NotPermitted(f"spawning {quoted(uri)}", Effect.FILES, permitted))
 
-    def look() -> list[Any]:
+    def parts_in_file() -> list[Any]:
         try:
             return _of_file(uri, name, named) if uri else _of_text(text, name, named, may_use_files)
         except SlidectlError as error:
             raise failure(error) from None
 
-    parts = host.read_or_raise(f"resource {uri or 'that came as text'}", look)
+    parts = host.read_or_raise(f"resource {uri or 'that came as text'}", parts_in_file)
     return [ResourcePart(xml, part, (tuple(xyz), tuple(turn)), is_model) for xml, part, (xyz, turn), is_model in parts]
 
 

@@ -171,12 +171,12 @@ class StandardServices(Feature):
         """Spawn one after the other. A failed one does not stop the others."""
         requests: list[Message] = request["spawn_requests"]
         if len(requests) > MOST_SPAWNED:
-            text = f"{len(requests)} entities, and {MOST_SPAWNED} is the most in one request"
+            text = f"{len(requests)} entities in one request: at most {MOST_SPAWNED} are allowed"
             raise FailedRequest("RESULT_OPERATION_FAILED", text)
         results: list[Message] = []
         answer = Pending()
 
-        def take_and_go_on(done: Pending) -> None:
+        def on_spawned(done: Pending) -> None:
             results.append(done.result())
             go_on()
 
@@ -185,7 +185,7 @@ class StandardServices(Feature):
                 spawning = self._spawn(requests[len(results)])
                 answer.on_cancel = spawning.cancel
                 if not spawning.done:
-                    spawning.then(take_and_go_on)
+                    spawning.then(on_spawned)
                     return
                 results.append(spawning.result())
             result = _ok()
@@ -284,7 +284,7 @@ class StandardServices(Feature):
         except Refused as error:
             raise FailedRequest("INVALID_POSE", str(error), "SetEntityStateResponse") from None
         moving = twist(state["twist"]) if request["set_twist"] else None
-        self._entities.put(name, place, moving, self._entities.frame(state["header"]["frame_id"]))
+        self._entities.set_state(name, place, moving, self._entities.frame(state["header"]["frame_id"]))
         text = "an acceleration follows from forces and is not set" if "set_acceleration" in pushes else ""
         return {"result": _ok(text)}
 
@@ -292,7 +292,9 @@ class StandardServices(Feature):
         robot, info = self._robots.get(request["entity"]), request["info"]
         known = {one.value for one in msgs.constants(f"{_PACKAGE}/EntityCategory")}
         if info["category"]["category"] not in known:
-            raise FailedRequest("RESULT_NOT_FOUND", f"{info['category']['category']} is no category; there are {known}")
+            raise FailedRequest(
+                "RESULT_NOT_FOUND", f"{info['category']['category']} is not a category; categories: {known}"
+            )
         _kept(robot).update(
             category=info["category"]["category"], description=info["description"], tags=list(info["tags"])
         )
@@ -331,7 +333,7 @@ class StandardServices(Feature):
                 raise FailedRequest("STATE_TRANSITION_ERROR", str(error), response) from None
         elif asked == "STATE_PAUSED":
             if present == "STATE_STOPPED":
-                text = "a stopped world stands already; play it, or step it"
+                text = "a stopped world cannot be paused; play it, or step it"
                 raise FailedRequest("INCORRECT_TRANSITION", text, response)
             simulation.pause()
         elif asked == "STATE_STOPPED":
@@ -341,7 +343,7 @@ class StandardServices(Feature):
         elif asked == "STATE_QUITTING" and simulation.graph.services.exists(f"{names.OWN_NODE}/shutdown"):
             return simulation.graph.services.call(f"{names.OWN_NODE}/shutdown").converted(_nothing_more)
         else:
-            text = f"{asked or request['state']['state']} cannot be asked for here"
+            text = f"{asked or request['state']['state']} cannot be requested here"
             raise FailedRequest("RESULT_FEATURE_UNSUPPORTED", text)
         return {}
 

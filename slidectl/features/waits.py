@@ -155,7 +155,7 @@ class Wait:
             field = fields[0]
         selection = select(lambda owner: msgs.fields(owner) if "/" in owner else (), type_name, field)
         self._path = f"{self._topic}/{field}"
-        self._take_value = selection.take
+        self._select = selection.take
         self._condition = Condition(request["condition"], request["value"], request["tolerance"])
         self._condition.check_type(self._path, selection.type + "[]" * selection.depth)
         self._hold_s = _duration("hold", request["hold"])
@@ -166,15 +166,15 @@ class Wait:
         self._holding: Timer | None = None
         self._deadline = graph.timers.after(from_seconds(within_s), self._time_is_up) if within_s else None
         self._subscription: TopicSubscription | None = None
-        self._subscription = graph.topics.subscribe(self._topic, None, OWN_NODE, self._take)
+        self._subscription = graph.topics.subscribe(self._topic, None, OWN_NODE, self._receive)
         if self.pending.done:  # by a latched message, before there was a subscription to close
             self._close()
 
-    def _take(self, message: Message) -> None:
+    def _receive(self, message: Message) -> None:
         if self.pending.done:
             return
         try:
-            value = self._take_value(message)
+            value = self._select(message)
         except NoElement as error:
             self._close()
             self.pending.reject(error)
@@ -214,7 +214,7 @@ class Wait:
         )
 
     def _why_not(self) -> str:
-        alone = "" if self._graph.topics.publishers(self._topic) else "; nobody publishes it"
+        alone = "" if self._graph.topics.publishers(self._topic) else "; it has no publisher"
         if self._last is _NOTHING:
             return alone or "; no message came"
         return f"; last {_shown(self._last)}, closest {_shown(self._closest)}{alone}"

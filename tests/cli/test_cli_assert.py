@@ -239,14 +239,14 @@ def test_a_baseline_is_kept_in_a_folder_by_the_name_of_the_run(run: tuple[Comman
     folder = str(tmp_path / "baselines")
     done = slidectl("bag", "diff", str(path), folder)
     assert done.returncode == 2
-    assert done.stderr.splitlines()[1] == "make it of this run: --update-baseline"
+    assert done.stderr.splitlines()[1] == "to make this run the baseline: --update-baseline"
     slidectl.ok("bag", "diff", str(path), folder, "--update-baseline")
     slidectl.ok("bag", "diff", str(path), folder)
     shutil.copy(path, tmp_path / "same.bag")
     slidectl.ok("bag", "diff", str(tmp_path / "same.bag"), f"{folder}/run.bag")
     for fields, said in (
         ("elbow", "no topic 'elbow'"),
-        ("joint_states/position=much", "'much' is no tolerance"),
+        ("joint_states/position=much", "'much' is not a tolerance"),
         ("joint_states/nope", "no field 'nope' in sensor_msgs/JointState"),
         ("joint_states/position[7]", "index out of range: position[7], but the message has 1 there"),
     ):

@@ -66,7 +66,7 @@ def test_a_run_is_held_to_its_baseline_bit_for_bit_and_its_first_difference_is_t
     up.write_text("\n".join([*lines[:5], ",".join([*cells[:2], "0.5", *cells[3:]]), *lines[6:], ""]), "utf-8")
     said = f"{up}: /slider/joint_states/position[0] at {cells[0]} s: {cells[2]}, baseline: 0.5"
     found = held()
-    assert (found["up"]["verdict"], found["up"]["message"]) == ("failed", f"not as its baseline: {said}")
+    assert (found["up"]["verdict"], found["up"]["message"]) == ("failed", f"differs from its baseline: {said}")
     assert (found["up"]["failed_at"], found["half/way"]["verdict"]) == (float(cells[0]), "passed")
     assert found["up"]["detail"]["field"] == "position[0]"
     assert held(more="baseline: {tol: 1.0}")["up"]["verdict"] == "passed"
@@ -94,7 +94,7 @@ def test_other_lengths_fields_and_broken_files_have_a_message_each(held: Held, t
         text.replace("position[0]", "position[1]"): "has other fields than this run: "
         "without /slider/joint_states/position[0], with /slider/joint_states/position[1]",
         "": f"{up}: is empty",
-        "a,b\n": "is no table of a run: it begins with time,topic",
+        "a,b\n": "is not a table of a run: one begins with time,topic",
         text.replace(last, "soon"): "cannot be read as a table: could not convert string to float: 'soon'",
     }.items():
         up.write_text(content, "utf-8")
@@ -114,7 +114,7 @@ def test_a_baseline_without_a_case_is_told_and_stays(held: Held, tmp_path: Path)
     for path in (stray, other):
         path.write_text("time,topic\n", "utf-8")
     found = held("--update-baseline", "-k", "up")
-    assert found[str(stray)]["message"] == "this baseline belongs to no case"
+    assert found[str(stray)]["message"] == "no case has this baseline"
     assert found[str(stray)]["hint"] == f"rm {stray}"
     assert set(found) == {"up", str(stray), str(other)}
     (tmp_path / "other.yaml").write_text("steps: [sim status]")  # another scenario, which does not run now

@@ -108,7 +108,7 @@ def test_a_raw_call_needs_the_kind_and_the_target_alone(world: CommandLine) -> N
         ({"kind": "sensor-noise", "options": f'{{"sd": {10**400}}}'}, "is a finite number"),
         ({"start": [1.0, 2.0]}, "start is one time"),
         ({"options": '{"start": 3}'}, "has no option start"),
-        ({"name": "a name"}, "is no name of a fault"),
+        ({"name": "a name"}, "is not a name for a fault"),
     ):
         done = world(
             "service", "call", "/slidectl/fault/add", json.dumps({"kind": "joint-stuck", "target": "joint1"} | request)

@@ -363,7 +363,7 @@ def test_a_recording_follows_a_link_and_replaces_no_pipe_and_no_folder(world: Wo
     for name in ("pipe", "folder"):
         for words in (("record", STATES, "-O"), COPY):
             done = world(*words, str(place / f"{name}{suffix}"), "--force")
-            assert (done.returncode, f"{name}{suffix} is no regular file" in done.stderr) == (1, True), done.stderr
+            assert (done.returncode, f"{name}{suffix} is not a regular file" in done.stderr) == (1, True), done.stderr
     assert sorted(place.iterdir()) == before
 
 
@@ -396,7 +396,7 @@ def test_two_that_write_one_file_leave_one_of_both(
 def test_of_two_recorders_of_one_file_the_second_is_refused(world: World, place: Path) -> None:
     first = begun(world, STATES, "-O", str(place / "run.bag"))
     second = world("record", STATES, "-O", str(place / "run.bag"))
-    assert (second.returncode, "run.bag is there already" in second.stderr) == (1, True)
+    assert (second.returncode, "run.bag already exists" in second.stderr) == (1, True)
     with world.client() as client:
         client.step(seconds=0.5)
     first.send_signal(signal.SIGINT)

@@ -163,7 +163,7 @@ def test_playing_keeps_the_distances_on_other_topics_and_at_other_rates(slider: 
     slider.ok("sim", "reset")
     recorded(slider, tmp_path / "run.bag", STATES)
     recorder = Recorder(slider, "/copy", "-O", str(tmp_path / "copy.bag"))
-    assert "nobody publishes /copy yet" in recorder.said
+    assert "/copy has no publisher yet" in recorder.said
     player = slider.start(
         "play",
         str(tmp_path / "run.bag"),
@@ -217,7 +217,7 @@ def test_a_part_without_messages_is_said_to_be_empty(slider: CommandLine, tmp_pa
     slider.ok("sim", "reset")
     recorded(slider, tmp_path / "run.bag", STATES)
     done = slider("play", str(tmp_path / "run.bag"), "--start", "1e6")
-    assert "no message to play in that part; the recording is 0.9" in done.stderr
+    assert "no messages in this part; the recording is 0.9" in done.stderr
     assert done.stdout == "played 0 messages on 0 topics, 0.000 s\n"
 
 
@@ -234,7 +234,7 @@ def test_a_recorder_that_is_killed_leaves_what_came_before(slider: CommandLine, 
     update = ("bag", "diff", str(path), str(tmp_path / "baselines"), "--update-baseline")
     assert f"{path} is being recorded" in slider(*update).stderr
     recorder.end(signal.SIGKILL)
-    assert f"{path} is no baseline: it was not closed" in slider(*update).stderr
+    assert f"{path} cannot be a baseline: it was not closed" in slider(*update).stderr
     assert not (tmp_path / "baselines").exists()
     done = slider("bag", "info", str(path), "--json")
     record = json.loads(done.stdout)
@@ -258,7 +258,7 @@ def test_a_recorder_that_is_killed_leaves_what_came_before(slider: CommandLine, 
 _NEVER_FLUSHED = """
 from slidectl.cli import entry
 from slidectl.extensions.recording.commands import record
-record._LOOK_EVERY_S = 1000.0
+record._CHECK_EVERY_S = 1000.0
 entry()
 """
 """The command line with a recorder that comes to no regular flush."""
@@ -457,7 +457,7 @@ def test_copies_and_tables(slider: CommandLine, tmp_path: Path) -> None:
     begin = next(time_ns for topic, time_ns, _ in messages(tmp_path / "run.bag") if topic == STATES) / 1e9
     expression = f"topic == '{STATES}' and t - {begin} < 0.19 and m.position[0] >= 0"
     assert f"10 of {count} messages" in slider.ok("bag", "filter", *words, expression)
-    assert "is there already" in slider("bag", "filter", *words, expression).stderr
+    assert "already exists" in slider("bag", "filter", *words, expression).stderr
     refused = slider("bag", "filter", *words, "m.nothing > 0", "--force")
     assert (refused.returncode, "no field 'nothing'" in refused.stderr) == (2, True)
     slider.ok("bag", "export", str(tmp_path / "run.bag"), "--csv", str(tmp_path / "run.csv"), "--topic", STATES)
@@ -512,7 +512,7 @@ def test_a_table_takes_the_place_of_no_file_unasked_and_never_of_its_recording(
     assert (tmp_path / "run.bag").read_bytes() == before
     (tmp_path / "-").touch()
     done = slidectl("bag", "export", "run.bag", "--parquet", "-", cwd=tmp_path)
-    assert (done.returncode, "- is there already" in done.stderr) == (1, True)
+    assert (done.returncode, "- already exists" in done.stderr) == (1, True)
 
 
 def two_publishers(path: Path) -> None:
@@ -584,7 +584,7 @@ def test_a_split_that_cannot_go_on_keeps_what_it_has_and_says_why(slider: Comman
         slider.ok("sim", "step", "300ms")
         done = recorder.ended()
         assert done.returncode == 1
-        assert f"s_1{suffix} is there already" in done.stderr
+        assert f"s_1{suffix} already exists" in done.stderr
         assert "Traceback" not in done.stderr
         [file] = json.loads(done.stdout)["files"]
         assert len(messages(Path(file))) == json.loads(done.stdout)["messages"] == 5
@@ -601,7 +601,7 @@ BAD = [
     (("record",), 2, "give the topics, or -a for all"),
     (("record", "nothing"), 1, "no topic 'nothing'"),
     (("record", "-a", "-O", "x.txt"), 2, "neither a .bag nor a .mcap file"),
-    (("record", "-a", "-O", "x.bag", "--compression", "zstd"), 2, "there is: none, bz2, lz4"),
+    (("record", "-a", "-O", "x.bag", "--compression", "zstd"), 2, "choose from: none, bz2, lz4"),
     (("record", "-a", "-O", "/nowhere/x.bag"), 1, "cannot write /nowhere/x.bag: No such file or directory"),
     (("record", "-e", "(", "-O", "x.bag"), 2, "is not a regular expression"),
     (("record", "-a", "--split", "-O", "x.bag"), 2, "--split needs --duration or --size"),

@@ -88,7 +88,7 @@ teardown:
     assert "expected near 1.5 (tolerance 0.1); closest " in said
     assert f"{file}:10: steps: wait --within 0.5 'joint_states/position[0]' --near 1.5 --tol 0.1" in said
     assert f"slidectl test {file}::far" in said
-    assert f"XPASSED {file}::wrongly known\n  it passed, and was known to fail: it never passes" in said
+    assert f"XPASSED {file}::wrongly known\n  it passed, but is a known failure: it never passes" in said
     assert said.rstrip().endswith("1 xfailed, 1 failed, 1 xpassed")
     assert (tmp_path / "torn_down.urdf").exists()
     [recording], [journal] = kept.glob("*far-*.mcap"), kept.glob("*far-*.journal")
@@ -118,7 +118,7 @@ def test_commands_that_are_to_fail_setups_limits_and_crashes(slidectl: CommandLi
     found = results(slidectl, str(crash.parent), "-n", "2", "--sim-timeout", "1e8")
     told = {Path(name).stem: (result["verdict"], result["message"]) for name, result in found.items()}
     assert told["fails"] == ("passed", "")
-    assert told["did_not"] == ("failed", "it was to fail, and did not")
+    assert told["did_not"] == ("failed", "it should have failed")
     assert told["other"][1].startswith("it failed, but not with 'a joint': no controller 'nothing'")
     assert told["setup"][0] == "error"
     assert told["sim"][1].startswith("not done within the 0.5 s of the case of simulated time")

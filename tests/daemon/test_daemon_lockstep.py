@@ -122,7 +122,7 @@ def test_a_client_that_dies_or_takes_too_long_is_let_go(daemon: Runtime) -> None
         dying.kill()
         dying.communicate()
         client.wait("/clock/clock/secs", above=0)
-        assert "has gone; the lock-step goes on without it" in daemon.log
+        assert "has disconnected; the lock-step continues without it" in daemon.log
 
         with daemon.client() as slow, slow.lockstep(timeout=0.2) as lock:
             before = lock.time

@@ -12,7 +12,7 @@ from physics_robots import at, box_inertial, tree
 from slidectl.description.meshes import Triangles
 from slidectl.description.rigid_bodies import surroundings
 from slidectl.description.robot import Joint, Link, Mesh, Robot, Shape, Sphere
-from slidectl.extensions.journal.journal_entries import mesh_entry, mesh_of
+from slidectl.extensions.journal.journal import mesh_entry, mesh_of
 from slidectl.physics import World, hulls, surfaces
 from slidectl.simulation import Simulation
 

@@ -597,7 +597,7 @@ def test_a_controller_cannot_add_a_fault_in_the_middle_of_a_cycle() -> None:
         (("box1", "push"), {}, UsageError, "push changes nothing without force or torque"),
         (("box1", "push"), {"force": (0.0, 1e300, 0.0)}, UsageError, "is -1e+12 to 1e+12, not 1e+300"),
         (("box1", "payload"), {"mass": 1e300}, UsageError, "is 1e-09 to 1e+09, not 1e+300"),
-        (("joint1", "joint-stuck"), {"name": "a/b"}, UsageError, "'a/b' is no name of a fault"),
+        (("joint1", "joint-stuck"), {"name": "a/b"}, UsageError, "'a/b' is not a name for a fault"),
         (("joint1", "joint-stuck", 0.05), {}, Refused, "it is 0.1 s already: a fault cannot begin at 0.05 s"),
         (("joint1", "joint-stuck", 0.5, 0.4), {}, Refused, "from 0.5 s to 0.4 s would never act"),
         (("joint1", "joint-stuck", 0.5, math.nan), {}, UsageError, "nan s is no duration"),

@@ -73,7 +73,7 @@ def test_a_model_of_more_tags_than_any_robot_has_is_refused_before_it_is_read(
     model = BALL.replace("</robot>", unknown + "</robot>")
     answer = ask(simulation, f"spawn_{kind}_model", model_name="ball", model_xml=model)
     assert not answer["success"]
-    assert "has 90008 tags, and 25000 is the most" in answer["status_message"]
+    assert "has 90008 tags; the maximum is 25000" in answer["status_message"]
     model = BALL.replace("</robot>", unknown[: unknown.index("<x20000/>")] + "</robot>")
     assert ask(simulation, f"spawn_{kind}_model", model_name="ball", model_xml=model)["success"]
 
@@ -183,7 +183,7 @@ def test_a_link_that_two_robots_have_must_be_named_in_full(world_with_slider: Si
 def test_a_link_in_the_middle_cannot_be_put_somewhere(world_with_slider: Simulation) -> None:
     answer = ask(world_with_slider, "set_link_state", link_state={"link_name": "slider::link2"})
     assert not answer["success"]
-    assert "hangs on a joint" in answer["status_message"]
+    assert "is held by a joint" in answer["status_message"]
 
 
 def test_an_effort_on_a_joint_acts_for_its_duration(simulation: Simulation) -> None:

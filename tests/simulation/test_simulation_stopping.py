@@ -118,7 +118,7 @@ def test_joints_that_another_controller_takes_over_are_left_to_it(world: Simulat
     assert rest(world, "hold", check_only=True, left_to=["other"])["joints"] == []
     switch(world, "a", stop=["goal"], start=["other"])
     world.step(2)
-    assert rest(world, "hold") == {"success": True, "message": "no joint is concerned", "joints": []}
+    assert rest(world, "hold") == {"success": True, "message": "no joints affected", "joints": []}
 
 
 # -- the emergency stop ---------------------------------------------------------------------------------------------

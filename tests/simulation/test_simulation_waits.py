@@ -161,7 +161,7 @@ def test_when_nobody_publishes_any_more_that_is_said(scene: Scene) -> None:
     scene.joints.close()
     scene.graph.clock.time_ns = 300 * MS
     scene.graph.timers.fire()
-    assert wait.result()["message"].endswith("last 0.5, closest 0.5; nobody publishes it")
+    assert wait.result()["message"].endswith("last 0.5, closest 0.5; it has no publisher")
 
 
 def test_numbers_of_any_size_can_be_compared(scene: Scene) -> None:

@@ -7,15 +7,16 @@ written to the kernel at once, so it survives any end of the daemon. See docs/jo
 
 from __future__ import annotations
 
+import base64
 import binascii
 import json
 import os
 import platform
 import re
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -24,17 +25,16 @@ from slidectl import input_files
 from slidectl.control.node_handle import Message
 from slidectl.control.user_modules import UserModule
 from slidectl.daemon.options import DaemonOptions
+from slidectl.description.meshes import BadMesh
 from slidectl.description.robot import Camera
 from slidectl.effects import Effect
 from slidectl.errors import BadFile, Refused, UsageError, cut, listing
-from slidectl.extensions.journal import journal_entries
-from slidectl.extensions.journal.journal_entries import mesh_entry
 from slidectl.names import OWN_NODE
 from slidectl.paths import shown
 from slidectl.physics import World
-from slidectl.physics.hulls import Hulls, MeshSource
+from slidectl.physics.hulls import Hull, Hulls, MeshSource, hull_of
 from slidectl.rotations import Pose
-from slidectl.simulation.clock import SECOND
+from slidectl.simulation.clock import NEVER, SECOND
 from slidectl.simulation.host import Host, HostWrapper
 from slidectl.simulation.pending import Pending
 from slidectl.writing import CannotWrite, hint, reason
@@ -47,6 +47,8 @@ FORMAT = 1
 LARGEST = 2**30
 """The most bytes of a journal that is replayed: its entries are in memory."""
 _LONGEST_HEADER = 2**20
+_LARGEST_HULL = 2**22
+"""Bytes. A surface of the most pieces takes half of it."""
 _LIBRARIES = ("mujoco", "numpy", "numba")
 PICTURE = "sensor_msgs/Image"
 _PROCESS_OPTIONS = ("child", "journal", "replay", "until")
@@ -166,10 +168,10 @@ class Journal(HostWrapper):
         self._note("module", module)
 
     def read_meshes(self, sources: Sequence[MeshSource]) -> Pending:
-        return super().read_meshes(sources).converted(self._take_meshes)
+        return super().read_meshes(sources).converted(self._note_meshes)
 
     def render(self, world: World, camera: Camera, pose: Pose, seed: int) -> Pending:
-        return super().render(world, camera, pose, seed).then(self._take_picture)
+        return super().render(world, camera, pose, seed).then(self._note_picture)
 
     def let_go(self, node: str) -> None:
         super().let_go(node)
@@ -179,7 +181,7 @@ class Journal(HostWrapper):
         """Record that users' code was ended by the limit of wall time."""
         self._note("limit", "")
 
-    def _take_meshes(self, done: Pending) -> Hulls:
+    def _note_meshes(self, done: Pending) -> Hulls:
         """Record meshes at the time when the world gets them."""
         read: Hulls = done.result()
         self._note("meshes", [mesh_entry(source, hull) for source, hull in read.items()])
@@ -194,7 +196,7 @@ class Journal(HostWrapper):
     def _note(self, kind: str, value: Any, **more: Any) -> None:
         self._write(_text({"cycle": self._cycle, kind: value, **more}))
 
-    def _take_picture(self, done: Pending) -> None:
+    def _note_picture(self, done: Pending) -> None:
         """Record that the oldest requested picture is done."""
         self._note("picture", str(done.error or ""))
 
@@ -264,7 +266,7 @@ def read(path: str) -> Contents:
 
     Raises:
         BadFile: not a regular file, larger than LARGEST, not a journal, of another format, damaged before its end, or
-            with an entry that no daemon writes; it names the line.
+            with an invalid entry; it names the line.
     """
     with input_files.opened(path, LARGEST) as file:
         try:
@@ -283,7 +285,7 @@ def _contents(path: str, file: BinaryIO) -> Contents:
     body = _checked(first) if is_journal else None
     if body is None:
         raise BadFile(
-            "it is no journal of slidectl", path, hint="one is written by: slidectl daemon start --journal FILE"
+            "it is not a journal of slidectl", path, hint="one is written by: slidectl daemon start --journal FILE"
         )
     header = _json(body, path, 1)
     if header["slidectl_journal"] != FORMAT:
@@ -313,27 +315,29 @@ def _checked(line: bytes) -> bytes | None:
 
 
 def _entry(body: bytes, path: str, number: int) -> dict[str, Any]:
-    """The entry in a line. Raises BadFile for one that no daemon writes."""
+    """The entry in a line. Raises BadFile unless its cycle is a number; the replay checks the other fields."""
     of_client = _LINE.match(body)
     if of_client is None:
         entry = _json(body, path, number)
     else:
         entry = {"cycle": int(of_client[1]), "client": int(of_client[2]), "line": of_client[3]}
-    try:
-        journal_entries.check(entry)
-    except ValueError as error:
-        raise BadFile(f"no daemon writes this entry: {error}", path, number) from None
+    cycle = entry.get("cycle")
+    if type(cycle) is not int or not 0 <= cycle < NEVER:
+        raise invalid_entry("'cycle' is not the number of a cycle", path, number)
     return entry
 
 
 def _json(body: bytes, path: str, number: int) -> dict[str, Any]:
     try:
         entry: dict[str, Any] = json.loads(body + b"}")
-    except RecursionError:
-        raise BadFile("no daemon writes this entry: it is nested too deep", path, number) from None
-    except ValueError:
-        raise BadFile("no daemon writes this entry: it is no JSON", path, number) from None
+    except (RecursionError, ValueError) as error:
+        raise invalid_entry(str(error), path, number) from None
     return entry
+
+
+def invalid_entry(why: str, path: str, number: int) -> BadFile:
+    """The error for an entry that is as it was written, by its checksum, but by no daemon."""
+    return BadFile(f"invalid entry: {why}", path, number)
 
 
 def _options(path: str, header: dict[str, Any]) -> DaemonOptions:
@@ -341,14 +345,38 @@ def _options(path: str, header: dict[str, Any]) -> DaemonOptions:
     options = header.get("options")
     if not isinstance(options, dict):
         raise BadFile("it has no options of the world", path, 1)
-    if unknown := options.keys() - journal_entries.OPTIONS.keys():
+    if unknown := options.keys() - {field.name for field in fields(DaemonOptions)}.difference(_PROCESS_OPTIONS):
         raise BadFile(f"{text}: {listing(unknown)}", path, 1)
     try:
-        journal_entries.check_fields(options, journal_entries.OPTIONS)
         return DaemonOptions.read(options)
-    except (ValueError, UsageError) as error:
+    except (TypeError, ValueError, UsageError) as error:
         raise BadFile(f"{text}: {error}", path, 1) from None
 
 
 def _version(header: dict[str, Any]) -> str:
     return cut(str(header.get("version")), 60)
+
+
+# --- meshes -----------------------------------------------------------------------------------------------------------
+
+
+def mesh_entry(source: MeshSource, hull: Hull | BadMesh) -> dict[str, Any]:
+    """One of the `meshes` of an entry."""
+    entry: dict[str, Any] = {"path": source.path, "scale": list(source.scale)}
+    if source.is_surface:
+        entry["surface"] = True
+    if isinstance(hull, BadMesh):
+        return {**entry, "bad": hull.reason}
+    return {**entry, "name": hull.name, "hull": base64.b64encode(zlib.compress(hull.stl)).decode()}
+
+
+def mesh_of(entry: Mapping[str, Any]) -> tuple[MeshSource, Hull | BadMesh]:
+    """The mesh in a `mesh_entry`. Raises ValueError, LookupError, TypeError, zlib.error: it is none."""
+    x, y, z = map(float, entry["scale"])
+    source = MeshSource(entry["path"], (x, y, z), entry.get("surface") is True)
+    if "bad" in entry:
+        return source, BadMesh(entry["bad"], source.path)
+    hull = hull_of(zlib.decompressobj().decompress(base64.b64decode(entry["hull"]), _LARGEST_HULL))
+    if hull.name != entry["name"]:
+        raise ValueError(f"the hull of {source.path} is cut off, too large, or has another name than its content")
+    return source, hull

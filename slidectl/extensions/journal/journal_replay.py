@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import math
+import zlib
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NoReturn
@@ -20,10 +21,9 @@ from slidectl.daemon.outbox import Outbox, Publications
 from slidectl.daemon.session import Session
 from slidectl.daemon.time_limit import TimeLimit
 from slidectl.description.robot import Camera
-from slidectl.errors import BadFile, Refused
+from slidectl.errors import Refused
 from slidectl.extensions.journal import journal
-from slidectl.extensions.journal.journal import Contents
-from slidectl.extensions.journal.journal_entries import mesh_of
+from slidectl.extensions.journal.journal import Contents, invalid_entry, mesh_of
 from slidectl.physics import World
 from slidectl.physics.hulls import MeshSource
 from slidectl.physics.rendering import PictureRequest, RenderProcess
@@ -34,7 +34,7 @@ from slidectl.simulation.loop import FAILED
 from slidectl.simulation.pending import Pending
 from slidectl.simulation.simulation import Simulation
 
-_UNREPEATABLE = "code of users that looks at the wall time, random numbers or other files is not repeatable"
+_UNREPEATABLE = "user code that reads the wall time, random numbers or other files is not repeatable"
 _LONGEST_GAP_NS = 2 * SECOND
 """The most simulated time without an entry. There is one for each second, so that no number lets a replay run on."""
 _CONSUMED_ENTRIES = frozenset(("limit", "module"))
@@ -70,10 +70,10 @@ class Replay(HostWrapper):
         self._until_ns = NEVER if until is None else from_seconds(until)
         self._at = 0
         """Index of the entry that is being handled."""
-        self.taken = 0
+        self.consumed = 0
         """The number of consumed entries of the journal: the index of the next."""
         self._limit = self.inner.limit if isinstance(self.inner.limit, TimeLimit) else TimeLimit()
-        self._limit.on_end.append(self._take_limit)
+        self._limit.on_end.append(self._consume_limit)
         self.limit = self._limit
         self._sessions: dict[int, Session] = {}
         self._last_client = 0
@@ -84,9 +84,15 @@ class Replay(HostWrapper):
         self._state = -1, b""
         """The cycle of the last whole second, and the numbers of the world at that time."""
         self._unexpected: Callable[[str], None] = lambda _: None
-        modules = [UserModule(*entry["module"]) for entry in contents.entries if "module" in entry]
-        self.given = {module.name: module for module in modules}
-        self._look_ahead()
+        self.given = {}
+        for number, entry in enumerate(contents.entries, 2):
+            if "module" in entry:
+                try:
+                    module = UserModule(*entry["module"])
+                    self.given[module.name] = module
+                except TypeError as error:
+                    raise invalid_entry(str(error), contents.path, number) from None
+        self._set_limit()
         options = contents.options
         try:
             simulation = Simulation(**options.of_simulation(), host=self)
@@ -101,7 +107,7 @@ class Replay(HostWrapper):
         """Leave the world to the host that this one is around."""
         self._is_over = True
         self._own_renderer.close()
-        self._limit.on_end.remove(self._take_limit)
+        self._limit.on_end.remove(self._consume_limit)
         self._limit.close()
         self._limit.most_s = time_limit.LIMIT_S if self._limit is self.inner.limit else math.inf
         self.given = {}
@@ -146,17 +152,20 @@ class Replay(HostWrapper):
         """Run the entries. Returns True when the requested time came before the end."""
         entries = self.contents.entries
         while True:
-            self._at = self.taken
+            self._at = self.consumed
             while self._at < len(entries) and not _CONSUMED_ENTRIES.isdisjoint(entries[self._at]):
                 self._at += 1
             if self._at == len(entries):
                 return False
             if not self._step_to(entries[self._at]["cycle"]):
                 return True
-            if self.taken != self._at:
-                self._fail("code of a user that took too long then does not now")
+            if self.consumed != self._at:
+                self._fail("user code that took too long in the journal does not now")
             self._advance()
-            self._carry_out(entries[self._at])
+            try:
+                self._carry_out(entries[self._at])
+            except (TypeError, ValueError, LookupError, zlib.error) as error:
+                raise invalid_entry(repr(error), self.contents.path, self._at + 2) from error
             self.after_entry()
             if self.differs and check:
                 raise ReplayDiffers(self.differs, _UNREPEATABLE)
@@ -165,9 +174,8 @@ class Replay(HostWrapper):
         """Run the cycles up to that one. Returns False when the requested time comes first."""
         simulation, run = self.simulation, self.simulation.run
         if cycle - simulation.cycles > _LONGEST_GAP_NS // simulation.timestep_ns:
-            text = f"its cycle {cycle} is too far after the one before it, {simulation.cycles}"
-            where = self.contents.path, self._at + 2
-            raise BadFile(f"no daemon writes this entry: {text}; a journal has a state for each second", *where)
+            text = f"its cycle {cycle} is more than 2 s after the cycle before it, {simulation.cycles}"
+            raise invalid_entry(text, self.contents.path, self._at + 2)
         while (left := cycle - simulation.cycles) > 0:
             allowed = min(left, (self._until_ns - simulation.time_ns) // simulation.timestep_ns)
             if allowed <= 0:
@@ -181,7 +189,7 @@ class Replay(HostWrapper):
             if not done or run.trouble != trouble:
                 break
         if simulation.cycles > cycle:
-            self._fail(f"the world is past it now, at cycle {simulation.cycles}")
+            self._fail(f"the world is already at cycle {simulation.cycles}")
         if simulation.cycles != cycle:
             self._fail(f"the world is at cycle {simulation.cycles} now{run.trouble and f': {run.trouble}'}")
         return True
@@ -206,7 +214,7 @@ class Replay(HostWrapper):
             self._session(entry["gone"]).closed()
             del self._sessions[entry["gone"]]
         elif "meshes" in entry:
-            self._take_meshes(entry["meshes"])
+            self._resolve_meshes(entry["meshes"])
         elif "let_go" in entry:
             lockstep = self.simulation.features["lockstep"]
             members = lockstep.members
@@ -214,11 +222,11 @@ class Replay(HostWrapper):
                 self._fail(f"{entry['let_go']} is not in lock-step now")
             lockstep.let_go(members[entry["let_go"]])
         elif "picture" in entry:
-            self._take_picture(entry["picture"])
+            self._resolve_picture(entry["picture"])
         elif "state" in entry:
             self._compare(entry)
         else:
-            self._fail("the world did not ask for what stands in the journal next")
+            self._fail("the world did not ask for the next entry of the journal")
 
     def _session(self, number: int) -> Session:
         if number not in self._sessions:
@@ -226,19 +234,19 @@ class Replay(HostWrapper):
         return self._sessions[number]
 
     def _advance(self) -> None:
-        self.taken += 1
-        self._look_ahead()
+        self.consumed += 1
+        self._set_limit()
 
-    def _look_ahead(self) -> None:
+    def _set_limit(self) -> None:
         """Set the limit: users' code must end where it was ended in the run, and only there, on any machine."""
         while self._peek("module"):
-            self.taken += 1
+            self.consumed += 1
         is_limited = self._peek("limit")
         self._limit.most_s = time_limit.LIMIT_S if is_limited else math.inf
 
     def _peek(self, kind: str) -> bool:
         entries = self.contents.entries
-        return self.taken < len(entries) and kind in entries[self.taken]
+        return self.consumed < len(entries) and kind in entries[self.consumed]
 
     def _fail(self, why: str) -> NoReturn:
         cycle = self.contents.entries[self._at]["cycle"] if self.contents.entries else 0
@@ -247,11 +255,11 @@ class Replay(HostWrapper):
     # --- external input -----------------------------------------------------------------------------------------
 
     def read(self, what: str, look: Callable[[], Any]) -> Any:
-        if self._is_over or self.taken == len(self.contents.entries):  # it may have been cut off before this read
+        if self._is_over or self.consumed == len(self.contents.entries):  # it may have been cut off before this read
             return super().read(what, look)
-        entry = self.contents.entries[self.taken]
+        entry = self.contents.entries[self.consumed]
         if entry.get("read") != what:
-            self._fail(f"the world reads the {what} now, and did not then")
+            self._fail(f"the world reads the {what} now, but did not in the journal")
         self._advance()
         return entry["found"]
 
@@ -262,13 +270,13 @@ class Replay(HostWrapper):
         self._meshes.append((set(sources), pending))
         return pending
 
-    def _take_meshes(self, entries: list[dict[str, Any]]) -> None:
+    def _resolve_meshes(self, entries: list[dict[str, Any]]) -> None:
         hulls = dict(map(mesh_of, entries))
-        asked = next((one for one in self._meshes if not one[1].done and one[0] == set(hulls)), None)
-        if asked is None:
-            self._fail("nobody waits for these meshes now")
-        self._meshes.remove(asked)
-        asked[1].resolve(hulls)
+        request = next((one for one in self._meshes if not one[1].done and one[0] == set(hulls)), None)
+        if request is None:
+            self._fail("nothing waits for these meshes now")
+        self._meshes.remove(request)
+        request[1].resolve(hulls)
 
     def render(self, world: World, camera: Camera, pose: Pose, seed: int) -> Pending:
         if self._is_over:
@@ -277,7 +285,7 @@ class Replay(HostWrapper):
         self._pictures.append((pending, self._own_renderer.request(world, camera, pose, seed)))
         return pending
 
-    def _take_picture(self, error: str) -> None:
+    def _resolve_picture(self, error: str) -> None:
         """Resolve a picture, which is rendered only for users' code: there are no clients."""
         if not self._pictures:
             self._fail("no camera waits for a picture now")
@@ -292,7 +300,7 @@ class Replay(HostWrapper):
         else:
             pending.resolve("")
 
-    def _take_limit(self) -> None:
+    def _consume_limit(self) -> None:
         if self._peek("limit"):
             self._advance()
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from slidectl.simulation.topics import TopicSubscription
 
 _NODE = "/record"
-_LOOK_EVERY_NS = 10_000_000
+_CHECK_EVERY_NS = 10_000_000
 """Simulated time between two checks for new topics, besides those after each entry of the journal."""
 
 
@@ -32,7 +32,7 @@ class ReplayRecording:
     def __init__(self, path: Path, begin_s: float = 0.0) -> None:
         """Raises Refused: the file exists, or cannot be created. UsageError, NoMcap: as recording_files.create."""
         if path.exists():
-            raise Refused(f"{path} is there already", "give the recording another name, or remove that file")
+            raise Refused(f"{path} already exists", "give the recording another name, or remove that file")
         self._files = Recorder(path)
         self._trouble: OSError | None = None
         self._begin_s = begin_s
@@ -46,10 +46,10 @@ class ReplayRecording:
     def watch(self, replay: Replay) -> None:
         """Set the replay, before it runs."""
         self._replay, self._graph = replay, replay.simulation.graph
-        replay.after_entry = self._look
-        self._graph.timers.every(_LOOK_EVERY_NS, self._look)
+        replay.after_entry = self._subscribe
+        self._graph.timers.every(_CHECK_EVERY_NS, self._subscribe)
 
-    def _look(self) -> None:
+    def _subscribe(self) -> None:
         topics = self._graph.topics
         if self._changes == topics.changes or not self._is_time():
             return

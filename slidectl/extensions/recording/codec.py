@@ -1,9 +1,11 @@
-"""Encodes and decodes messages of one type as ROS 1 bytes, and has the text of the type's definition."""
+"""The parts of a recording: topics and messages. Encodes and decodes messages of one type as ROS 1 bytes."""
 
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass, field
 from functools import cache
+from typing import NamedTuple
 
 from slidectl import msgs
 from slidectl.errors import SlidectlError
@@ -12,6 +14,28 @@ from slidectl.msgs.schema import Schema
 from slidectl.msgs.serialization import packer, unpacker
 
 _SECTION = re.compile(r"^=+\s*\nMSG: *(\S+) *\n", re.MULTILINE)
+
+
+@dataclass(frozen=True)
+class RecordedTopic:
+    """One topic of a recording, from one publisher: a topic with two publishers has two entries."""
+
+    number: int
+    topic: str
+    type: str
+    definition: str = field(repr=False)
+    md5: str
+    latching: bool = False
+    callerid: str = ""
+    """The publishing node, if the recording has it."""
+
+
+class Record(NamedTuple):
+    """One message of a recording: its bytes, and the time in ns when it was recorded."""
+
+    channel: RecordedTopic
+    time_ns: int
+    raw: bytes
 
 
 class BadDefinition(SlidectlError):

@@ -18,8 +18,8 @@ from typing import Any, NamedTuple
 
 from slidectl import input_files, writing
 from slidectl.errors import BadFile, Refused, UsageError, cut, listing
+from slidectl.extensions.recording.codec import Record, RecordedTopic
 from slidectl.extensions.recording.recording_files import COMPRESSIONS, Recording, opened, topic_and_field
-from slidectl.extensions.recording.records import Record, RecordedTopic
 from slidectl.msgs.field_path import NoElement, Selection, select
 from slidectl.writing import CannotWrite
 
@@ -29,7 +29,7 @@ TABLE = ".csv"
 """The suffix of a table."""
 _FIRST_COLUMNS = ["time", "topic"]
 _NOTHING = "nothing"
-_UPDATE = "make it of this run: --update-baseline"
+_UPDATE = "to make this run the baseline: --update-baseline"
 _SECOND = 10**9
 _SHOWN = 60
 _LARGEST_BASELINE = 2**30
@@ -69,7 +69,7 @@ def _tolerance(text: str) -> float:
     with suppress(ValueError):
         if 0 <= (tolerance := float(text)) < math.inf:
             return tolerance
-    raise UsageError(f"{text!r} is no tolerance: a number of 0 or more")
+    raise UsageError(f"{text!r} is not a tolerance: a number of 0 or more")
 
 
 def compare(
@@ -109,18 +109,17 @@ def compare_file(
         open_file: opens a recording, and may warn of damage.
 
     Raises:
-        BadFile: there is no such baseline. Refused: it cannot be written, or the run is incomplete. Also what `compare`
-            raises.
+        BadFile: no such baseline. Refused: it cannot be written, or the run is incomplete. Also what `compare` raises.
     """
     kept = baseline if baseline.suffix in (*COMPRESSIONS, TABLE) else baseline / run.name
     if not update and not kept.exists():
-        raise BadFile("there is no such baseline", str(kept), hint=_UPDATE)
+        raise BadFile("the baseline does not exist", str(kept), hint=_UPDATE)
     if kept.suffix == TABLE:
         return _compare_table(run, kept, fields, tolerance, update, open_file)
     if update:
         with opened(run) as recording:
             _check_complete(recording)
-        _put(kept, input_files.read_bytes(run, _LARGEST_BASELINE))
+        _write(kept, input_files.read_bytes(run, _LARGEST_BASELINE))
         return []
     with open_file(run) as one, open_file(kept) as other:
         return compare(one, other, fields, tolerance)
@@ -130,7 +129,7 @@ def _check_complete(run: Recording) -> None:
     """Raise Refused when the run is incomplete."""
     run.refuse_written()
     if run.damage:
-        text = f"{run.path} is no baseline: {run.damage}"
+        text = f"{run.path} cannot be a baseline: {run.damage}"
         raise Refused(text, f"record it again, or complete it: slidectl bag reindex {run.path}")
 
 
@@ -145,7 +144,7 @@ def _compare_table(
     golden = GoldenTable.read(kept) if kept.exists() else GoldenTable({}, {}, "")
     wanted = fields or dict.fromkeys(golden.columns, tolerance)
     if not wanted:
-        raise UsageError("which fields are to be in the baseline?", "--fields joint_states/position")
+        raise UsageError("give the fields of the baseline", "--fields joint_states/position")
     with open_file(run) as recording:
         if update:
             _check_complete(recording)
@@ -159,16 +158,12 @@ def _compare_table(
     return table.differences(golden, str(kept))
 
 
-def _put(path: Path, content: bytes) -> None:
-    """Write a file, and the folders above it. Raises CannotWrite: none of them was made then."""
-    made = [folder for folder in path.parents if not folder.exists()]
+def _write(path: Path, content: bytes) -> None:
+    """Write a file, and the folders above it. Raises CannotWrite."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         writing.write_whole(path, content)
     except OSError as error:
-        for folder in made:
-            with suppress(OSError):  # another case may have put its baseline there
-                folder.rmdir()
         raise CannotWrite(path, error) from None
 
 
@@ -253,7 +248,7 @@ class GoldenTable:
         table = csv.DictWriter(text, [*_FIRST_COLUMNS, *self.columns], restval="", lineterminator="\n")
         table.writeheader()
         table.writerows(self.rows)
-        _put(path, text.getvalue().encode())
+        _write(path, text.getvalue().encode())
 
     @classmethod
     def read(cls, path: Path) -> GoldenTable:
@@ -264,7 +259,7 @@ class GoldenTable:
             rows = csv.reader(io.StringIO(text, newline=""))
             header = next(rows, [])
             if header[:2] != _FIRST_COLUMNS:
-                what = f"is no table of a run: it begins with {','.join(_FIRST_COLUMNS)}"
+                what = f"is not a table of a run: one begins with {','.join(_FIRST_COLUMNS)}"
                 raise BadFile(what if text else "is empty", str(path), hint=_UPDATE)
             found._tolerances = dict.fromkeys(header[2:], 0.0)
             for row in rows:

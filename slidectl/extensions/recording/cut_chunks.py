@@ -1,4 +1,4 @@
-"""What can be read of a chunk of messages that is not whole, as a full disk leaves one at the end of a file."""
+"""Reads the whole messages of a chunk that is cut off, as a full disk leaves one at the end of a file."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from mcap.records import Chunk
 
 _MCAP_RECORD = struct.Struct("<BQ")
-"""What each record of .mcap begins with: its kind, and the size of the rest."""
+"""The beginning of each record of .mcap: its kind, and the size of the rest."""
 _MCAP_CHUNK = struct.Struct("<QQQLL")
 """Start, end, size before compression, checksum, and how long the name of the compression is."""
 _MCAP_SIZE = struct.Struct("<Q")
@@ -44,7 +44,7 @@ def decompressed(compression: str, data: bytes, size: int) -> bytes:
 def mcap_chunk(file: BinaryIO) -> Chunk | None:
     """The chunk of an .mcap file that is cut off, with the records in it that are whole; None when there is none.
 
-    The file stands at the beginning of a record.
+    The file is positioned at the beginning of a record.
     """
     from mcap.opcode import Opcode
     from mcap.records import Chunk

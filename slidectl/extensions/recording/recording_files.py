@@ -22,9 +22,8 @@ from typing import Any, BinaryIO
 from slidectl import input_files, names, writing
 from slidectl.errors import BadFile, Refused, SlidectlError, UnknownName, UsageError
 from slidectl.extensions.recording import cut_chunks
-from slidectl.extensions.recording.codec import BadDefinition, Codec
+from slidectl.extensions.recording.codec import BadDefinition, Codec, Record, RecordedTopic
 from slidectl.extensions.recording.codec import of as codec_of
-from slidectl.extensions.recording.records import Record, RecordedTopic
 from slidectl.msgs.field_path import Selection, select
 from slidectl.msgs.schema import Schema
 from slidectl.paths import install_command
@@ -36,7 +35,7 @@ CHUNK = 768 * 1024
 """Bytes of messages in a chunk, as in rosbag."""
 MEGABYTE = 1_000_000
 _NOT_CLOSED, _CUT_OFF, _DAMAGED = "it was not closed", "it was cut off", "a part of it is damaged"
-_LOOK_AT_SIZE = 64
+_CHECK_SIZE_EVERY = 64
 """The number of messages between two checks of the file's size."""
 _BAG_MAGIC = b"#ROSBAG V2.0\n"
 _MCAP_MAGIC = b"\x89MCAP0\r\n"
@@ -122,9 +121,9 @@ def check_kind(path: Path, compression: str = "none") -> None:
     """Check suffix and compression of a recording. Raises UsageError: not supported. NoMcap."""
     known = COMPRESSIONS.get(path.suffix)
     if known is None:
-        raise UsageError(f"{path} is neither a .bag nor a .mcap file", "the suffix says which kind it is to be")
+        raise UsageError(f"{path} is neither a .bag nor a .mcap file", "the suffix is the format")
     if compression not in known:
-        raise UsageError(f"{path.suffix} files have no compression {compression!r}", f"there is: {', '.join(known)}")
+        raise UsageError(f"{path.suffix} files have no compression {compression!r}", f"choose from: {', '.join(known)}")
     if path.suffix == ".mcap":
         _check_mcap()
 
@@ -149,8 +148,6 @@ def create(path: Path, compression: str = "none", force: bool = False) -> Record
         writer.path = target
         return writer
     except OSError as error:
-        if isinstance(error, FileExistsError):
-            refuse_existing(path)  # it came just now
         raise writing.CannotWrite(path, error) from None
 
 
@@ -158,10 +155,9 @@ def _begun(path: Path, compression: str, mode: int | None = None) -> RecordingWr
     """A new recording, locked. Raises OSError: it cannot be begun, and nothing is left."""
     try:
         writer = _BagWriter(path, compression) if path.suffix == ".bag" else _McapWriter(path, compression)
-    except FileExistsError:
-        raise
-    except OSError:
-        path.unlink(missing_ok=True)
+    except OSError as error:
+        if not isinstance(error, FileExistsError):
+            path.unlink(missing_ok=True)
         raise
     try:
         if mode is not None:
@@ -176,7 +172,7 @@ def _begun(path: Path, compression: str, mode: int | None = None) -> RecordingWr
 
 
 def _lock(file: BinaryIO) -> bool:
-    """Take the lock that a recording has while it is written; False when another process has it."""
+    """Acquire the lock that a recording has while it is written; False when another process has it."""
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -189,7 +185,7 @@ def _lock(file: BinaryIO) -> bool:
 def refuse_existing(path: Path) -> None:
     """Raise Refused when the file exists."""
     if path.exists():
-        raise Refused(f"{path} is there already", "give another name, or --force to write over it")
+        raise Refused(f"{path} already exists", "give another name, or --force to overwrite it")
 
 
 def refuse_unreplaceable(path: Path) -> None:
@@ -197,7 +193,7 @@ def refuse_unreplaceable(path: Path) -> None:
     if not path.exists():
         return
     if not path.is_file():
-        raise Refused(f"{path} is no regular file", "give another name")
+        raise Refused(f"{path} is not a regular file", "give another name")
     try:
         file = input_files.opened(path)
     except BadFile:  # it cannot be read, but perhaps replaced
@@ -397,7 +393,7 @@ class Recorder:
     def _ends(self, time_ns: int) -> bool:
         if self._length_ns is not None and self._begin_ns is not None and time_ns - self._begin_ns >= self._length_ns:
             return True
-        if self._most_bytes is None or self.counts.total() % _LOOK_AT_SIZE:
+        if self._most_bytes is None or self.counts.total() % _CHECK_SIZE_EVERY:
             return False
         return self._writer is not None and self._writer.size >= self._most_bytes
 
@@ -623,7 +619,7 @@ class _SequentialRecording(Recording):
         self.compression = "none"
         self.chunks = 0
         self._is_in_order = True
-        self._summary = self._look()
+        self._summary = self._summarize()
 
     @abstractmethod
     def _scan(self) -> Iterator[Record]:
@@ -633,7 +629,7 @@ class _SequentialRecording(Recording):
         found = (record for record in self._scan() if topics is None or record.channel.topic in topics)
         yield from found if self._is_in_order else sorted(found, key=lambda record: record.time_ns)
 
-    def _look(self) -> Summary:
+    def _summarize(self) -> Summary:
         begin: int | None = None
         end: int | None = None
         counts: Counter[str] = Counter()
@@ -751,61 +747,32 @@ def readable_messages(path: Path) -> int:
 # --- copying ----------------------------------------------------------------------------------------------------------
 
 
-def copy(
-    records: Iterable[Record], recording: Recording, target: Path, compression: str = "none", kept: Path | None = None
-) -> int:
+def copy(records: Iterable[Record], recording: Recording, target: Path, compression: str = "none") -> int:
     """Write records of a recording into a new one, which appears when it is complete. Returns their number.
 
-    Args:
-        target: the path of the new one; an existing file is replaced, where a link leads too.
-        kept: where an existing file is moved instead.
-
-    Raises:
-        UsageError, Refused: it cannot be written.
+    An existing file is replaced, where a link leads too. Raises UsageError, Refused: it cannot be written.
     """
     check_kind(target, compression)
-    if kept is None:
-        refuse_unreplaceable(target)
+    refuse_unreplaceable(target)
     target = Path(os.path.realpath(target))
     mode = stat.S_IMODE(target.stat().st_mode) if target.exists() else None
     count = 0
     try:
-        with ExitStack() as undo:
-            with writing.draft(target, mode) as new, ExitStack() as leaving:
-                writer = _begun(new.path, compression, mode)
-                leaving.callback(writer.abandon)
-                added: dict[Any, Any] = {}
-                numbers: dict[int, Any] = {}
-                for channel, time_ns, raw in records:
-                    if channel.number not in numbers:
-                        codec = recording.codec(channel)
-                        key = channel.topic, codec.type, codec.md5, channel.latching, channel.callerid
-                        if key not in added:  # in rosbag's files a publisher that connected twice has two connections
-                            added[key] = writer.add(channel.topic, codec, channel.latching, channel.callerid)
-                        numbers[channel.number] = added[key]
-                    writer.write(numbers[channel.number], time_ns, raw)
-                    count += 1
-                writer.close()
-                if kept is not None:
-                    _keep(target, kept)
-                    undo.callback(_give_back, target, kept)
-            undo.pop_all()
+        with writing.draft(target, mode) as new, ExitStack() as leaving:
+            writer = _begun(new.path, compression, mode)
+            leaving.callback(writer.abandon)
+            added: dict[Any, Any] = {}
+            numbers: dict[int, Any] = {}
+            for channel, time_ns, raw in records:
+                if channel.number not in numbers:
+                    codec = recording.codec(channel)
+                    key = channel.topic, codec.type, codec.md5, channel.latching, channel.callerid
+                    if key not in added:  # in rosbag's files a publisher that connected twice has two connections
+                        added[key] = writer.add(channel.topic, codec, channel.latching, channel.callerid)
+                    numbers[channel.number] = added[key]
+                writer.write(numbers[channel.number], time_ns, raw)
+                count += 1
+            writer.close()
     except OSError as error:
         raise writing.CannotWrite(target, error) from None
     return count
-
-
-def _keep(target: Path, kept: Path) -> None:
-    """Give the file another name, before another file takes its own. It keeps both until then, where that can be."""
-    try:
-        os.link(target, kept)
-    except OSError:  # a file system without links
-        target.rename(kept)
-
-
-def _give_back(target: Path, kept: Path) -> None:
-    """Undo `_keep`."""
-    if target.exists():
-        kept.unlink()
-    else:
-        kept.rename(target)

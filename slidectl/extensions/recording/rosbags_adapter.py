@@ -3,7 +3,7 @@
 * A recorder that is killed loses no more than a chunk: `write_chunk` puts the open one into the file, and
   `chunk_threshold` bounds it. `bio`, the file itself, is locked while it is written.
 * A long recording needs little memory: `write_chunk` leaves the index of a chunk that is in the file in `connections`.
-* The real rosbag understands no lz4 frames as the library makes them: `compressor` makes others.
+* rosbag of ROS cannot read the lz4 frames of the library: `compressor` makes frames that it can.
 * A bag that was cut off has no index, and `Reader` refuses it: `Header` and the functions beside it read its records.
 * `chunk_infos`, `chunks` and `decompressors` tell how many chunks a bag has, and how they are compressed.
 
@@ -12,7 +12,6 @@ pyproject.toml names the versions for which this holds, and a test compares thes
 
 from __future__ import annotations
 
-import errno
 import io
 import os
 import struct
@@ -20,10 +19,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from rosbags.rosbag1 import Reader, Writer, WriterError, reader
+from rosbags.rosbag1 import Reader, Writer, reader
 
 from slidectl.extensions.recording import cut_chunks
-from slidectl.extensions.recording.records import Record, RecordedTopic
+from slidectl.extensions.recording.codec import Record, RecordedTopic
 
 NO_TIME_NS = 1
 """The value for time 0 in a bag, which rosbag does not accept."""
@@ -38,10 +37,7 @@ class ChunkWriter(Writer):
     """A new bag, open, with so many bytes of messages in a chunk. `file` is the file."""
 
     def __init__(self, path: Path, compression: str, chunk_size: int) -> None:
-        try:
-            super().__init__(path)
-        except WriterError:
-            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path)) from None
+        super().__init__(path)
         self.chunk_threshold = chunk_size
         if compression != "none":
             self.set_compression(Writer.CompressionFormat[compression.upper()])
@@ -51,10 +47,7 @@ class ChunkWriter(Writer):
             self.compressor = lambda chunk: frame.compress(
                 chunk, 0, block_linked=False, content_checksum=True, store_size=False
             )
-        try:
-            self.open()
-        except WriterError:
-            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path)) from None
+        self.open()
         assert self.bio is not None
         self.file: BinaryIO = self.bio
 

@@ -4,6 +4,6 @@ The steps are commands of the command line, which passes them in as `step_comman
 click. It exports `StepKind`, the base class of further kinds of steps.
 """
 
-from slidectl.extensions.scenarios.step_kinds import StepKind
+from slidectl.extensions.scenarios.step_commands import StepKind
 
 __all__ = ["StepKind"]

@@ -55,7 +55,7 @@ class BackgroundStep:
         Raises KeyboardInterrupt once when the step is to end, like Ctrl-C in a separate process.
         """
         # A switch costs more than a cycle: so messages of topics are handled many at a time.
-        self._link.take_turn(self._switch, min(deadline, self._link.monotonic() + _TURN_EVERY_S))
+        self._link.switch_when_due(self._switch, min(deadline, self._link.monotonic() + _TURN_EVERY_S))
         self._others.release()
         self._mine.acquire()
         if self._ending and not self._raised:
@@ -79,7 +79,7 @@ class BackgroundStep:
 class BackgroundLink(ClientLink, Protocol):
     """A client's link that lets the others run while it waits, by calling `BackgroundStep.wait`."""
 
-    def take_turn(self, switch: Callable[[], None], due_s: float) -> None:
+    def switch_when_due(self, switch: Callable[[], None], due_s: float) -> None:
         """Set `switch` to be called when something is received, or at a time of its clock."""
 
     def leave(self) -> None:
@@ -94,8 +94,8 @@ class InProcessBackground(InProcessLink):
         self.connection.is_prompt = False
         self._step = step
 
-    def take_turn(self, switch: Callable[[], None], due_s: float) -> None:
-        """As BackgroundLink.take_turn."""
+    def switch_when_due(self, switch: Callable[[], None], due_s: float) -> None:
+        """As BackgroundLink.switch_when_due."""
         self.connection.on_lines, self.connection.due_s = switch, due_s
 
     def leave(self) -> None:

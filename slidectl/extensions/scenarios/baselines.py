@@ -39,13 +39,13 @@ class RecordedFields:
         self._records: list[tuple[str, int, Any]] = []
         self._subscriptions: list[Any] = []
 
-    def look(self) -> None:
+    def update(self) -> None:
         """Handle received messages, and subscribe to new topics."""
         for topic, kind in self._client.topics().items():
             if topic not in self._types and self._is_wanted(topic, kind):
                 self._types[topic] = kind
                 self._subscriptions.append(
-                    self._client.subscribe(topic, kind, queue_length=_QUEUE, take=self._take, wait=False)
+                    self._client.subscribe(topic, kind, queue_length=_QUEUE, take=self._add, wait=False)
                 )
         self._client.flush()
 
@@ -54,14 +54,14 @@ class RecordedFields:
             return kind == _JOINT_STATES
         return any(topic == name or topic.endswith(f"/{name}") for name in self._names)
 
-    def _take(self, published: dict[str, Any]) -> None:
+    def _add(self, published: dict[str, Any]) -> None:
         self._records.append((published["topic"], nanoseconds(published["time"]), published["msg"]))
 
     def table(self) -> GoldenTable:
-        """The table of the messages up to the last `look`. Raises UnknownName, AmbiguousName, Refused."""
+        """The table of the messages up to the last `update`. Raises UnknownName, AmbiguousName, Refused."""
         self._client.close()
         if lost := sum(subscription.dropped for subscription in self._subscriptions):
-            raise Refused(f"{lost} messages of its fields came faster than they could be taken in")
+            raise Refused(f"{lost} messages of its fields came faster than they could be read")
         fields = self._wanted.fields or {
             f"{topic}/{field}": self._wanted.tol for topic in sorted(self._types) for field in _DEFAULT
         }
@@ -99,7 +99,7 @@ class Baselines:
                 elif table.rows:
                     result.verdict = FAILED
                     result.message = f"it has no baseline {path}"
-                    result.hint = "make it of this run: --update-baseline"
+                    result.hint = "to make this run the baseline: --update-baseline"
                 return
             found = table.differences(GoldenTable.read(path), str(path))
         except SlidectlError as error:
@@ -114,7 +114,7 @@ class Baselines:
             table.write(path)
             result.baseline = f"{path}: updated; before, {what.removeprefix(f'{path}: ')}"
             return
-        result.verdict, result.message, result.hint = FAILED, f"not as its baseline: {what}", hint
+        result.verdict, result.message, result.hint = FAILED, f"differs from its baseline: {what}", hint
         result.detail, result.failed_at = detail, time_s
 
     def without_case(self, known: Sequence[Case]) -> Iterator[tuple[Case, CaseResult]]:
@@ -131,5 +131,5 @@ class Baselines:
             ]
             others = [file for file in scenarios if os.path.isfile(file) and os.path.realpath(file) not in read]
             if path not in mine and not others:
-                result = CaseResult(str(path), FAILED, message="this baseline belongs to no case", hint=f"rm {path}")
+                result = CaseResult(str(path), FAILED, message="no case has this baseline", hint=f"rm {path}")
                 yield Case(str(path), "", path.stem), result

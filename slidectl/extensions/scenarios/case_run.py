@@ -95,7 +95,7 @@ class Stage:
 
 @dataclass
 class CaseRun:
-    """Runs the steps of a case on a stage, teardown included, and calls `look` after each step before the teardown."""
+    """Runs the steps of a case on a stage, with the teardown. `after_step` is called after each step before that."""
 
     case: Case
     commands: Commands
@@ -103,7 +103,7 @@ class CaseRun:
     sim_timeout: float
     temporary: str
     steps: Sequence[ScenarioStep]
-    look: Callable[[], None]
+    after_step: Callable[[], None]
 
     def __post_init__(self) -> None:
         self.sim_timeout = self.case.sim_timeout or self.sim_timeout
@@ -122,8 +122,8 @@ class CaseRun:
         if self.case.xfail and result.verdict in (PASSED, FAILED):
             result.verdict = XPASSED if result.verdict == PASSED else XFAILED
             if result.verdict == XPASSED:
-                result.message = f"it passed, and was known to fail: {self.case.xfail}"
-                result.hint = "take xfail out of the file"
+                result.message = f"it passed, but is a known failure: {self.case.xfail}"
+                result.hint = "remove xfail from the file"
         return result
 
     def _run_steps(self) -> None:
@@ -132,7 +132,7 @@ class CaseRun:
             for step in self.steps:
                 if step.section != "teardown":
                     self._do(step, self.sim_timeout - self.stage.now_s())
-                    self.look()
+                    self.after_step()
             self._end_background()
         except _Failed as failure:
             self._note(failure, FAILED if failure.step.section == "steps" else ERROR)
@@ -208,7 +208,7 @@ class CaseRun:
                 raise self._failed(step, _late(outcome, f"the {whole}"))
             self._judge(step, outcome, f"{step.within:g} s" if is_late else "")
             if step.within is not None and not step.fails and took_s > step.within + _EARLY_S:
-                text = f"it took {took_s:g} s of simulated time, and {step.within:g} s are allowed"
+                text = f"it took {took_s:g} s of simulated time; {step.within:g} s are allowed"
                 raise self._failed(step, StepOutcome(1, text))
         self._result.steps += 1
 
@@ -242,7 +242,7 @@ class CaseRun:
         if not step.fails and outcome.exit_code:
             raise self._failed(step, _late(outcome, limit) if limit else outcome)
         if step.fails and not outcome.exit_code:
-            raise self._failed(step, StepOutcome(1, "it was to fail, and did not", output=outcome.output))
+            raise self._failed(step, StepOutcome(1, "it should have failed", output=outcome.output))
         if isinstance(step.fails, str) and step.fails not in f"{outcome.message}\n{outcome.hint}":
             text = f"it failed, but not with {step.fails!r}: {outcome.message}"
             raise self._failed(step, StepOutcome(1, text, outcome.hint))
@@ -267,7 +267,7 @@ def _late(outcome: StepOutcome, limit: str) -> StepOutcome:
     return outcome._replace(message=f"not done within {limit} of simulated time: {outcome.message}")
 
 
-def told(case: Case, result: CaseResult) -> list[str]:
+def report_lines(case: Case, result: CaseResult) -> list[str]:
     """The lines that describe a failure."""
     lines = [result.message]
     lines += [result.hint] if result.hint else []

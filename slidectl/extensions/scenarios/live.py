@@ -137,7 +137,7 @@ class _CycleClock:
         """Simulated seconds per wall second, if programs take part; 0: as fast as possible."""
         self._ahead_since_s = time.monotonic()
 
-    def give_turns(self, asker: _SteppedLink) -> bool:
+    def call_due(self, asker: _SteppedLink) -> bool:
         """Call the due callbacks, except that of `asker`. Returns True if any was due."""
         ready = [link for link in list(self.waiting) if link is not asker and link.is_ready(self.waiting[link][1])]
         for link in ready:
@@ -187,7 +187,7 @@ class _SteppedLink(SocketLink):
 
     def is_ready(self, due_s: float) -> bool:
         """True when something was received, or the time is due."""
-        self.look()
+        self.fetch()
         return bool(self._came) or due_s <= self.clock.now_s
 
     def send(self, line: bytes, deadline: float) -> None:  # noqa: ARG002 - the deadline is not in machine time
@@ -195,12 +195,12 @@ class _SteppedLink(SocketLink):
 
     def receive(self, deadline: float) -> dict[str, Any] | None:
         if not self._came:
-            self.look()
+            self.fetch()
         while not self._came and self.clock.now_s < deadline:
             self.go_on(deadline)
         return self._came.popleft() if self._came else None
 
-    def look(self) -> None:
+    def fetch(self) -> None:
         """Store the messages so far: the daemon sends them before its answer."""
         time = self._ask("/rosapi/get_time", {})["time"]
         self._world_s = time["secs"] + time["nsecs"] * 1e-9
@@ -208,8 +208,8 @@ class _SteppedLink(SocketLink):
     def go_on(self, deadline: float) -> None:
         """Let due callbacks run; if there are none, run the world to the earliest deadline."""
         clock = self.clock
-        if clock.give_turns(self):
-            self.look()
+        if clock.call_due(self):
+            self.fetch()
             return
         cycles = clock.cycles(deadline)
         if clock.end_s is not None:
@@ -260,7 +260,7 @@ class _BackgroundLink(_SteppedLink):
         """Do nothing: the step runs anyway when something is received."""
         return True
 
-    def take_turn(self, switch: Callable[[], None], due_s: float) -> None:
+    def switch_when_due(self, switch: Callable[[], None], due_s: float) -> None:
         """Set `switch` to be called when something is received, or at a time of its clock."""
         self.clock.waiting[self] = switch, due_s
 
@@ -273,7 +273,7 @@ class _BackgroundLink(_SteppedLink):
             super().go_on(deadline)
         else:
             self._step.wait(deadline)
-            self.look()
+            self.fetch()
 
 
 class _LiveStage(Stage):
@@ -281,9 +281,9 @@ class _LiveStage(Stage):
         self.client = client
         self._clock = clock
         self._lines: deque[str] = deque(maxlen=LOG_LINES)
-        client.subscribe("/rosout", "rosgraph_msgs/Log", take=self._take)
+        client.subscribe("/rosout", "rosgraph_msgs/Log", take=self._add_line)
 
-    def _take(self, published: dict[str, Any]) -> None:
+    def _add_line(self, published: dict[str, Any]) -> None:
         line, stamp = published["msg"], published["msg"]["header"]["stamp"]
         level = _LEVELS.get(line["level"], str(line["level"]))
         self._lines.append(f"{level:<5} [{stamp['secs'] + stamp['nsecs'] * 1e-9:.3f}] {line['name']}: {line['msg']}")

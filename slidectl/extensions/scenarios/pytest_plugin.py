@@ -115,7 +115,7 @@ class _JournaledRun:
             file.unlink(missing_ok=True)
             return [f"no recording: {done.stderr.strip()}"]
         found = json.loads(done.stdout)
-        differs = [f"which is not as the test was: {found['differs']}"] if found["differs"] else []
+        differs = [f"which differs from the test: {found['differs']}"] if found["differs"] else []
         return [f"recording: {file}, up to {found['time']:.3f} s", *differs]
 
     def forget(self) -> None:
@@ -229,7 +229,7 @@ def _path_for(options: DaemonOptions) -> dict[str, str]:
 
 
 @contextmanager
-def _told() -> Iterator[None]:
+def _failing_with_message() -> Iterator[None]:
     """Fail the test with the message of a SlidectlError only: a traceback would show pytest's own code."""
     said = None
     try:
@@ -258,7 +258,7 @@ def slidectl_world(request: pytest.FixtureRequest) -> Iterator[InProcessWorld]:
     options = _options(given, request.path.parent, path)
     host = Host() if path is None else Journal(options)
     try:
-        with _told():
+        with _failing_with_message():
             simulation = Simulation(**options.of_simulation(), host=host)
         world = InProcessWorld(simulation)
         request.node.stash.setdefault(_RUNS, []).append(
@@ -280,7 +280,7 @@ def slidectl_world(request: pytest.FixtureRequest) -> Iterator[InProcessWorld]:
 def slidectl_client(slidectl_world: InProcessWorld) -> Iterator[Client]:
     """A client of a new world in this process: spawn, publish, wait, measure. Waits end at the time limit."""
     # Leaving the client raises MessageRefused if a message was refused.
-    with _told(), suppress(NoDaemon), slidectl_world.client(timeout=math.inf) as client:
+    with _failing_with_message(), suppress(NoDaemon), slidectl_world.client(timeout=math.inf) as client:
         yield client
 
 
@@ -354,7 +354,7 @@ def slidectl_daemon(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPa
     for variable in _VARIABLES:
         monkeypatch.delenv(variable, raising=False)
     try:
-        with _told(), monkeypatch.context() as patch:
+        with _failing_with_message(), monkeypatch.context() as patch:
             for variable, value in _path_for(options).items():
                 patch.setenv(variable, value)
             daemon = TemporaryDaemon(folder, options)
@@ -364,7 +364,7 @@ def slidectl_daemon(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPa
         try:
             yield daemon
         finally:
-            with _told():
+            with _failing_with_message():
                 daemon.stop()
     finally:
         shutil.rmtree(folder, ignore_errors=True)

@@ -40,13 +40,6 @@ TEMPORARY = "${tmp}"
 """Placeholder in words for the folder of the running case, which is known only when it runs."""
 _VARIABLE = re.compile(r"\$(\$)?\{([^}]*)\}")
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
-_MOST_NODES = 100_000
-_MOST_ITEMS = 10_000
-"""The most steps of a section, cases, or items of another list."""
-_MOST_MISTAKES = 100
-"""After so many mistakes the rest of a file is not checked: its author has enough to do, and each takes a search."""
-_MOST_STEPS = 100_000
-"""The most steps of all cases of a file."""
 _UNREADABLE = (yaml.YAMLError, ValueError, OverflowError, LookupError, AttributeError)
 """The exceptions of PyYAML for values that do not fit their tags."""
 _GIVEN = ("dir", "tmp")
@@ -61,37 +54,37 @@ class Key(NamedTuple):
 
 
 SCENARIO_KEYS = {
-    "name": Key("text", "What the scenario is called; by default the name of the file."),
+    "name": Key("text", "The scenario's name; by default the name of the file."),
     "description": Key("text", "What it is for."),
-    "tags": Key("texts", "Words to choose scenarios by, with --tag."),
+    "tags": Key("texts", "Words that choose scenarios, with --tag."),
     "vars": Key("mapping", "Variables with their values, for ${name} in steps."),
     "cases": Key("cases", "One case a row: variables with their values, and name, tags and xfail of the case."),
     "world": Key("world", "The world that it begins with."),
     "timeout": Key("seconds", "Wall seconds that a case may take, instead of --timeout."),
     "sim_timeout": Key("seconds", "Simulated seconds that a case may take, instead of --sim-timeout."),
-    "xfail": Key("reason", "Why it is known to fail: then a failure is as expected, and to pass is a failure."),
+    "xfail": Key("reason", "The reason of a known failure: then the case must fail, and a pass is a failure."),
     "baseline": Key("baseline", "What --baseline compares."),
-    "setup": Key("steps", "Steps that come first; where one fails, the scenario could not be tried."),
-    "steps": Key("steps", "What is tried, in order; the first failure ends it."),
-    "teardown": Key("steps", "Steps that run at the end, whatever happened."),
+    "setup": Key("steps", "Steps that come first; if one fails, the case is an error."),
+    "steps": Key("steps", "The steps of the test, in order; the first failure ends it."),
+    "teardown": Key("steps", "Steps that run at the end, also after a failure."),
 }
 CASE_KEYS = {name: SCENARIO_KEYS[name] for name in ("name", "tags", "xfail")}
 WORLD_KEYS = {
     "timestep": Key("seconds", "Seconds of a cycle (0.001)."),
     "gravity": Key("vector", "m/s² along x, y and z ([0, 0, -9.8])."),
     "ground": Key("flag", "Whether there is a floor at height 0 (true)."),
-    "engine": Key("engine", "Who runs the cycles: auto, plain or compiled; the results are the same."),
+    "engine": Key("engine", "What runs the cycles: auto, plain or compiled; the results are the same."),
     "imports": Key("texts", "Modules, or files FILE.py, with controllers and hardware of your own."),
-    "paused": Key("flag", "Whether it stands still until a step lets it go on (false)."),
+    "paused": Key("flag", "Whether the world is paused until a step resumes it (false)."),
 }
 BASELINE_KEYS = {
-    "fields": Key("fields", "Topics, or TOPIC/FIELD[I], each with =TOL behind it or not; all joint states by default."),
-    "tol": Key("tolerance", "How far numbers may be off where a field does not say it (0)."),
+    "fields": Key("fields", "Topics or TOPIC/FIELD[I], each with or without =TOL; all joint states by default."),
+    "tol": Key("tolerance", "Tolerance of fields without one of their own (0)."),
 }
 STEP_KEYS = {
     "at": Key("time", "Simulated time at which the step begins, s; alone it only waits for that time."),
     "within": Key("seconds", "Simulated seconds that the step may take."),
-    "background": Key("flag", "Go on with the next step meanwhile; it is ended with the case."),
+    "background": Key("flag", "Continue with the next step meanwhile; the step ends with the case."),
     "fails": Key("failure", "The command must fail: true, or a text that its message holds."),
 }
 
@@ -149,7 +142,7 @@ def find(words: Sequence[str]) -> list[tuple[str, str]]:
     """Find files for FILE, FOLDER and FILE::CASE. Returns each with the case name (empty: all). Raises BadFile."""
     found: list[tuple[str, str]] = []
     for word in words:
-        path, case = _file_and_case(word)
+        path, _, case = word.partition("::")
         if os.path.isdir(path):
             if case:
                 raise BadFile(f"is a folder, and ::{case} is a case of a file", path)
@@ -163,59 +156,21 @@ def find(words: Sequence[str]) -> list[tuple[str, str]]:
     return list(dict.fromkeys(found))
 
 
-def _file_and_case(word: str) -> tuple[str, str]:
-    """The two of FILE::CASE. The name of a file may have `::` in it, too."""
-    parts = word.split("::")
-    ends = (end for end in range(len(parts), 0, -1) if os.path.exists("::".join(parts[:end])))
-    end = next(ends, 1)
-    return "::".join(parts[:end]), "::".join(parts[end:])
-
-
 def read(file: str, commands: Commands, mistakes: list[BadFile]) -> list[Case]:
     """Read the cases of a file; its mistakes are added to `mistakes`."""
     reader = _Reader(file, commands, mistakes)
     try:
         text = read_file(Path(file), pipes=True)
-        _check_size(text, file)
         documents = yaml_tree.documents(text, file, yaml.SafeLoader)
     except BadFile as error:
         mistakes.append(error)
         return []
     if len(documents) != 1:
         line = documents[1].start_mark.line + 1 if documents else None
-        what = "a second document: one scenario a file" if documents else "is empty"
+        what = "a second document: a file has one scenario" if documents else "is empty"
         mistakes.append(BadFile(what, file, line))
         return []
     return reader.cases(documents[0])
-
-
-def _check_size(text: bytes, file: str) -> None:
-    """Raise BadFile for a file with too many values, before all of them are read, which takes a minute for a MiB.
-
-    libyaml tells them quickly and one after the other. What is wrong otherwise is left to the reader, which is exact.
-    """
-    counts: list[int] = []
-    """How many values the open lists and mappings have so far."""
-    nodes = 0
-    try:
-        for event in yaml.parse(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader)):
-            if isinstance(event, yaml.CollectionEndEvent):
-                counts.pop()
-            if not isinstance(event, yaml.NodeEvent):
-                continue
-            nodes += 1
-            what = "values" if nodes > _MOST_NODES else ""
-            if counts:
-                counts[-1] += 1
-                what = "items in a list" if counts[-1] > _MOST_ITEMS else what
-            if what:
-                most = _MOST_NODES if what == "values" else _MOST_ITEMS
-                line = event.start_mark.line + 1 if event.start_mark is not None else None
-                raise BadFile(f"more than {most} {what}: no scenario may have so many", file, line)
-            if isinstance(event, yaml.CollectionStartEvent):
-                counts.append(0)
-    except (yaml.YAMLError, ValueError, RecursionError):
-        return
 
 
 KeyPath = tuple[str | int, ...]
@@ -231,15 +186,14 @@ class _Reader:
         self._lines: dict[KeyPath, int] = {}
         self._loader = yaml.SafeLoader("")
         self._pairs = yaml_tree.MergedPairs(file).of
-        self._nodes = 0
         self._texts: set[str] = set()
         """The mistakes found."""
-        self._told = 0
+        self._mistakes_found = 0
         """The number of mistakes found, including repeated ones."""
         self._checked: dict[tuple[str, ...], SlidectlError | StepEffects] = {(): StepEffects()}
 
     def _add_mistake(self, path: KeyPath, message: str, hint: str | None = None) -> None:
-        self._told += 1
+        self._mistakes_found += 1
         while path and path not in self._lines:
             path = path[:-1]
         mistake = BadFile(message, self._file, self._lines.get(path), hint)
@@ -250,17 +204,16 @@ class _Reader:
     def _value(self, node: yaml.Node, path: KeyPath) -> Any:
         """The value of a node. Raises BadFile."""
         line = self._lines[path] = node.start_mark.line + 1
-        self._nodes += 1
-        if self._nodes > _MOST_NODES or len(path) > yaml_tree.DEEPEST:
-            raise BadFile("is too large, or nested too deeply", self._file, line)
+        if len(path) > yaml_tree.DEEPEST:
+            raise BadFile("is nested too deeply", self._file, line)
         if isinstance(node, yaml.MappingNode):
             found: dict[str, Any] = {}
             for key, value in self._pairs(node):
                 if not isinstance(key, yaml.ScalarNode):
-                    raise BadFile("a list or mapping is no name: names are text", self._file, line)
+                    raise BadFile("a list or mapping is not a name: names are text", self._file, line)
                 name = str(key.value)
                 if name in found:
-                    self._add_mistake((*path, name), f"{name!r} stands here twice")
+                    self._add_mistake((*path, name), f"duplicate key {name!r}")
                 found[name] = self._value(value, (*path, name))
                 self._lines[(*path, name)] = key.start_mark.line + 1
             return found
@@ -303,12 +256,7 @@ class _Reader:
         )  # fmt: skip
         variables = dict(tree.get("vars") or {})
         self._check_names(variables, ("vars",))
-        rows = list(self._rows(base, tree.get("cases"), variables))
-        count = len(rows) * sum(len(tree.get(section) or ()) for section in SECTIONS)
-        if count > _MOST_STEPS:
-            text = f"{count} steps in {len(rows)} cases: a file may have {_MOST_STEPS} in all"
-            self._add_mistake(("cases",), text, "make several files of it")
-            return []
+        rows = self._rows(base, tree.get("cases"), variables)
         return [replace(case, steps=tuple(self._steps(tree, row))) for case, row in rows]
 
     def _rows(self, base: Case, table: Any, variables: dict[str, Any]) -> Iterator[tuple[Case, dict[str, Any]]]:
@@ -337,7 +285,7 @@ class _Reader:
     def _check_names(self, variables: Mapping[str, Any], path: KeyPath) -> None:
         for name in variables:
             if not _NAME.match(name) or name in _GIVEN:
-                self._add_mistake((*path, name), f"{name!r} is no name for a variable: letters, digits and '_'")
+                self._add_mistake((*path, name), f"{name!r} is not a name for a variable: letters, digits and '_'")
 
     # --- keys and values ----------------------------------------------------------------------------------------
 
@@ -348,7 +296,9 @@ class _Reader:
                 self._add_mistake(
                     (*path, name), f"no field {name!r} in a {what}.{meant}", f"fields: {', '.join(known)}"
                 )
-            elif (value is not None or known[name].kind == "reason") and (expected := _not(known[name].kind, value)):
+                continue
+            expected, fits, _ = KINDS[known[name].kind]
+            if (value is not None or known[name].kind == "reason") and not fits(value):
                 self._add_mistake((*path, name), f"{name!r} is {expected}, not {as_word(value).strip() or 'empty'}")
 
     # --- steps --------------------------------------------------------------------------------------------------
@@ -358,8 +308,6 @@ class _Reader:
         earlier = _EarlierSteps(is_alone=not (tree.get("world") or {}).get("imports"))
         for section in SECTIONS:
             for index, content in enumerate(tree.get(section) or ()):
-                if len(self._texts) >= _MOST_MISTAKES:
-                    return
                 path: KeyPath = (section, index)
                 step = None
                 try:
@@ -389,14 +337,14 @@ class _Reader:
         content = self._filled(content, variables)
         own = {key: content[key] for key in content if key in STEP_KEYS}
         commands = [key for key in content if key not in STEP_KEYS]
-        before = self._told
+        before = self._mistakes_found
         self._check_keys(own, STEP_KEYS, path, "step")
         for key in list(commands) if len(commands) > 1 else ():
             if not self._commands.has(key.partition(" ")[0]):
                 text = f"no field {key!r} in a step.{self._meant(key, STEP_KEYS)}"
                 self._add_mistake((*path, key), text, self._steps_and_fields())
                 commands.remove(key)
-        if self._told > before:
+        if self._mistakes_found > before:
             own = {}
             if not commands:
                 return None
@@ -410,7 +358,7 @@ class _Reader:
             words[len(commands[0].split()) : len(commands[0].split())] = ["--within", as_word(within)]
             own["within"] = None
         starts_programs = self._check_words((*words,)).starts_programs
-        if self._told > before:
+        if self._mistakes_found > before:
             return None
         return ScenarioStep(
             tuple(words), line, section, own.get("at"), own.get("within"), own.get("background") or False,
@@ -425,15 +373,10 @@ class _Reader:
         return f"steps: {', '.join(self._commands.tops())}; fields: {', '.join(STEP_KEYS)}"
 
     def _has_within(self, words: Sequence[str]) -> bool:
-        command = next(
-            (found for count in (2, 1) if (found := self._commands.known.get(" ".join(words[:count]))) is not None),
-            None,
-        )
-        return (
-            command is not None
-            and any(option.name == "within" for option in command.options)
-            and not any(word == "--within" or word.startswith("--within=") for word in words)
-        )
+        known = self._commands.known
+        command = known.get(" ".join(words[:2])) or known.get(words[0])
+        has_option = command is not None and any(option.name == "within" for option in command.options)
+        return has_option and not any(word.partition("=")[0] == "--within" for word in words)
 
     def _words(self, name: str, value: Any, path: KeyPath) -> list[str]:
         """The words of a step's command. Raises SlidectlError."""
@@ -624,12 +567,6 @@ KINDS: dict[str, tuple[str, Callable[[Any], bool], dict[str, Any]]] = {
 """For each kind of value: its description, a test, and its JSON schema."""
 
 
-def _not(kind: str, value: Any) -> str:
-    """The description of the kind if the value does not fit it, else empty."""
-    expected, fits, _ = KINDS[kind]
-    return "" if fits(value) else expected
-
-
 # --- the JSON schema --------------------------------------------------------------------------------------------------
 
 _VALUE = {"type": ["string", "number", "boolean"]}
@@ -642,45 +579,29 @@ _TYPES: dict[str, dict[str, Any]] = {
 
 
 def schema_text(commands: Commands) -> str:
-    """The JSON schema of scenario files as text, for completion and checks in editors."""
-    return json.dumps(schema(commands), indent=1, ensure_ascii=False) + "\n"
-
-
-def schema(commands: Commands) -> dict[str, Any]:
-    """A JSON schema (draft 2020-12)."""
+    """The JSON schema (draft 2020-12) of scenario files as text, for completion and checks in editors."""
     table = _object(SCENARIO_KEYS, required=["steps"])
-    rows = table["properties"]["cases"]["items"]
-    rows["properties"] = _properties(CASE_KEYS)
-    kinds = {name: {"description": kind.help, **kind.schema} for name, kind in commands.kinds.items()}
+    table["properties"]["cases"]["items"]["properties"] = _properties(CASE_KEYS)
     tops = {command.split()[0] for command in commands.known}
-    return {
+    any_value = _VALUE | {"type": [*_VALUE["type"], "null", "array", "object"]}
+    steps: dict[str, Any] = {
+        **_properties(STEP_KEYS),
+        **dict.fromkeys(sorted(tops), any_value),
+        **{name: _command(command) for name, command in commands.known.items()},
+        **{name: {"description": kind.help, **kind.schema} for name, kind in commands.kinds.items()},
+    }
+    step = {"type": "object", "properties": steps, "additionalProperties": False, "minProperties": 1}
+    schema = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "A scenario of slidectl test",
         **table,
         "$defs": {
             "world": _object(WORLD_KEYS),
             "baseline": _object(BASELINE_KEYS),
-            "step": {
-                "anyOf": [
-                    {"type": "string", "description": "A whole command line."},
-                    {
-                        "type": "object",
-                        "properties": {
-                            **_properties(STEP_KEYS),
-                            **{
-                                top: _VALUE | {"type": [*_VALUE["type"], "null", "array", "object"]}
-                                for top in sorted(tops)
-                            },
-                            **{name: _command(command) for name, command in commands.known.items()},
-                            **kinds,
-                        },
-                        "additionalProperties": False,
-                        "minProperties": 1,
-                    },
-                ]
-            },
+            "step": {"anyOf": [{"type": "string", "description": "A whole command line."}, step]},
         },
     }
+    return json.dumps(schema, indent=1, ensure_ascii=False) + "\n"
 
 
 def _object(keys: Mapping[str, Key], **more: Any) -> dict[str, Any]:

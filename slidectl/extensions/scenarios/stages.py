@@ -47,7 +47,7 @@ class CaseRuns:
     is_ready: bool = False
 
     def prepare(self) -> None:
-        """Load in this process, once, what the cases need in theirs, which are forked from it."""
+        """Load, once, what the cases need: their processes are forked from this one."""
         if not self.is_ready:
             self.is_ready = True
             self.stages.warm(self.commands, self.cases)
@@ -78,10 +78,10 @@ class CaseRuns:
     def _run(self, case: Case, stage: Stage, folder: str, steps: Sequence[ScenarioStep]) -> CaseResult:
         if self.baselines is None:
             return CaseRun(case, self.commands, stage, self.sim_timeout, folder, steps, lambda: None).run()
-        heard = RecordedFields(stage.client, case.baseline)
-        result = CaseRun(case, self.commands, stage, self.sim_timeout, folder, steps, heard.look).run()
+        fields = RecordedFields(stage.client, case.baseline)
+        result = CaseRun(case, self.commands, stage, self.sim_timeout, folder, steps, fields.update).run()
         if result.verdict == PASSED:
-            self.baselines.judge(case, heard.table(), result)
+            self.baselines.judge(case, fields.table(), result)
         return result
 
     def _stem(self, case: Case) -> str:

@@ -1,4 +1,4 @@
-"""The steps that there are: commands with their options and arguments, further kinds, and how to run one.
+"""Steps: commands with their options and arguments, the base class of further kinds, and how to run one.
 
 The words of a step are those of a command line: a text is split like a shell does it; a mapping gives values for the
 names of the command's options and arguments.
@@ -9,14 +9,37 @@ from __future__ import annotations
 import json
 import shlex
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
 
 from slidectl.command_steps import StepEffects
 from slidectl.errors import SlidectlError, UnknownName, UsageError
 
 if TYPE_CHECKING:
     from slidectl.client import Client
-    from slidectl.extensions.scenarios.step_kinds import StepKind
+
+
+class StepKind:
+    """A kind of steps of an installed package: the key of such a step is its name, the value any form of YAML.
+
+    One instance serves all steps of a process, in several cases one after the other: it keeps nothing between them.
+    """
+
+    help: ClassVar[str] = ""
+    """One sentence, for editors."""
+    schema: ClassVar[Mapping[str, Any]] = {}
+    """The JSON schema of the value, for editors; `check` is what counts."""
+    may_add_controllers: ClassVar[bool] = False
+    """True when controllers, or their parameters, may come from such a step."""
+
+    def check(self, value: Any) -> None:
+        """Raise UsageError for a value that is wrong in any world, before anything runs. Variables are replaced."""
+
+    def run(self, value: Any, client: Client) -> Mapping[str, Any] | None:
+        """Do the step by a client of the world. Waits of the client let the world run, up to the limit of the step.
+
+        Returns a record for the output, or None. Raises SlidectlError where the step fails: Refused, for example.
+        """
+        raise NotImplementedError
 
 
 class StepOption(NamedTuple):
@@ -98,11 +121,11 @@ def split(text: str) -> list[str]:
     try:
         return shlex.split(text)
     except ValueError as error:
-        raise UsageError(f"cannot part the words of {text!r}: {error}", "a quote needs its end") from None
+        raise UsageError(f"cannot split {text!r} into words: {error}", "close the quote") from None
 
 
-def words_of(command: StepCommand, given: Mapping[str, Any], tell: Callable[[SlidectlError], None]) -> list[str]:
-    """The words after the command's name, from values by name. A value with a mistake is passed to `tell` and left out.
+def words_of(command: StepCommand, given: Mapping[str, Any], report: Callable[[SlidectlError], None]) -> list[str]:
+    """The words after the command's name, from values by name. `report` is called for a wrong value, which is left out.
 
     Raises UsageError: an argument is missing.
     """
@@ -116,7 +139,7 @@ def words_of(command: StepCommand, given: Mapping[str, Any], tell: Callable[[Sli
             elif name not in arguments:
                 raise UnknownName("option", name, [*arguments, *options], f"of {command.name}")
         except SlidectlError as mistake:
-            tell(mistake)
+            report(mistake)
     places: list[str] = []
     for argument in command.arguments:
         if argument.name in given:

@@ -28,7 +28,7 @@ _LONGEST_START_S = 1e6
 
 def _time(_click: click.Context, _param: click.Parameter, value: float | None) -> float | None:
     if value is not None and not 0 <= value < 1e9:
-        raise click.BadParameter(f"{value:g} is no simulated time in s")
+        raise click.BadParameter(f"{value:g} is not a simulated time in s")
     return value
 
 
@@ -49,9 +49,9 @@ def _step_effects(parameters: Mapping[str, Any], has_daemon: bool) -> StepEffect
 )
 @click.argument("file", metavar="FILE", shell_complete=completion.files)
 @click.option("--to", "until", type=float, callback=_time, metavar="T", help="End at this simulated time, s.")
-@click.option("--check", is_flag=True, help="Exit 1 at the first state that is not that of the journal.")
+@click.option("--check", is_flag=True, help="Exit 1 at the first state that differs from the journal's.")
 @click.option("--record", "recording", metavar="FILE", shell_complete=completion.files,
-              help="Record what was published into a new .bag or .mcap file.")  # fmt: skip
+              help="Record the published messages in a new .bag or .mcap file.")  # fmt: skip
 @click.option("--last", type=float, callback=simulated_seconds, metavar="S",
               help="Record only the last S simulated seconds.")  # fmt: skip
 @click.option("--keep", is_flag=True, help="Leave the world in a daemon (-i NAME), paused.")
@@ -59,14 +59,14 @@ def _step_effects(parameters: Mapping[str, Any], has_daemon: bool) -> StepEffect
 def replay(
     ctx: Context, file: str, until: float | None, check: bool, recording: str | None, last: float | None, keep: bool
 ) -> None:
-    """Run again what a journal has, with the same bits.
+    """Repeat the run of a journal, with the same bits.
 
-    'slidectl daemon start --journal FILE' writes one. Without a daemon and as fast as the cycles go; then the robots
-    are shown as they are at the end. The state of each simulated second is compared with that of the journal: the
-    first one that differs is a warning, with --check an error. With --keep a daemon begins with the replay and stays
-    there, without the clients that there were. --record takes all topics, but pictures and those that come in every
-    cycle (/clock, /gazebo/link_states, /gazebo/model_states). A journal whose end is missing is replayed up to its
-    last whole entry.
+    'slidectl daemon start --journal FILE' writes a journal. The replay needs no daemon and runs as fast as possible;
+    then it shows the robots. The state of each simulated second is compared with the journal: the first difference is a
+    warning, with --check an error. With --keep a new daemon replays the journal and stays paused at its end, without
+    the clients of the run. --record records all topics except pictures and those with a message in every cycle
+    (/clock, /gazebo/link_states, /gazebo/model_states). A journal without its end is replayed up to its last whole
+    entry.
 
     JSON keys: file, time, cycles, entries, whole (false where its end is missing), states (compared), differs,
     messages (recorded, null without --record), robots (as those of robots).
@@ -107,15 +107,15 @@ def _replay(
     found = simulation.call("/slidectl/list_robots")["robots"]
     seconds, entries = simulation.time_ns * 1e-9, len(contents.entries)
     record: dict[str, Any] = {
-        "file": contents.path, "time": seconds, "cycles": simulation.cycles, "entries": one.taken,
+        "file": contents.path, "time": seconds, "cycles": simulation.cycles, "entries": one.consumed,
         "whole": not contents.is_cut, "states": one.states, "differs": one.differs, "messages": messages,
         "robots": [robots.record(robot, with_report=False) for robot in found],
     }  # fmt: skip
     shown = [robots.robot_text(robot, with_report=False) for robot in record["robots"]]
-    head = f"{contents.path}: {seconds:.3f} s, {one.taken} of {entries} entries; {one.states} states are the same"
+    head = f"{contents.path}: {seconds:.3f} s, {one.consumed} of {entries} entries; {one.states} states are the same"
     if one.differs:
         ctx.warn(one.differs)
-        head = f"{contents.path}: {seconds:.3f} s, {one.taken} of {entries} entries"
+        head = f"{contents.path}: {seconds:.3f} s, {one.consumed} of {entries} entries"
     if recorder is not None:
         head += f"\n{recording}: {messages} messages"
     ctx.done(record, "\n\n".join([head, *shown]))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 import os
 import sys
 from collections.abc import Callable, Iterator
@@ -22,9 +23,8 @@ from slidectl.paths import install_command
 from slidectl.writing import CannotWrite, whole_file, write_whole
 
 if TYPE_CHECKING:
-    from slidectl.extensions.recording.flat_rows import Rows
+    from slidectl.extensions.recording.codec import Record
     from slidectl.extensions.recording.recording_files import Recording
-    from slidectl.extensions.recording.records import Record
 
 _SECOND = 10**9
 
@@ -49,7 +49,7 @@ def open_recording(ctx: Context, file: str | Path) -> Recording:
 @click.argument("file", shell_complete=completion.files)
 @click.pass_obj
 def info(ctx: Context, file: str) -> None:
-    """Show what a recording holds.
+    """Show the content of a recording.
 
     Times are simulated, in s. JSON keys: path, duration, start, end, size, messages, compression, chunks, damage, types
     (type and md5sum), topics (topic, type, messages, latching).
@@ -120,16 +120,16 @@ def _info_text(record: dict[str, Any]) -> str:
     "--fields", cls=Variadic, metavar="F[=TOL]...", help="Only these topics or fields, with tolerances in their units."
 )
 @click.option("--tol", type=click.FloatRange(min=0), default=0.0, callback=finite, metavar="T",
-              help="How far numbers may be off, in their own units (0).")  # fmt: skip
-@click.option("--update-baseline", is_flag=True, help="Make the run the baseline instead.")
+              help="Tolerance of numbers, in their own units (0).")  # fmt: skip
+@click.option("--update-baseline", is_flag=True, help="Make this run the baseline instead.")
 @click.pass_obj
 def diff(ctx: Context, run: str, baseline: str, fields: tuple[str, ...], tol: float, update_baseline: bool) -> None:
-    """Tell where a recording first differs from a baseline.
+    """Show the first differences of a recording from a baseline.
 
     BASELINE is a recording, a folder with one of the same name, or a .csv file of --baseline in 'slidectl test'.
-    Compared are the messages of the baseline's topics but /rosout, or of --fields, that were published at the same
-    simulated time, exactly or within a tolerance; of a .csv file all columns. Exits 1 on a difference. JSON keys, a
-    line a field that differs: topic, field, time, value, baseline, tolerance.
+    The command compares messages with the same simulated time, exactly or within a tolerance: those of the baseline's
+    topics except /rosout, or those of --fields; of a .csv file all columns. Exits 1 on a difference. JSON keys, one
+    line for each field that differs: topic, field, time, value, baseline, tolerance.
     """
     from slidectl.extensions.recording.comparison import compare_file, tolerances_of
 
@@ -167,8 +167,8 @@ def _target(file: str, source: str, force: bool) -> Path:
 def reindex(ctx: Context, file: str) -> None:
     """Complete a recording whose recorder was killed.
 
-    Everything that can be read is written into a new file in its place, with an index. What was there before is kept
-    as NAME.orig.bag (or .mcap). JSON keys: file, messages, kept.
+    All readable messages are written to a new file of this name, with an index. The original is kept as NAME.orig.bag
+    (or .mcap). JSON keys: file, messages, kept.
     """
     from slidectl.extensions.recording.recording_files import copy, opened
 
@@ -180,9 +180,14 @@ def reindex(ctx: Context, file: str) -> None:
         recording.refuse_written()
         kept = path.with_name(f"{path.stem}.orig{path.suffix}")
         if kept.exists():
-            raise Refused(f"{kept} is there already", f"it is from an earlier reindex; remove it, or rename {file}")
-        count = copy(recording.records(), recording, path, recording.summary().compression, kept)
-    ctx.done({"file": file, "messages": count, "kept": str(kept)}, f"{file}: {count} messages, what it was is {kept}")
+            raise Refused(f"{kept} already exists", f"it is from an earlier reindex; remove it, or rename {file}")
+        path.rename(kept)
+        try:
+            count = copy(recording.records(), recording, path, recording.summary().compression)
+        except BaseException:
+            kept.rename(path)
+            raise
+    ctx.done({"file": file, "messages": count, "kept": str(kept)}, f"{file}: {count} messages; the original is {kept}")
 
 
 @bag.command(
@@ -196,16 +201,16 @@ def reindex(ctx: Context, file: str) -> None:
 @click.argument("target", shell_complete=completion.files)
 @click.argument("condition", required=False, metavar="[EXPR]")
 @click.option("--compression", metavar="KIND", default="none", help=".bag: bz2, lz4; .mcap: lz4, zstd (none).")
-@click.option("--force", is_flag=True, help="Write over a file that is there.")
+@click.option("--force", is_flag=True, help="Overwrite an existing file.")
 @click.pass_obj
 def filter_command(
     ctx: Context, source: str, target: str, condition: str | None, compression: str, force: bool
 ) -> None:
     """Copy the messages for which EXPR is true.
 
-    EXPR sees topic, t (simulated s) and the fields of the message m, with the operators of Python and the functions of
-    its math module; topics whose messages lack a field that EXPR names are left out. Without EXPR everything is copied:
-    from .bag to .mcap or back, or with another compression. JSON keys: file, messages, of.
+    EXPR can use topic, t (simulated s) and the fields of the message m, with the operators of Python and the functions
+    of its math module; topics without a field of EXPR are left out. Without EXPR all messages are copied: from .bag to
+    .mcap or back, or with another compression. JSON keys: file, messages, of.
     """
     from slidectl.extensions.recording.recording_files import copy
 
@@ -257,22 +262,20 @@ def _condition(text: str | None, recording: Recording) -> Callable[[Record], boo
 @click.option("--csv", "csv_file", metavar="FILE", help="A CSV file; - is stdout.")
 @click.option("--parquet", "parquet_file", metavar="FILE", help="A Parquet file (needs pyarrow).")
 @click.option("--topic", "topics", multiple=True, metavar="TOPIC", help="Only this topic; may repeat.")
-@click.option("--force", is_flag=True, help="Write over a file that is there.")
+@click.option("--force", is_flag=True, help="Overwrite an existing file.")
 @click.pass_obj
 def export(
     ctx: Context, file: str, csv_file: str | None, parquet_file: str | None, topics: tuple[str, ...], force: bool
 ) -> None:
-    """Write a table: a row a message, a column a field.
+    """Write a table with a row for each message and a column for each field.
 
-    The first columns are time (simulated, s) and topic, the others are named after the fields: of one topic as
-    position[0] or pose.position.x, of several with the topic before them (/slider/joint_states/position[0]). A cell
-    is empty where the message of the row has no such field. JSON keys: file, rows, columns.
+    The first columns are time (simulated, s) and topic. The others have the names of the fields: for one topic
+    position[0] or pose.position.x, for several topics with the topic before them (/slider/joint_states/position[0]). A
+    cell is empty if the message of its row has no such field. JSON keys: file, rows, columns.
     """
     target = csv_file or parquet_file
     if target is None or (csv_file and parquet_file):
         raise UsageError("give one of --csv and --parquet")
-    from slidectl.extensions.recording.flat_rows import Rows
-
     path = None if csv_file == "-" else _target(target, file, force)
     with open_recording(ctx, file) as recording:
         wanted = {names.resolve(topic, recording.topics, kind="topic") for topic in topics} or set(recording.topics)
@@ -281,6 +284,44 @@ def export(
         count = _write_csv(path, rows, columns) if csv_file else _write_parquet(Path(target), rows, columns)
     if path is not None:
         ctx.done({"file": target, "rows": count, "columns": len(columns)}, f"{target}: {count} rows")
+
+
+class Rows:
+    """The messages of some topics as flat rows: `time` (s), `topic`, and each field by its path.
+
+    If there are several topics, paths begin with the topic. nan becomes None.
+    """
+
+    def __init__(self, recording: Recording, topics: set[str]) -> None:
+        self._recording = recording
+        self._topics = topics
+
+    def columns(self) -> list[str]:
+        """All columns in order of first use. All messages are read for that, as arrays may grow."""
+        found: dict[str, None] = {"time": None, "topic": None}
+        for row in self:
+            found.update(dict.fromkeys(row))
+        return list(found)
+
+    def __iter__(self) -> Iterator[dict[str, Any]]:
+        for record in self._recording.records(self._topics):
+            prefix = "" if len(self._topics) == 1 else f"{record.channel.topic}/"
+            row: dict[str, Any] = {"time": record.time_ns / _SECOND, "topic": record.channel.topic}
+            row.update(_flat(prefix, self._recording.message(record)))
+            yield row
+
+
+def _flat(name: str, value: Any) -> Iterator[tuple[str, Any]]:
+    if isinstance(value, dict) and value.keys() == {"secs", "nsecs"}:
+        yield name, value["secs"] + value["nsecs"] / _SECOND
+    elif isinstance(value, dict):
+        for key, below in value.items():
+            yield from _flat(f"{name}{'' if not name or name.endswith('/') else '.'}{key}", below)
+    elif isinstance(value, list):
+        for index, below in enumerate(value):
+            yield from _flat(f"{name}[{index}]", below)
+    else:
+        yield name, None if isinstance(value, float) and math.isnan(value) else value
 
 
 def _write_csv(path: Path | None, rows: Rows, columns: list[str]) -> int:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import heapq
 import math
 import os
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from itertools import repeat
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
@@ -24,8 +25,8 @@ from slidectl.msgs.schema import nanoseconds
 
 if TYPE_CHECKING:
     from slidectl.cli.detached import Background
-    from slidectl.extensions.recording.playback import DueMessage
-    from slidectl.extensions.recording.records import RecordedTopic
+    from slidectl.extensions.recording.codec import RecordedTopic
+    from slidectl.extensions.recording.recording_files import Recording
 
 _SECOND = 10**9
 _AHEAD, _AHEAD_BYTES = 1000, 4 * 1024 * 1024
@@ -57,10 +58,10 @@ _SECONDS: dict[str, Any] = {"type": click.FloatRange(min=0), "callback": finite,
 )
 @click.option("-s", "--start", default=0.0, help="Begin S simulated seconds after its start.", **_SECONDS)
 @click.option("-u", "--until", help="End S simulated seconds after its start.", **_SECONDS)
-@click.option("-l", "--loop", is_flag=True, help="Again and again, until Ctrl-C.")
-@click.option("--at-recorded-times", is_flag=True, help="At the very simulated times of the recording.")
-@click.option("--clock", is_flag=True, help="Also the recorded /clock, which the world itself publishes.")
-@click.option("--detach", is_flag=True, help="Return when it plays; it goes on in the background.")
+@click.option("-l", "--loop", is_flag=True, help="Repeat until Ctrl-C.")
+@click.option("--at-recorded-times", is_flag=True, help="Publish at exactly the simulated times of the recording.")
+@click.option("--clock", is_flag=True, help="Also play the recorded /clock, which the world itself publishes.")
+@click.option("--detach", is_flag=True, help="Return when playing has begun; it continues in the background.")
 @click.pass_obj
 def play(
     ctx: Context,
@@ -76,14 +77,14 @@ def play(
 ) -> None:
     """Publish the messages of recordings again.
 
-    Each is published in the cycle that is as far from the first as it was, in simulated time: a world that is paused
-    holds the playing, and on every run the same cycles see the same messages. The first comes 0.2 s after now; with
-    --at-recorded-times each comes at the time that it was recorded at, so a recording of the commands, played into a
-    world as it was at its beginning, gives the same bits. It returns when the last was published; with --detach when
-    the daemon has the first ones, and prints the process id. It exits with 1 when messages were refused.
+    Messages keep their distances in simulated time: a paused world pauses the playing, and in every run the same
+    cycles get the same messages. The first message is published 0.2 s from now. With --at-recorded-times each message
+    is published at its recorded time: a recording of the commands, played into a world in its initial state, gives the
+    same bits. The command returns after the last message; with --detach it prints the process id and returns when the
+    daemon has the first messages. It exits with 1 if messages were refused.
 
-    OLD:=NEW publishes on another topic. /rosout is left out, and /clock is without --clock. JSON keys: published, late
-    (messages whose time had passed when the daemon got them), refused, topics, seconds; with --detach pid, log.
+    OLD:=NEW publishes on another topic. /rosout is left out, and so is /clock without --clock. JSON keys: published,
+    late (messages that reached the daemon after their time), refused, topics, seconds; with --detach pid, log.
     """
     if at_recorded_times and (loop or rate != 1.0):
         raise UsageError("--at-recorded-times goes neither with --loop nor with --rate")
@@ -96,8 +97,6 @@ def play(
 
         background = Background(ctx.paths, "playing")
         background.fork()
-    from slidectl.extensions.recording.playback import due_messages, span_ns
-
     with ExitStack() as stack:
         recordings = [stack.enter_context(open_recording(ctx, file)) for file in files]
         known = sorted({topic for recording in recordings for topic in recording.topics})
@@ -105,7 +104,7 @@ def play(
         renames = {names.resolve(old, known, kind="topic"): new for old, new in renames.items()}
         left_out = {"/rosout", "/rosout_agg", *(() if clock else (CLOCK,))} - chosen
         wanted = (chosen or set(known)) - left_out
-        begin_ns, last_ns = span_ns(recordings)
+        begin_ns, last_ns = _span_ns(recordings)
         for channel in (channel for recording in recordings for channel in recording.channels):
             if channel.topic in wanted:
                 _check_type(channel)
@@ -116,15 +115,15 @@ def play(
         if not at_recorded_times:
             base_ns = nanoseconds(ctx.call("/rosapi/get_time")["time"]) + _FIRST_DELAY_NS
         for _ in repeat(None) if loop else (None,):
-            due = due_messages(recordings, wanted, start_ns, end_ns, rate)
+            due = _due_messages(recordings, wanted, start_ns, end_ns, rate)
             base_ns = player.publish(due, base_ns) + _FIRST_DELAY_NS
             if player.refused:
                 break
             if not player.published:
                 length_s = (last_ns - begin_ns) / _SECOND
-                ctx.warn(f"there is no message to play in that part; the recording is {length_s:.3f} s long")
+                ctx.warn(f"no messages in this part; the recording is {length_s:.3f} s long")
                 break
-        player.tell()
+        player.print_summary()
 
 
 def _sorted(words: tuple[str, ...]) -> tuple[list[str], dict[str, str]]:
@@ -139,7 +138,7 @@ def _sorted(words: tuple[str, ...]) -> tuple[list[str], dict[str, str]]:
         else:
             files.append(word)
     if not files:
-        raise UsageError("which recording?", "slidectl play FILE [OLD:=NEW]...")
+        raise UsageError("name the recording", "slidectl play FILE [OLD:=NEW]...")
     return files, renames
 
 
@@ -154,6 +153,51 @@ def _check_type(channel: RecordedTopic) -> None:
         )
 
 
+class _DueMessage(NamedTuple):
+    """A message to publish at `at_ns` after the start; `size` is its number of bytes in the recording."""
+
+    at_ns: int
+    topic: str
+    type: str
+    latch: bool
+    message: Any
+    size: int
+
+
+def _span_ns(recordings: Sequence[Recording]) -> tuple[int, int]:
+    """The times of the first and the last message of all recordings; zeros if there are no messages."""
+    summaries = [recording.summary() for recording in recordings]
+    begin = min((one.begin_ns for one in summaries if one.begin_ns is not None), default=0)
+    return begin, max((one.end_ns for one in summaries if one.end_ns is not None), default=begin)
+
+
+def _due_messages(
+    recordings: Sequence[Recording], topics: set[str], start_ns: int = 0, end_ns: int | None = None, rate: float = 1.0
+) -> Iterator[_DueMessage]:
+    """The messages from `start_ns` to before `end_ns` after the first message, by time; `rate` divides their times.
+
+    Latched messages from before the start come first: the last one of each topic.
+    """
+    begin_ns = _span_ns(recordings)[0]
+    streams = [((record, recording) for record in recording.records(topics)) for recording in recordings]
+    latched: dict[str, _DueMessage] = {}
+    for record, recording in heapq.merge(*streams, key=lambda pair: pair[0].time_ns):
+        channel, offset_ns = record.channel, record.time_ns - begin_ns - start_ns
+        if end_ns is not None and offset_ns + start_ns >= end_ns:
+            break
+        if offset_ns < 0 and not channel.latching:
+            continue
+        at_ns, message = round(max(offset_ns, 0) / rate), recording.message(record)
+        due = _DueMessage(at_ns, channel.topic, channel.type, channel.latching, message, len(record.raw))
+        if offset_ns < 0:
+            latched[channel.topic] = due
+            continue
+        yield from latched.values()
+        latched.clear()
+        yield due
+    yield from latched.values()
+
+
 class _Player:
     """Publishes messages at simulated times, some sent ahead."""
 
@@ -161,8 +205,8 @@ class _Player:
         self._ctx = ctx
         self._background = background
         self._renames = renames
-        self._told: set[str] = set()
-        self._has_looked = False
+        self._warned: set[str] = set()
+        self._is_checked = False
         self.published = 0
         self.late = 0
         self.refused = 0
@@ -170,7 +214,7 @@ class _Player:
         self._first_ns: int | None = None
         self._last_ns = 0
 
-    def publish(self, messages: Iterator[DueMessage], base_ns: int) -> int:
+    def publish(self, messages: Iterator[_DueMessage], base_ns: int) -> int:
         """Publish all messages; returns the simulated time of the last one. Raises NoDaemon, Refused."""
         client = self._ctx.client
         waiting: deque[tuple[str, int]] = deque()
@@ -184,21 +228,21 @@ class _Player:
             self._last_ns = at_ns
             while waiting and (len(waiting) >= _AHEAD or ahead + due.size > _AHEAD_BYTES):
                 publish_id, size = waiting.popleft()
-                self._take(publish_id)
+                self._confirm(publish_id)
                 ahead -= size
             waiting.append((client.publish_at(topic, due.message, at_ns, due.type, due.latch), due.size))
             ahead += due.size
         for publish_id, _ in waiting:
-            self._take(publish_id)
+            self._confirm(publish_id)
         return at_ns
 
-    def _take(self, publish_id: str) -> None:
+    def _confirm(self, publish_id: str) -> None:
         client = self._ctx.client
-        if not self._has_looked:  # its answer confirms that the daemon has all messages sent so far
-            self._has_looked = True
+        if not self._is_checked:  # its answer confirms that the daemon has all messages sent so far
+            self._is_checked = True
             status = self._ctx.call("/slidectl/status")
             if status["paused"]:
-                self._ctx.say(f"{paused(status)}; nothing is played until it goes on: {resume_hint(status)}")
+                self._ctx.say(f"{paused(status)}; playing waits until it resumes: {resume_hint(status)}")
             if self._background is not None:
                 self._ctx.emit({"pid": os.getpid(), "log": self._background.log}, str(os.getpid()))
                 self._background.everything_runs()
@@ -207,11 +251,11 @@ class _Player:
             self.published += 1
         except MessageRefused as error:
             self.refused += 1
-            if error.message not in self._told and len(self._told) < _MOST_WARNINGS:
-                self._told.add(error.message)
+            if error.message not in self._warned and len(self._warned) < _MOST_WARNINGS:
+                self._warned.add(error.message)
                 self._ctx.warn(error.message)
 
-    def tell(self) -> None:
+    def print_summary(self) -> None:
         """Print what was played. Raises Refused when messages were refused."""
         seconds = 0.0 if self._first_ns is None else (self._last_ns - self._first_ns) / _SECOND
         record = {
@@ -219,8 +263,8 @@ class _Player:
             "seconds": seconds,
         }  # fmt: skip
         if self.late:
-            text = f"{self.late} messages came after their time, and were published at once"
-            self._ctx.warn(f"{text}; in a world that is paused when the playing begins none is late")
+            text = f"{self.late} messages were late and were published at once"
+            self._ctx.warn(f"{text}; none is late if the world is paused at the start")
         messages = f"{output.count(self.published, 'message')} on {output.count(len(self._topics), 'topic')}"
         self._ctx.done(record, f"played {messages}, {seconds:.3f} s")
         if self.refused:

@@ -25,10 +25,10 @@ if TYPE_CHECKING:
     from slidectl.client import Subscription
     from slidectl.extensions.recording.recording_files import Recorder
 
-_LOOK_EVERY_S = 0.2
+_CHECK_EVERY_S = 0.2
 _FLUSH_EVERY_S = 1.0
-"""So much wall time of messages is lost at the most when the recorder is killed. Each flush ends a chunk of the file,
-which costs some bytes in it and in memory: so not more often, save in the first second, when little is there."""
+"""Wall time between two flushes: a killed recorder loses at most the messages of this time. Each flush ends a chunk,
+which costs some bytes in the file and in memory. In the first second each check flushes."""
 _PROGRESS_EVERY_S = 1.0
 _QUEUE = 100_000
 _DURATION = re.compile(r"(\d+\.?\d*|\.\d+)([smh]?)\Z")
@@ -65,32 +65,32 @@ def _chosen(topics: tuple[str, ...], **given: Any) -> tuple[_Choice, Path]:
     ],
 )
 @click.argument("topics", nargs=-1, metavar="[TOPIC]...", shell_complete=completion.topics)
-@click.option("-a", "--all", "every", is_flag=True, help="All topics, those too that come later.")
+@click.option("-a", "--all", "every", is_flag=True, help="All topics, including those created later.")
 @click.option("-e", "--regex", is_flag=True, help="TOPIC is a regular expression for whole names.")
-@click.option("-x", "--exclude", metavar="REGEX", help="Without the topics that match.")
-@click.option("-O", "--output-name", "file", metavar="FILE", help="The file; its suffix says .bag or .mcap.")
-@click.option("--force", is_flag=True, help="Write over a file that is there.")
-@click.option("--duration", callback=_duration, metavar="T", help="End after so much simulated time: 30 (s), 5m, 1h.")
+@click.option("-x", "--exclude", metavar="REGEX", help="Leave out topics that match.")
+@click.option("-O", "--output-name", "file", metavar="FILE", help="The file; its suffix is the format, .bag or .mcap.")
+@click.option("--force", is_flag=True, help="Overwrite an existing file.")
+@click.option("--duration", callback=_duration, metavar="T", help="End after this simulated time: 30 (s), 5m, 1h.")
 @click.option("--size", type=click.FloatRange(min=0, min_open=True), callback=finite, metavar="MB",
               help="End at this size, 10^6 bytes.")  # fmt: skip
-@click.option("--split", is_flag=True, help="Go on in a new file where --duration or --size would end it.")
+@click.option("--split", is_flag=True, help="Start a new file where --duration or --size would end it.")
 @click.option("--max-splits", type=click.IntRange(min=1), metavar="N", help="Keep only the last N files.")
 @click.option("-l", "--limit", type=click.IntRange(min=1), metavar="N", help="At most N messages of each topic.")
 @click.option("--compression", metavar="KIND", default="none", help=".bag: bz2, lz4; .mcap: lz4, zstd (none).")
-@click.option("--repeat-latched", is_flag=True, help="Latched messages again in each file of a split.")
-@click.option("--progress", is_flag=True, help="Print each second how much has come.")
-@click.option("--detach", is_flag=True, help="Return when it records; it goes on in the background.")
+@click.option("--repeat-latched", is_flag=True, help="Write latched messages again in each file of a split.")
+@click.option("--progress", is_flag=True, help="Print the number of messages each second.")
+@click.option("--detach", is_flag=True, help="Return when recording has begun; it continues in the background.")
 @click.option("--pid", "pid_file", metavar="FILE", help="Write the process id to FILE.")
 @click.pass_obj
 def record(ctx: Context, /, topics: tuple[str, ...], **given: Any) -> None:
     """Record topics into a file.
 
-    Messages are stored with the simulated time at which they were published, in the order in which they came. It ends
-    at Ctrl-C, SIGTERM, or what --duration, --size or (where topics are named) --limit say, and exits 0 then; 1 when
-    messages were lost because they came too fast, or the disk is full. When the daemon ends meanwhile the file is
+    Messages are stored with the simulated time of their publication, in the order in which they arrive. The recording
+    ends at Ctrl-C, at SIGTERM, or at the limit of --duration, --size or (for named topics) --limit; the exit code is 0.
+    It is 1 if messages were lost because they came too fast, or if the disk is full. If the daemon ends, the file is
     completed and the exit code is 3. Without -O the file is named after the date. A recorder that is killed loses at
-    most its last second, and 'slidectl bag reindex' completes the file. With --detach the process id is printed;
-    'kill PID' ends it, and so does the daemon's end.
+    most its last second, and 'slidectl bag reindex' completes the file. With --detach the process id is printed; 'kill
+    PID' ends the recording, and so does the end of the daemon.
 
     JSON keys: files, messages, topics, seconds (simulated), bytes, dropped; of --progress: messages, topics, seconds.
     """
@@ -149,7 +149,7 @@ class _Choice:
                 if not name.startswith("/"):  # a topic with a full name is recorded as soon as it exists
                     raise
 
-    def takes(self, topic: str) -> bool:
+    def includes(self, topic: str) -> bool:
         if self._exclude is not None and self._exclude.fullmatch(topic):
             return False
         return self._every or topic in self.named or any(pattern.fullmatch(topic) for pattern in self._patterns)
@@ -170,7 +170,7 @@ class _RecordedTopics:
         self._choice = choice
         self._out = out
         self._limit = given["limit"]
-        self._tells_progress = given["progress"]
+        self._prints_progress = given["progress"]
         self._length_s = None if given["split"] else given["duration"]
         self.subscriptions: dict[str, Subscription] = {}
         self._sleep: str | None = None
@@ -189,11 +189,11 @@ class _RecordedTopics:
             client.flush()  # the duration begins before this method returns
         for name in self._choice.named:
             if name not in topics:
-                self._ctx.warn(f"nobody publishes {name} yet; it is recorded as soon as somebody does")
+                self._ctx.warn(f"{name} has no publisher yet; it is recorded as soon as it has one")
 
     def _subscribe_new(self, topics: dict[str, str]) -> None:
         for topic, kind in topics.items():
-            if topic not in self._out.topics and topic not in self._left_out and self._choice.takes(topic):
+            if topic not in self._out.topics and topic not in self._left_out and self._choice.includes(topic):
                 try:
                     self._out.add(topic, kind)
                 except SlidectlError as error:
@@ -203,7 +203,7 @@ class _RecordedTopics:
         new = [topic for topic in self._out.topics if topic not in self.subscriptions]
         for topic in new:  # all subscriptions begin at the same time
             self.subscriptions[topic] = client.subscribe(
-                topic, topics[topic], queue_length=_QUEUE, take=self._take, wait=False
+                topic, topics[topic], queue_length=_QUEUE, take=self._write, wait=False
             )
         if new:
             try:
@@ -211,7 +211,7 @@ class _RecordedTopics:
             except MessageRefused as error:  # a node advertised it with another type meanwhile
                 self._ctx.warn(f"not recorded: {error.message}")
 
-    def _take(self, published: dict[str, Any]) -> None:
+    def _write(self, published: dict[str, Any]) -> None:
         topic = published["topic"]
         if self._failure is not None or (self._limit is not None and self._out.counts[topic] >= self._limit):
             return
@@ -231,18 +231,18 @@ class _RecordedTopics:
         client = self._ctx.client
         began = flushed = client.monotonic()
         try:
-            with status_line(self._ctx, wanted=not self._tells_progress) as show:
+            with status_line(self._ctx, wanted=not self._prints_progress) as show:
                 while not is_over() and not self._is_done():
-                    look_at = client.monotonic() + _LOOK_EVERY_S
-                    for _ in client.events(_LOOK_EVERY_S):
-                        if is_over() or self._is_done() or client.monotonic() >= look_at:
+                    check_at = client.monotonic() + _CHECK_EVERY_S
+                    for _ in client.events(_CHECK_EVERY_S):
+                        if is_over() or self._is_done() or client.monotonic() >= check_at:
                             break
-                    self._look_for_topics()
+                    self._subscribe_to_new()
                     now = client.monotonic()
                     if now >= flushed + _FLUSH_EVERY_S or now < began + _FLUSH_EVERY_S:
                         flushed = now
                         self._flush()
-                    if self._tells_progress:
+                    if self._prints_progress:
                         self._progress()
                     else:
                         show(self._so_far())
@@ -262,7 +262,7 @@ class _RecordedTopics:
         except OSError as error:
             self._failure = error
 
-    def _look_for_topics(self) -> None:
+    def _subscribe_to_new(self) -> None:
         client = self._ctx.client
         if self._topics_call is not None and client.is_answered(self._topics_call):
             answer = client.answer(self._topics_call)

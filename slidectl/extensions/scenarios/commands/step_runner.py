@@ -24,21 +24,15 @@ from slidectl.command_steps import CommandStep, StepEffects
 from slidectl.entry_points import Part, PartError, Registry
 from slidectl.errors import EXIT_DONE, EXIT_INTERRUPTED, SlidectlError, UsageError
 from slidectl.extensions.scenarios.scenario_file import STEP_KEYS
-from slidectl.extensions.scenarios.step_commands import StepArgument, StepCommand, StepOption, StepOutcome
-from slidectl.extensions.scenarios.step_kinds import StepKind
+from slidectl.extensions.scenarios.step_commands import StepArgument, StepCommand, StepKind, StepOption, StepOutcome
 
 if TYPE_CHECKING:
     from slidectl.client import Client
 
 _PLACE = re.compile(r"\[?([A-Z]+)\]?(\.\.\.)?\Z")
 _KEPT_OUTPUT = 20_000
-
-
-class _NamesOfOurs:
-    """The keys of steps that slidectl has."""
-
-    def __contains__(self, name: object) -> bool:
-        return name in COMMANDS or name in STEP_KEYS
+_OWN_KEYS = frozenset((*COMMANDS, *STEP_KEYS))
+"""The keys of steps that slidectl has."""
 
 
 def _expected(found: Any) -> str:
@@ -51,8 +45,7 @@ def _bad_name(name: str) -> str:
     return "a command of an installed package has this name" if name in INSTALLED.parts() else ""
 
 
-_NAMES_OF_OURS = _NamesOfOurs()
-STEP_KINDS = Registry("slidectl.steps", "step", lambda: _NAMES_OF_OURS, _expected, _bad_name)
+STEP_KINDS = Registry("slidectl.steps", "step", lambda: _OWN_KEYS, _expected, _bad_name)
 
 
 class StepRunner:
@@ -86,7 +79,7 @@ class StepRunner:
             with redirect_stdout(io.StringIO()):
                 leaf, command, values = _parsed(words, context)
         except click.exceptions.Exit:
-            raise UsageError(f"{words[-1]!r} prints something and does nothing", "leave it out") from None
+            raise UsageError(f"{words[-1]!r} only prints text", "leave it out") from None
         except click.ClickException as error:
             message, hint, _ = described(error)
             raise UsageError(message, hint) from None
@@ -150,7 +143,7 @@ class StepRunner:
 
 
 def _declared(command: click.Command) -> CommandStep | None:
-    """What a command says of itself as a step. A command that is of click only is a plain one."""
+    """How a command acts as a step; a plain click command has the default."""
     step: CommandStep | None = getattr(command, "step", CommandStep())
     return step
 
@@ -205,7 +198,7 @@ class _KnownKinds(Mapping[str, StepKind]):
         return _made(part)
 
     def __contains__(self, name: object) -> bool:
-        return name not in _NAMES_OF_OURS and STEP_KINDS.find(str(name)) is not None
+        return name not in _OWN_KEYS and STEP_KINDS.find(str(name)) is not None
 
     def __iter__(self) -> Iterator[str]:
         for name, part in STEP_KINDS.parts().items():

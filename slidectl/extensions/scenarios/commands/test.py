@@ -46,10 +46,10 @@ _VERDICTS = ("passed", "xfailed", "failed", "error", "xpassed")
 )
 @click.argument("paths", nargs=-1, metavar="FILE|FOLDER|FILE::CASE...", shell_complete=completion.files)
 @click.option("-n", "--workers", type=click.IntRange(min=1), metavar="N",
-              help="How many cases run at the same time (default: one per core).")  # fmt: skip
-@click.option("-k", "--keyword", metavar="EXPR", help="Only cases that have this in their names; and, or, not, ( ).")
+              help="Number of cases that run at the same time (default: one per core).")  # fmt: skip
+@click.option("-k", "--keyword", metavar="EXPR", help="Only cases whose names match; and, or, not, ( ).")
 @click.option("--tag", "tags", multiple=True, metavar="TAG", help="Only cases with this tag; may repeat.")
-@click.option("--maxfail", type=click.IntRange(min=1), metavar="N", help="Stop after so many failures.")
+@click.option("--maxfail", type=click.IntRange(min=1), metavar="N", help="Stop after this number of failures.")
 @click.option("--timeout", type=float, default=60.0, callback=positive_seconds, metavar="S",
               help="Wall seconds that a case may take (60).")  # fmt: skip
 @click.option("--sim-timeout", type=float, default=600.0, callback=simulated_seconds, metavar="S",
@@ -57,14 +57,16 @@ _VERDICTS = ("passed", "xfailed", "failed", "error", "xpassed")
 @click.option("--list", "only_list", is_flag=True, help="List the cases, and run nothing.")
 @click.option("--check", "only_check", is_flag=True, help="Check the files, and run nothing.")
 @click.option(
-    "--junitxml", metavar="FILE", shell_complete=completion.files, help="Write the results as JUnit XML, too."
+    "--junitxml", metavar="FILE", shell_complete=completion.files, help="Also write the results as JUnit XML."
 )
 @click.option(
     "--keep-failed", metavar="FOLDER", help="Keep a recording and a journal of each case that fails, in this folder."
 )
 @click.option("--baseline", metavar="FOLDER", help="Compare each case that passes with an earlier run, kept there.")
-@click.option("--update-baseline", is_flag=True, help="Make the runs the baselines where these differ or are missing.")
-@click.option("--daemon", "live", is_flag=True, help="Run in the daemon of -i, which holds no robots, one at a time.")
+@click.option("--update-baseline", is_flag=True, help="Make the runs the baselines that differ or are missing.")
+@click.option(
+    "--daemon", "live", is_flag=True, help="Run one case at a time in the daemon of -i, which must have no robots."
+)
 @click.option("--schema", is_flag=True, help="Print the JSON schema of scenarios.")
 @click.pass_context
 def test(
@@ -87,11 +89,11 @@ def test(
 ) -> None:
     """Run scenarios: files of steps that a robot must pass.
 
-    Each case runs in a process and a world of its own, without a daemon, as fast as the machine can, and gives the same
-    bits on every run. All files are checked before anything runs. A folder means all .yaml and .yml files below it.
-    Exits 0 when all passed or failed as known (xfail), 1 when something failed, and 2 when a file is wrong or nothing
-    was chosen. Ctrl-C ends what runs, with its teardown, and reports what ran (130). JSON keys: id, verdict, sim_time,
-    wall_time, steps, step, section, line, message, hint, detail, failed_at, log, kept, baseline, was_ended.
+    Each case runs in a process and a world of its own, without a daemon, as fast as possible, and gives the same bits
+    in every run. All files are checked before the first case. A folder means all .yaml and .yml files below it. Exits 0
+    if all cases passed or failed as known (xfail), 1 after a failure, and 2 if a file is wrong or no case was chosen.
+    Ctrl-C ends the running cases, with their teardowns, and reports the results so far (130). JSON keys: id, verdict,
+    sim_time, wall_time, steps, step, section, line, message, hint, detail, failed_at, log, kept, baseline, was_ended.
     """
     ctx: Context = click_context.obj
     gc.disable()  # little is freed, and the search for it would take a tenth of the time of a short scenario
@@ -105,7 +107,7 @@ def test(
         output.write(schema_text(commands))
         return
     if not paths:
-        raise UsageError("which scenarios?", "slidectl test FILE or FOLDER")
+        raise UsageError("name the scenarios", "slidectl test FILE or FOLDER")
     if update_baseline and baseline is None:
         raise UsageError("--update-baseline needs the folder", "--baseline FOLDER")
     read, known = _read(ctx, paths, commands)
@@ -116,10 +118,10 @@ def test(
 
         cases = chosen(cases, keyword)
     if only_check:
-        ctx.say(f"{output.count(len(cases), 'case')} checked, nothing wrong")
+        ctx.say(f"{output.count(len(cases), 'case')} checked, no mistakes")
         return
     if not cases:
-        raise UsageError("no case is left", "see which there are: slidectl test --list " + " ".join(paths))
+        raise UsageError("no cases chosen", "list them: slidectl test --list " + " ".join(paths))
     if only_list:
         _list(ctx, cases)
         return
@@ -145,7 +147,7 @@ def test(
     more = iter(()) if baselines is None else baselines.without_case(known)
     runner = CaseRunner(cases, options, 1 if live else workers or usable_cores(), maxfail, more)
     fault = _run(ctx, runner)
-    failed = _tell(ctx, runner.cases, runner.results)
+    failed = _print_results(ctx, runner.cases, runner.results)
     if fault is not None:
         raise fault
     if junitxml is not None:
@@ -235,9 +237,9 @@ def _run(ctx: Context, runner: CaseRunner) -> Exception | None:
 # --- output ---------------------------------------------------------------------------------------------------------
 
 
-def _tell(ctx: Context, cases: Sequence[Case], results: Mapping[str, CaseResult]) -> int:
+def _print_results(ctx: Context, cases: Sequence[Case], results: Mapping[str, CaseResult]) -> int:
     """Print the results in the order of the cases. Returns how many failed."""
-    from slidectl.extensions.scenarios.case_run import BAD, told
+    from slidectl.extensions.scenarios.case_run import BAD, report_lines
 
     ran = [(case, results[case.id]) for case in cases if case.id in results]
     failures = [(case, result) for case, result in ran if result.verdict in BAD]
@@ -252,7 +254,7 @@ def _tell(ctx: Context, cases: Sequence[Case], results: Mapping[str, CaseResult]
         table = [{"case": row["id"], **row} for row in rows]
         output.write(output.table(table, ["case", "verdict", "sim_time", "wall_time"]))
     for case, result in failures:
-        details = textwrap.indent("\n".join(told(case, result)), "  ")
+        details = textwrap.indent("\n".join(report_lines(case, result)), "  ")
         output.write(f"\n{result.verdict.upper()} {case.id}\n{details}")
     if written := [result.baseline for _, result in ran if result.baseline]:
         output.write("\n" + "\n".join(written))

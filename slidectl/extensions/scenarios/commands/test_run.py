@@ -28,13 +28,12 @@ import pytest
 
 from slidectl.errors import UsageError
 from slidectl.extensions.scenarios.baselines import Baselines
-from slidectl.extensions.scenarios.case_run import BAD, ERROR, CaseResult, told
+from slidectl.extensions.scenarios.case_run import BAD, ERROR, CaseResult, report_lines
 from slidectl.extensions.scenarios.commands.step_runner import StepRunner
 from slidectl.extensions.scenarios.scenario_file import Case
 from slidectl.extensions.scenarios.scenario_items import NOT_RUN, ScenarioItem
 from slidectl.extensions.scenarios.stages import CaseRuns, InProcess
 from slidectl.operating_system import end_with
-from slidectl.paths import shown
 
 if TYPE_CHECKING:
     from slidectl.extensions.scenarios.live import Live
@@ -71,9 +70,9 @@ class RunOptions:
 
 def chosen(cases: Sequence[Case], keyword: str) -> list[Case]:
     """The cases that pytest chooses by an expression of `-k`. Raises UsageError: it is no expression."""
-    with _folder() as folder:
-        selection = _Selection()
-        _pytest(folder, cases, RunOptions(), ["--collect-only", "-k", keyword], selection)
+    selection = _Selection()
+    with tempfile.TemporaryDirectory(prefix="slidectl-test-") as folder:
+        _pytest(Path(folder), cases, RunOptions(), ["--collect-only", "-k", keyword], selection)
     if selection.mistake is not None:
         raise UsageError(selection.mistake, "-k takes words with and, or, not and ( )")
     return selection.cases
@@ -92,9 +91,6 @@ class _Selection:
             yield
         except pytest.UsageError as error:
             self.mistake = str(error)
-            items.clear()
-        except RecursionError:
-            self.mistake = "the expression of -k is nested too deeply"
             items.clear()
         self.cases = [item.case for item in items if isinstance(item, ScenarioItem)]
 
@@ -123,7 +119,7 @@ class CaseRunner:
         self.junit = b""
         """The results as JUnit XML."""
         self._options = options
-        self._workers = min(workers, len(cases)) if _goes_to_workers([tempfile.gettempdir(), *sys.path]) else 1
+        self._workers = min(workers, len(cases))
         self._maxfail = maxfail
         self._more = more
         self._ids = {_node_id(case): case.id for case in cases}
@@ -140,7 +136,8 @@ class CaseRunner:
             results so far are there.
         """
         self._on_result = on_result
-        with self._signals(), _folder() as self._folder:
+        with self._signals(), tempfile.TemporaryDirectory(prefix="slidectl-test-") as folder:
+            self._folder = Path(folder)
             if self.interrupted:  # since the handlers are there
                 self._stop(_INTERRUPTED)
             words = ["--junitxml", str(self._folder / _RESULTS), "-o", "junit_suite_name=slidectl test"]
@@ -203,7 +200,7 @@ class CaseRunner:
         for case, result in [] if self.interrupted else self._more:
             self.cases.append(case)
             self.results[case.id] = result
-            _log(session, _node_id(case), "failed", shown("\n".join(told(case, result))))
+            _log(session, _node_id(case), "failed", "\n".join(report_lines(case, result)))
 
 
 def _log(session: pytest.Session, node_id: str, outcome: Any, text: Any) -> None:
@@ -211,23 +208,12 @@ def _log(session: pytest.Session, node_id: str, outcome: Any, text: Any) -> None
     session.config.hook.pytest_runtest_logreport(report=report)
 
 
-def _goes_to_workers(texts: Sequence[str]) -> bool:
-    """True when pytest-xdist can tell these to its workers, which it does in UTF-8."""
-    return all(text == shown(text) for text in texts)
-
-
 def _node_id(case: Case) -> str:
-    """The name of the item in pytest, which goes through pipes as UTF-8."""
-    return shown(f"{case.file}::{case.name or case.scenario}")
+    """The name of the item in pytest."""
+    return f"{case.file}::{case.name or case.scenario}"
 
 
 # --- pytest ---------------------------------------------------------------------------------------------------------
-
-
-@contextmanager
-def _folder() -> Iterator[Path]:
-    with tempfile.TemporaryDirectory(prefix="slidectl-test-") as folder:
-        yield Path(folder)
 
 
 def _pytest(folder: Path, cases: Sequence[Case], options: RunOptions, words: Sequence[str], plugin: object) -> None:
@@ -262,7 +248,7 @@ def _environment(**variables: str) -> Iterator[None]:
 
 
 class _Fault:
-    """What pytest says of a fault of its own, or of this module."""
+    """The text of an internal error of pytest, or of this module."""
 
     text = ""
 
@@ -286,13 +272,17 @@ class _Cases(pytest.File):
         options: RunOptions
         cases, options = pickle.loads(self.path.read_bytes())
         commands = StepRunner(options.socket is not None)
-        stages = _stages(options.socket)
+        stages: InProcess | Live = InProcess()
+        if options.socket is not None:
+            from slidectl.extensions.scenarios.live import Live  # late import: the physics that it imports is slow
+
+            stages = Live(options.socket)
         runs = CaseRuns(commands, stages, options.sim_timeout, options.keep, options.baselines, cases)
         interrupted, enough = self.path.with_name(_INTERRUPTED), self.path.with_name(_ENOUGH)
         for case in cases:
             yield ScenarioItem.from_parent(
                 self,
-                name=shown(case.name or case.scenario),
+                name=case.name or case.scenario,
                 nodeid=_node_id(case),
                 case=case,
                 runs=runs,
@@ -302,19 +292,10 @@ class _Cases(pytest.File):
             )
 
 
-def _stages(socket: str | None) -> InProcess | Live:
-    if socket is None:
-        return InProcess()
-    from slidectl.extensions.scenarios.live import Live  # imported here, as the physics that it imports is slow
-
-    return Live(socket)
-
-
 def _follow_the_command() -> None:
     """Let a worker end with the command, and leave to the command what a terminal sends to both."""
-    with suppress(ValueError):  # not in the main thread
-        for number in (signal.SIGINT, signal.SIGHUP):
-            signal.signal(number, lambda *_: None)
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, lambda *_: None)
     if not end_with(os.getppid(), signal.SIGKILL):
         os._exit(1)
 
