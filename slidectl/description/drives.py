@@ -57,7 +57,7 @@ class DriveReader:
         """Read a plugin of `DRIVES`. Raises BadFile: a malformed number, or a size of a wheel that is not above 0."""
         is_force_based = library in FORCE_BASED
         own = _OF_PLANAR if library == PLANAR else _OF_WHEELS | (_OF_DIFF if library == DIFF else _OF_SKID)
-        self._tell_unknown(plugin, _OF_ALL | (_OF_FORCE_BASED | _GAINS if is_force_based else own), place)
+        self._report_unknown(plugin, _OF_ALL | (_OF_FORCE_BASED | _GAINS if is_force_based else own), place)
         namespace = plugin.find("robotNamespace")
         common: dict[str, Any] = {
             "name": plugin.get("name") or library,
@@ -148,7 +148,7 @@ class DriveReader:
 
     def read_mimic(self, plugin: Element, place: str) -> None:
         """Read a plugin of `MIMIC`. Raises BadFile: a malformed number."""
-        self._tell_unknown(plugin, {"robotNamespace", *_OF_MIMIC, *_DONE_BY_CONSTRAINT}, place)
+        self._report_unknown(plugin, {"robotNamespace", *_OF_MIMIC, *_DONE_BY_CONSTRAINT}, place)
         for tag in _DONE_BY_CONSTRAINT:
             if (child := plugin.find(tag)) is not None:
                 self.report.ignored(child, "has no effect: a constraint holds the joint", f"{place}/<{tag}>")
@@ -161,7 +161,7 @@ class DriveReader:
         offset = child_number(plugin, "offset", 0.0, place)
         self.mimics[follower] = Mimic(leader, multiplier, offset), plugin
 
-    def _tell_unknown(self, plugin: Element, tags: Collection[str], place: str) -> None:
+    def _report_unknown(self, plugin: Element, tags: Collection[str], place: str) -> None:
         self.report.unknown(plugin, {"name", "filename"}, {*tags, *_HARMLESS}, place)
         for tag in _HARMLESS:
             if (child := plugin.find(tag)) is not None:

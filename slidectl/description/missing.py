@@ -56,7 +56,7 @@ class Missing:
         return len(self._found)
 
     @property
-    def found(self) -> list[Absence]:
+    def absences(self) -> list[Absence]:
         return list(self._found.values())
 
     @property
@@ -82,7 +82,7 @@ class Missing:
         """What was noted, as JSON values, for `add` in another process."""
         return [
             [isinstance(e, NoFileThere), one.loss, [e.reason, e.file, e.line, e.hint, e.thing]]
-            for one in self.found
+            for one in self.absences
             for e in (one.error,)
         ]
 
@@ -106,7 +106,7 @@ class Missing:
             NotThere: the first absence; its hint lists the others.
         """
         found: dict[str, Absence] = {}
-        for absence in self.found:
+        for absence in self.absences:
             if not self.forgives(absence):
                 found.setdefault(absence.error.thing, absence)
         if not found:
@@ -124,7 +124,7 @@ class Missing:
 
     def lines(self) -> list[str]:
         """The things that are left out, each as `file:line: what is missing; what is left out because of it`."""
-        return [absence.text for absence in self.found if self.forgives(absence)]
+        return [absence.text for absence in self.absences if self.forgives(absence)]
 
 
 # --- across processes ------------------------------------------------------------------------------------------------
@@ -135,13 +135,13 @@ _NOTES = "SLIDECTL_LEFT_OUT"
 the file for what was."""
 
 
-def passed_on(missing: Missing, notes: str) -> dict[str, str]:
+def to_environment(missing: Missing, notes: str) -> dict[str, str]:
     """Environment variables with which our xacro, run by another program, judges as this process. `notes` is a file."""
     return {_FORGIVEN: missing.forgiven, _NOTES: notes}
 
 
-def taken_over(environment: Mapping[str, str] = os.environ) -> Missing | None:
-    """What `passed_on` has passed on to this process, or None."""
+def from_environment(environment: Mapping[str, str] = os.environ) -> Missing | None:
+    """What `to_environment` has passed on to this process, or None."""
     levels: dict[str, AllowedMissing] = {level: level for level in ("nothing", "nodes", "all but files", "all")}
     found = levels.get(environment.get(_FORGIVEN, ""))
     return None if found is None else Missing(found)

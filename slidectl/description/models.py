@@ -87,12 +87,12 @@ def find(source: str | Path) -> Path:
     if text in known:
         return known[text]
     path = Path(os.path.expanduser(text))
-    if looks_like_path(text) or is_file(path):
+    if is_path_like(text) or is_file(path):
         return path
     raise UnknownName("shipped model", text, sorted(known), "(and no file of that name here)")
 
 
-def looks_like_path(text: str) -> bool:
+def is_path_like(text: str) -> bool:
     """True for a text that can only be a path."""
     return "/" in text or os.sep in text or text.startswith(("~", ".")) or text.lower().endswith(SUFFIXES)
 

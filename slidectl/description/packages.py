@@ -60,7 +60,7 @@ class Packages:
         if found:
             self.note_own(name, found[0])
             return found[0]
-        raise UnknownPackage(name, [*self.names(), *self._shipped()], self._looked())
+        raise UnknownPackage(name, [*self.names(), *self._shipped()], self._searched_places())
 
     def learned(self) -> list[dict[str, Any]]:
         """What was found, as JSON values, for `learn` in another process."""
@@ -118,7 +118,7 @@ class Packages:
                 if _is_package(beside):
                     yield beside
 
-    def _looked(self) -> list[str]:
+    def _searched_places(self) -> list[str]:
         looked = [f"--package {name}" for name in self.named]
         for variable in _VARIABLES:
             if value := os.environ.get(variable):

@@ -40,7 +40,7 @@ from slidectl.description.robot import (
     Surface,
     Vector,
 )
-from slidectl.description.transmissions import TransmissionReader, driving, takes_positions
+from slidectl.description.transmissions import TransmissionReader, driving, has_position_command
 from slidectl.description.xml_tree import Element
 from slidectl.errors import listing
 from slidectl.input_files import ReadInput, from_disk
@@ -84,7 +84,7 @@ def parse(
     return parse_tree(xml_tree.read(xml, file), meshes, Report(), strict)
 
 
-def _tell_stray_text(root: Element, report: Report) -> None:
+def _report_stray_text(root: Element, report: Report) -> None:
     """Report texts where only tags can be. What is inside of `<gazebo>` is read by others."""
     for element in (root, *(inside for part in root.children if part.tag != "gazebo" for inside in part.walk())):
         if stray := element.stray_text:
@@ -115,7 +115,7 @@ def parse_tree(root: Element, meshes: MeshFiles, report: Report, strict: bool = 
         if base == WORLD and (inertial := link_at[base].find("inertial")) is not None:
             report.ignored(inertial, "the world does not move", f"link {base!r}/<inertial>")
         links = InertiaCorrector(links, joints, link_at, report, strict).weigh(base)
-    _tell_stray_text(root, report)
+    _report_stray_text(root, report)
     known = dict.fromkeys(part.get("name") or "" for part in root.find_all("link"))
     ends = {part.get("name") or "": (_end(part, "parent"), _end(part, "child")) for part in root.find_all("joint")}
     gazebo = GazeboReader(report, known, ends)
@@ -136,7 +136,7 @@ def parse_tree(root: Element, meshes: MeshFiles, report: Report, strict: bool = 
     read = (report.attempt(reader.read, element) for element in root.find_all("transmission"))
     transmissions = tuple(info for info in read if info is not None)
     # A position joint moves to its command, which the limits bound, in the first steps.
-    moved = {joint.name for _, joint in driving(transmissions) if takes_positions(joint)}
+    moved = {joint.name for _, joint in driving(transmissions) if has_position_command(joint)}
     for joint in joints.values():
         limit = joint.limit if joint.type in _WITH_RANGE and joint.name not in moved else None
         if limit is not None and limit.lower != limit.upper and not limit.lower <= 0 <= limit.upper:
@@ -156,7 +156,7 @@ def _named(
     parts: dict[str, Any] = {}
     places: dict[str, Element] = {}
 
-    def take(element: Element) -> Any:
+    def add(element: Element) -> Any:
         part = read(element)
         if part.name in parts:
             first = places[part.name]
@@ -165,7 +165,7 @@ def _named(
         return part
 
     for element in root.find_all(tag):
-        report.attempt(take, element)
+        report.attempt(add, element)
     return parts, places
 
 
@@ -180,7 +180,7 @@ def place_of_limit(joint: str) -> str:
     return f"joint {joint!r}/<limit>"
 
 
-def is_put_inside(subject: str, text: str, joints: Collection[str]) -> bool:
+def is_moved_inside(subject: str, text: str, joints: Collection[str]) -> bool:
     """True for the notice that one of `joints` starts outside of its limits. These joints are spawned at positions in
     their limits, as other positions are refused."""
     return text.startswith(STARTS_OUTSIDE) and subject in map(place_of_limit, joints)
@@ -528,7 +528,7 @@ class _Structure:
         if not self.links:
             raise robot.error("the robot has no link")
         elements = [self.joint_at[name] for name in self.joints]
-        placed = [self.report.attempt(self._take, element) for element in elements]
+        placed = [self.report.attempt(self._add_to_tree, element) for element in elements]
         root = self.report.attempt(self._root, robot) if all(placed) else None
         for element in elements:
             self.report.attempt(self.check_mimic, element)
@@ -536,7 +536,7 @@ class _Structure:
             raise self.joint_at[joint.name].error(f"joint {joint.name!r}: {TOO_DEEP}")
         return root
 
-    def _take(self, element: Element) -> bool:
+    def _add_to_tree(self, element: Element) -> bool:
         """Add a joint to the tree."""
         joint = self.joints[element.attributes["name"]]
         for role, name in (("parent", joint.parent), ("child", joint.child)):

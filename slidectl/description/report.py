@@ -32,7 +32,7 @@ _FOREIGN = {
 }
 
 
-def needs_telling(verdict: str, subject: str) -> bool:
+def is_important(verdict: str, subject: str) -> bool:
     """True for a notice that `spawn` prints in full: "wrong", or a corrected mass or inertia."""
     return verdict == "wrong" or (verdict == "converted" and "/<inertial>" in subject)
 

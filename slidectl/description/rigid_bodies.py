@@ -104,7 +104,7 @@ class _ImpossibleInertial:
     place: Element
     why: str
 
-    def tell(self, report: Report, consequence: str) -> None:
+    def report_to(self, report: Report, consequence: str) -> None:
         report.converted(self.place, f"{self.why}; {consequence}", f"{_subject(self.link)}/<{self.tag}>")
 
 
@@ -144,7 +144,7 @@ class InertiaCorrector:
                 raise unfit[0].place.error(f"link {unfit[0].link!r} {unfit[0].why}")
             if not body.moves:
                 for found in unfit:
-                    found.tell(self.report, "it is fixed to the world, where nothing has a weight")
+                    found.report_to(self.report, "it is fixed to the world, where nothing has a weight")
                     self.links[found.link] = replace(self.links[found.link], inertial=None)
             elif (written := self._lumped(body)) is not None:
                 self._mend(body, written, unfit)
@@ -168,7 +168,7 @@ class InertiaCorrector:
         whole = "it is" if len(weighing) == 1 else f"fixed to one another, {listing(weighing)} are"
         end = f"simulated with {change}" if change else f"one body of {_weight(mended)}"
         for found in unfit:
-            found.tell(self.report, f"{whole} {end}")
+            found.report_to(self.report, f"{whole} {end}")
         if not unfit:
             place = self._inertial_of(weighing[0])
             text = f"{_weight(written)} are too little for what moves"

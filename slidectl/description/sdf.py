@@ -205,7 +205,7 @@ def parse(
         raise root.error(f"this is no SDF: its outermost element is <{root.tag}>, expected <sdf>")
     files = SdfFiles(packages or Packages(start=base), base) if may_use_files else ForbiddenFiles()
     reader = _SceneReader(files, missing)
-    reader.take(root, root.get("version") or "1.6")
+    reader.read(root, root.get("version") or "1.6")
     is_empty = not reader.scene.models and not reader.scene.has_ground and not missing
     if is_empty and root.tag != "world" and root.find("world") is None:
         raise root.error("there is no <model> in it")
@@ -238,7 +238,7 @@ class _SceneReader:
             raise error
         self.missing.note(error, loss)
 
-    def take(self, root: Element, version: str) -> None:
+    def read(self, root: Element, version: str) -> None:
         """Read the first world, and the models beside it."""
         worlds = [root] if root.tag == "world" else root.find_all("world")
         for extra in worlds[1:]:

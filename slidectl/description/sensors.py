@@ -96,7 +96,7 @@ class SensorReader:
         if plugin is None:
             names = " or ".join(f"{name}.so" for name in _OF_LINK[kind])
             return self.report.ignored(sensor, f"publishes nothing without a <plugin> {names}", place)
-        self._tell_unknown(sensor, place)
+        self._report_unknown(sensor, place)
         name = sensor.get("name") or kind
         text = plugin.find("pose") or sensor.find("pose")
         origin = _pose(text, place) if text is not None else Pose()
@@ -132,7 +132,7 @@ class SensorReader:
             )
         )  # fmt: skip
 
-    def _tell_unknown(self, sensor: Element, place: str) -> None:
+    def _report_unknown(self, sensor: Element, place: str) -> None:
         for child in sensor.children:
             if child.tag not in _KNOWN_TAGS:
                 self.report.ignored(child, "has no effect in a sensor here", f"{place}/{child.title}")
@@ -236,7 +236,7 @@ class SensorReader:
             elif child is not None:
                 text = f"{child.first_text!r} has no effect: it is {words[tag]}, or {known[1]}"
                 self.report.ignored(child, text, f"{place}/<{tag}>")
-        self._tell_unknown(sensor, place)
+        self._report_unknown(sensor, place)
         topic = child_text(plugin, "topicName", "") if plugin is not None else ""
         stddev, _ = self._noise(below(tags, "force", "x", "noise"), place)
         self._force_torque(

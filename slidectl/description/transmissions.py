@@ -26,7 +26,7 @@ _ACTUATOR_CHILDREN = {
 _IF_REAL = "counts only with real transmissions: slidectl spawn --transmissions real"
 
 
-def takes_positions(joint: TransmissionJoint) -> bool:
+def has_position_command(joint: TransmissionJoint) -> bool:
     """True when a transmission's joint takes position commands."""
     interface = interfaces.find(joint.hardware_interfaces[0])
     return interface is not None and interface.quantity == "position"
@@ -190,8 +190,8 @@ class TransmissionReader:
     def _check_simulated(self, element: Element, info: TransmissionInfo) -> None:
         """Report how gazebo_ros_control treats a valid transmission with one joint."""
         (joint,) = info.joints
-        on_paper = self._on_paper(element, joint)
-        if on_paper is None:
+        described = self._described_joint(element, joint)
+        if described is None:
             return
         first = joint.hardware_interfaces[0]
         before, counts = self.driven.setdefault(joint.name, (element, first))
@@ -207,26 +207,26 @@ class TransmissionReader:
             self.report.ignored(element.find("type") or element, text, f"{element.title}/<type>")
         self._check_interface(element, joint)
         # A position joint moves without an effort, unless it has gains; these are in other files.
-        limits = {"effort": on_paper.limit.effort, "velocity": on_paper.limit.velocity} if on_paper.limit else {}
+        limits = {"effort": described.limit.effort, "velocity": described.limit.velocity} if described.limit else {}
         for what, value in limits.items():
-            if value == 0 and not (what == "effort" and takes_positions(joint)):
+            if value == 0 and not (what == "effort" and has_position_command(joint)):
                 text = f"the {what} limit of joint {joint.name!r} is 0, which is a limit: it cannot be driven"
                 self.report.wrong(element, text)
 
-    def _on_paper(self, element: Element, joint: TransmissionJoint) -> Joint | None:
+    def _described_joint(self, element: Element, joint: TransmissionJoint) -> Joint | None:
         """The joint of the robot; None when it could not be read. Raises BadFile: it does not exist or cannot move."""
         place = f"transmission {element.attributes['name']!r}"
         child = next(child for child in element.find_all("joint") if child.attributes["name"].strip() == joint.name)
-        on_paper = self.joints.get(joint.name)
-        if on_paper is None and self.knows_all:
+        described = self.joints.get(joint.name)
+        if described is None and self.knows_all:
             raise element_values.unknown(child, place, "joint", joint.name, self.joints)
-        if on_paper is not None and on_paper.type not in MOVING:
-            raise child.error(f"{place}: joint {joint.name!r} is {on_paper.type} and cannot be driven")
-        return on_paper
+        if described is not None and described.type not in MOVING:
+            raise child.error(f"{place}: joint {joint.name!r} is {described.type} and cannot be driven")
+        return described
 
     def _check_real(self, element: Element, joint: TransmissionJoint) -> None:
         """Check a joint of a real transmission, as far as this needs no computation."""
-        self._on_paper(element, joint)
+        self._described_joint(element, joint)
         first, _ = self.driven.setdefault(joint.name, (element, ""))
         if first is not element:
             raise element.error(f"joint {joint.name!r} is driven by {first.title} already (line {first.line})")

@@ -303,7 +303,7 @@ def write(root: Element) -> str:
     places: list[source_note.Place] = []
     meshes: dict[int, str] = {}
 
-    def put(element: Element, indent: str) -> None:
+    def add(element: Element, indent: str) -> None:
         attributes = element.attributes
         if element.mesh_name is not None:
             meshes[len(places)] = attributes["filename"]
@@ -315,7 +315,7 @@ def write(root: Element) -> str:
             pieces.append(">\n")
             for node in element.content:
                 if isinstance(node, Element):
-                    put(node, indent + "  ")
+                    add(node, indent + "  ")
                 elif not isinstance(node, Comment) and node.strip():
                     pieces.append(f"{indent}  {node.strip().translate(_IN_TEXTS)}\n")
             pieces.append(f"{indent}</{element.tag}>\n")
@@ -324,7 +324,7 @@ def write(root: Element) -> str:
         else:
             pieces.append("/>\n")
 
-    put(root, "")
+    add(root, "")
     return "".join(pieces) + source_note.encode(places, meshes, root.folder or _folder_of(root.file)) + "\n"
 
 

@@ -27,8 +27,8 @@ from slidectl.extensions.launch.plan import LaunchPlan, Leaf, Location, Node, Ro
 from slidectl.extensions.launch.task import HOOK_LIMIT_S, Run, StepFailed, Task
 
 # There is no event for a new robot or parameter, so waiting tasks are tried again periodically.
-_LOOK_AGAIN_S = 0.2
-_LOOK_SELDOM_S = 0.5
+_RETRY_S = 0.2
+_RETRY_SELDOM_S = 0.5
 _STATUS_EVERY_S = 1.0
 _FIRST_MOMENT_S = 0.1
 """How long programs are watched before the launch counts as up: broken programs usually end at once."""
@@ -58,7 +58,7 @@ class _Waiting:
     task: Task
     reason: str
     until: float
-    told: bool = False
+    reported: bool = False
     waits_on: bool = False
     """True when its time has passed and it waits on, as the real script does: the launch counts as up without it."""
 
@@ -98,7 +98,7 @@ class Execution:
         run.resumes = not settings.paused
         with run.interrupts.held():
             self._began_daemon = self.daemon.begin(replace(settings, paused=True) if holds else settings)
-        run.parameters = look_ahead(run.plan, self.tasks, run.packages)  # done while the daemon starts
+        run.parameters = find_missing(run.plan, self.tasks, run.packages)  # done while the daemon starts
         if lines := run.plan.missing.lines():
             run.console.warn("\n".join(["left out, as it is not there (--strict refuses it):", *lines]))
         client, run.owns_daemon = self.daemon.connect()
@@ -122,7 +122,7 @@ class Execution:
     def _start_nodes(self) -> None:
         for task in (task for task in self.tasks if not task.comes_last):
             self._start(task)
-        self._look_again()
+        self._retry_waiting()
         self._let_go()  # what still waits may wait for what happens in the world
         self._wait_for_all()
         for task in (task for task in self.tasks if task.comes_last):
@@ -160,7 +160,7 @@ class Execution:
         if why is not None:
             self._waiting.append(_Waiting(task, why, self.run.client.monotonic() + task.patience_s))
         elif self._waiting:
-            self._look_again()
+            self._retry_waiting()
 
     def _attempt(self, task: Task) -> str | None:
         """Start a task. Returns what it waits for, or None. Raises StepFailed, or NoDaemon, which is not its fault."""
@@ -182,7 +182,7 @@ class Execution:
         task.leave_out(self.run, "the node", error)
         self.run.left_out.append(task)
 
-    def _look_again(self) -> None:
+    def _retry_waiting(self) -> None:
         """Start the waiting tasks that can start now. Update what the others wait for."""
         progress = True
         while progress:
@@ -195,14 +195,14 @@ class Execution:
                     if self.is_up:
                         entry.task.afterwards(self.run)
                 else:
-                    entry.told = entry.told and why == entry.reason
+                    entry.reported = entry.reported and why == entry.reason
                     entry.reason = why
 
     def _wait_for_all(self) -> None:
         while essential := [entry for entry in self._waiting if not entry.task.waits_lightly and not entry.waits_on]:
             for entry in essential:
-                if not entry.told:
-                    entry.told = True
+                if not entry.reported:
+                    entry.reported = True
                     entry.task.settled(self.run, f"waits for {entry.reason}")
                 if self._waits_in_vain(entry):
                     self._waiting.remove(entry)
@@ -213,10 +213,10 @@ class Execution:
                         self._waiting.remove(entry)
                         self._fail(entry.task, Refused(f"there was no {_bare(entry.reason)} {limit}"))
                     entry.waits_on = True
-            self._turn(_LOOK_AGAIN_S)
+            self._turn(_RETRY_S)
             if self._over:
                 return
-            self._look_again()
+            self._retry_waiting()
 
     def _waits_in_vain(self, entry: _Waiting) -> bool:
         """True when it waits for the robot of a node that was left out, and no other node can spawn that robot."""
@@ -263,19 +263,19 @@ class Execution:
         if self.run.console.is_live:
             self._show_status()
         while not self._over and self.stays:
-            self._turn(_LOOK_SELDOM_S if self._waiting else None)
+            self._turn(_RETRY_SELDOM_S if self._waiting else None)
             if self._waiting:
-                self._look_again()
+                self._retry_waiting()
         self.judge()
 
     def _turn(self, most_s: float | None) -> None:
         """Handle what has arrived, and wait for more. Raises NoDaemon, Interrupted."""
         self.run.interrupts.check()
-        self._take_in()
+        self._receive()
         self.run.watch.turn(most_s)
-        self._take_in()
+        self._receive()
 
-    def _take_in(self) -> None:
+    def _receive(self) -> None:
         """Pass received messages to the tasks that subscribe to them."""
         for _ in self.run.client.events(0.0):
             pass
@@ -421,7 +421,7 @@ def _bare(reason: str) -> str:
 # --- before the nodes start ------------------------------------------------------------------------------------------
 
 
-def look_ahead(
+def find_missing(
     plan: LaunchPlan, tasks: Sequence[Task], packages: Packages, run_commands: bool = True
 ) -> Mapping[str, Leaf]:
     """The parameters of a plan. Before, everything missing that the files can tell is noted.
@@ -431,14 +431,14 @@ def look_ahead(
     """
     parameters = plan.parameters(gather=True, run_commands=run_commands)
     for task in tasks:
-        task.look_ahead(plan, packages, parameters)
+        task.find_missing(plan, packages, parameters)
     plan.missing.refuse()
     return parameters
 
 
 def _prepare(run: Run, parameters: Mapping[str, Leaf]) -> None:
     """Carry out the plan's commands and set its parameters. Raises Refused."""
-    _tell_notices(run)
+    _report_notices(run)
     for command in run.plan.commands:
         _carry_out(run, command)
     for namespace, place in run.plan.clear:
@@ -450,7 +450,7 @@ def _prepare(run: Run, parameters: Mapping[str, Leaf]) -> None:
         run.console.step("parameters", f"{len(parameters)} parameter{plural} set", count=len(parameters))
 
 
-def _tell_notices(run: Run) -> None:
+def _report_notices(run: Run) -> None:
     """Print notices with the verdict "wrong", and count the others; with `-v` print all."""
     quiet = 0
     for notice in bounded(run.plan.notices):

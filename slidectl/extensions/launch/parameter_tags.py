@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from slidectl import paths
-from slidectl.description.missing import passed_on, read_notes
+from slidectl.description.missing import read_notes, to_environment
 from slidectl.description.models import read_file, xacro_words
 from slidectl.description.packages import is_file, shown
 from slidectl.description.robot import Notice
@@ -201,7 +201,7 @@ def _environment(tag: Tag, notes: str) -> dict[str, str]:
     """
     folder = str(paths.share("launch") / "counterparts" / "xacro")
     path = os.pathsep.join([folder, os.environ.get("PATH", os.defpath)])
-    return {**os.environ, "PATH": path, "SLIDECTL_PYTHON": sys.executable, **passed_on(tag.plan.missing, notes)}
+    return {**os.environ, "PATH": path, "SLIDECTL_PYTHON": sys.executable, **to_environment(tag.plan.missing, notes)}
 
 
 def _before_xacro(command: list[str]) -> int | None:

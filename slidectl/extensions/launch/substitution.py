@@ -125,12 +125,16 @@ class Substitution:
         """Substitute only `find`, or everything but `find`."""
         count = size = 0
 
-        def put_in(match: re.Match[str]) -> str:
+        def replacement(match: re.Match[str]) -> str:
             nonlocal count, size
-            command, words = _taken_apart(match, text)
+            command, words = _split(match, text)
             if finds is not (command == "find"):
                 return match[0]
-            found = self._found(_one(command, words), match[3]) if finds else self._command(command, words) + match[3]
+            found = (
+                self._package_path(_one(command, words), match[3])
+                if finds
+                else self._command(command, words) + match[3]
+            )
             count += 1
             size += len(found)
             if count > MOST_SUBSTITUTIONS or size > MOST_TEXT:
@@ -138,7 +142,7 @@ class Substitution:
                 raise SubstitutionError(f"comes to more than {what}", "do arguments repeat each other many times over?")
             return found
 
-        return _SUBSTITUTION.sub(put_in, text)
+        return _SUBSTITUTION.sub(replacement, text)
 
     def _command(self, command: str, words: list[str]) -> str:
         if command == "optenv":
@@ -152,7 +156,7 @@ class Substitution:
         read = {"env": self._variable, "anon": self._anonymous, "arg": self._argument}[command]
         return read(_one(command, words))
 
-    def _found(self, package: str, path: str) -> str:
+    def _package_path(self, package: str, path: str) -> str:
         """The package's folder joined with the path after it, with or without a slash between.
 
         For an executable of an installed package it is `PREFIX/lib/PACKAGE` instead of `PREFIX/share/PACKAGE`.
@@ -319,7 +323,7 @@ def _of_names(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
     return checked
 
 
-def _taken_apart(match: re.Match[str], text: str) -> tuple[str, list[str]]:
+def _split(match: re.Match[str], text: str) -> tuple[str, list[str]]:
     """Split a substitution into its command and words. Raises SubstitutionError."""
     inside = match[1]
     if not match[2]:

@@ -169,7 +169,7 @@ class Task:
         """A description of what it will do, for `--dry-run`."""
         return f"run {self.node.kind}"
 
-    def look_ahead(self, plan: LaunchPlan, packages: Packages, parameters: Mapping[str, Leaf]) -> None:
+    def find_missing(self, plan: LaunchPlan, packages: Packages, parameters: Mapping[str, Leaf]) -> None:
         """Note missing things that it needs in `plan.missing`, as far as files tell. Nothing is started."""
 
     def start(self, run: Run) -> str | None:

@@ -247,7 +247,7 @@ def _plain(error: SlidectlError) -> SlidectlError:
 def _xacro(ctx: Context, argv: Sequence[str]) -> None:
     """Print the expanded model, or write it into the file of `-o`. Raises as `description.load`, mostly BadFile."""
     from slidectl import description
-    from slidectl.description.missing import taken_over, write_notes
+    from slidectl.description.missing import from_environment, write_notes
     from slidectl.description.models import xacro_words
 
     parser = Parser(
@@ -261,7 +261,7 @@ def _xacro(ctx: Context, argv: Sequence[str]) -> None:
     if len(models) != 1:
         raise UsageError(f"xacro takes one file, not {len(models)}", parser.get_usage().strip())
     lookup = package_lookup(())
-    missing = taken_over()  # in a command of a launch file, whose launch decides what is left out
+    missing = from_environment()  # in a command of a launch file, whose launch decides what is left out
     try:
         document = description.load(models[0], arguments, lookup, missing=missing)
     finally:

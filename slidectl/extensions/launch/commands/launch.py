@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 START_LIMIT_S = 30.0
 STOP_LIMIT_S = 10.0
 WAIT_LIMIT_S = 60.0
-_LOOK_EVERY_S = 0.05
+_POLL_S = 0.05
 _LISTINGS = ("nodes", "files", "dump_params", "ros_args", "args_of", "find_node", "dry_run")
 
 
@@ -59,7 +59,7 @@ def _step_effects(parameters: Mapping[str, Any], has_daemon: bool) -> StepEffect
     try:
         plan, lookup, _ = load_plan(parameters["words"], parameters["packages"], parameters)
         tasks = node_kinds.tasks(plan, lookup, gather=True)
-        execution.look_ahead(plan, tasks, lookup, run_commands=False)
+        execution.find_missing(plan, tasks, lookup, run_commands=False)
     except SlidectlError as refusal:
         return StepEffects(may_add_controllers=True, refusal=refusal)
     programs = [task for task in tasks if isinstance(task, Process)]
@@ -130,7 +130,7 @@ def launch(ctx: Context, /, words: tuple[str, ...], packages: tuple[str, ...], *
     if len(asked) > 1:
         raise UsageError(f"{' and '.join(asked)} exclude each other")
     plan, lookup, title = load_plan(words, packages, given)
-    if launch_text.tell_plan(ctx, plan, given):
+    if launch_text.print_plan(ctx, plan, given):
         return
     master = ros_master(ctx)
     plan.missing.world_decides = ctx.up is not None or given["wait"] or lifecycle.running(ctx.paths) is not None
@@ -141,10 +141,10 @@ def launch(ctx: Context, /, words: tuple[str, ...], packages: tuple[str, ...], *
 
         tasks.append(OpenPage(plan, "--view" if given["view"] else "gui:=true"))
     if given["dry_run"] or plan.missing:  # find everything that is missing before a daemon is started
-        execution.look_ahead(plan, tasks, lookup, run_commands=False)
+        execution.find_missing(plan, tasks, lookup, run_commands=False)
     tell_own_packages(ctx, lookup)
     if given["dry_run"] or given["args_of"]:
-        launch_text.tell_tasks(ctx, plan, tasks, given["args_of"])
+        launch_text.print_tasks(ctx, plan, tasks, given["args_of"])
         return
     if opens_page and not open_page.has_page():
         raise Refused("the page needs the library viser", f"install it: {install_command('view')}")
@@ -248,7 +248,7 @@ class LaunchDaemon:
         while lifecycle.running(paths) is None:
             if time.monotonic() >= deadline:
                 raise TimedOut(f"no daemon within {limit:g} s", "start it with: " + to_type(paths, "daemon start"))
-            select.select([], [], [], _LOOK_EVERY_S)
+            select.select([], [], [], _POLL_S)
         # A daemon holds the lock before it answers; `start` waits for the answer.
         lifecycle.start(paths, timeout=max(1.0, deadline - time.monotonic()))
 
@@ -319,7 +319,7 @@ def _drive(ctx: Context, execution: Execution, title: str, detach: bool, backgro
     try:
         with execution.run.interrupts.raised():
             execution.bring_up()
-            _tell_running(execution, title, detach, background)
+            _report_running(execution, title, detach, background)
             if ctx.up is not None:
                 ctx.up()
             if background is not None:
@@ -350,7 +350,7 @@ def _interrupted(number: int, was_up: bool) -> None:
         raise Refused(f"ended by {signal.Signals(number).name} before everything ran")
 
 
-def _tell_running(execution: Execution, title: str, detach: bool, background: Background | None) -> None:
+def _report_running(execution: Execution, title: str, detach: bool, background: Background | None) -> None:
     from slidectl.extensions.launch.nodes.programs import reason
 
     run = execution.run

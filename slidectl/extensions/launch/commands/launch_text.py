@@ -80,7 +80,7 @@ class Terminal:
 # --- a plan ----------------------------------------------------------------------------------------------------------
 
 
-def tell_plan(ctx: Context, plan: LaunchPlan, given: dict[str, Any]) -> bool:
+def print_plan(ctx: Context, plan: LaunchPlan, given: dict[str, Any]) -> bool:
     """Print the requested listing if it needs only the files; else return False."""
     if given["nodes"]:
         ctx.emit_names([node.full_name for node in plan.nodes], "node", "no nodes")
@@ -99,14 +99,14 @@ def tell_plan(ctx: Context, plan: LaunchPlan, given: dict[str, Any]) -> bool:
             output.write(as_yaml(plan))
         else:
             ctx.emit(_parameters(plan))
-        _tell_notices(ctx, plan)
+        _print_notices(ctx, plan)
     else:
         return False
     plan.missing.refuse()
     return True
 
 
-def tell_tasks(ctx: Context, plan: LaunchPlan, tasks: Sequence[Task], node_name: str | None) -> None:
+def print_tasks(ctx: Context, plan: LaunchPlan, tasks: Sequence[Task], node_name: str | None) -> None:
     """Print the steps of a launch, or the command line of one node."""
     if node_name:
         node = find_node(plan, node_name)
@@ -117,12 +117,12 @@ def tell_tasks(ctx: Context, plan: LaunchPlan, tasks: Sequence[Task], node_name:
         return
     for kind, text, place in _steps(plan, tasks):
         ctx.emit({"step": kind, "text": text, "file": place.file, "line": place.line}, f"{place}: {text}")
-    _tell_notices(ctx, plan)
+    _print_notices(ctx, plan)
     if lines := plan.missing.lines():
         ctx.warn("\n".join(["left out:", *lines]))
 
 
-def _tell_notices(ctx: Context, plan: LaunchPlan) -> None:
+def _print_notices(ctx: Context, plan: LaunchPlan) -> None:
     for notice in bounded(plan.notices):
         if notice.verdict == "wrong" or ctx.verbose:
             ctx.warn(str(notice))

@@ -98,7 +98,7 @@ class Spawner(_ControllerTask):
         self._absent: set[str] = set()
         """The controllers with missing types."""
 
-    def look_ahead(self, plan: LaunchPlan, packages: Packages, parameters: Mapping[str, Leaf]) -> None:  # noqa: ARG002
+    def find_missing(self, plan: LaunchPlan, packages: Packages, parameters: Mapping[str, Leaf]) -> None:  # noqa: ARG002
         # The import of the controllers takes time, and most launches have no spawner.
         from slidectl.control import registry, ros2_names
 
@@ -221,12 +221,12 @@ class Unspawner(_ControllerTask):
         return f"keep {', '.join(self.controllers)} stopped in {self.namespace}"
 
     def act(self, run: Run, manager: Manager) -> str | None:
-        stopped = self._look(manager)
-        run.watch.later(_AGAIN_S, lambda: self._look_again(run))
+        stopped = self._stop_running(manager)
+        run.watch.later(_AGAIN_S, lambda: self._stop_again(run))
         self.settled(run, f"stopped {', '.join(stopped) or 'nothing: none of them runs'}", controllers=stopped)
         return None
 
-    def _look(self, manager: Manager) -> list[str]:
+    def _stop_running(self, manager: Manager) -> list[str]:
         states = manager.states()
         running = [name for name in self.controllers if states.get(name) == "running"]
         if running:
@@ -234,11 +234,11 @@ class Unspawner(_ControllerTask):
             self.inhibited += [name for name in running if name not in self.inhibited]
         return running
 
-    def _look_again(self, run: Run) -> None:
-        run.watch.later(_AGAIN_S, lambda: self._look_again(run))
+    def _stop_again(self, run: Run) -> None:
+        run.watch.later(_AGAIN_S, lambda: self._stop_again(run))
         manager = self.manager(run, HOOK_LIMIT_S)
         try:
-            stopped = self._look(manager) if manager.is_there() else []
+            stopped = self._stop_running(manager) if manager.is_there() else []
         except NoDaemon:
             raise
         except SlidectlError as error:

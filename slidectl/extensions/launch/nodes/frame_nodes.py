@@ -69,7 +69,7 @@ class RobotStatePublisher(Task):
             run.call("/rosapi/delete_param", {"name": names.join(place, "enabled")})
         for parameter in HONOURED:
             full = names.join(self.node.full_name, parameter)
-            own = _found(run, full) if parameter in SEARCHED else full
+            own = _find_parameter(run, full) if parameter in SEARCHED else full
             value = None if own is None else run.parameter(own)
             if value is not None and names.join(place, parameter) != own:
                 run.set_parameter(names.join(place, parameter), value)
@@ -98,7 +98,7 @@ class RobotStatePublisher(Task):
         if found is not None:
             return found
         by_name = {robot["name"]: robot for robot in robots}
-        description = _found(run, self.node.resolve("robot_description"))
+        description = _find_parameter(run, self.node.resolve("robot_description"))
         spawns = [task for task in _spawns(run) if task.parameter == description and task.model in by_name]
         beside = [task for task in spawns if task.node.namespace == self.node.namespace]
         for fitting in (spawns, beside):
@@ -117,7 +117,7 @@ class RobotStatePublisher(Task):
         others = [task for task in run.tasks if isinstance(task, RobotStatePublisher) and task is not self]
         taken = [robot["name"] for task in others if (robot := task._surely_meant(run, robots)) is not None]
         left = [robot for robot in robots if robot["name"] not in taken]
-        description = _found(run, self.node.resolve("robot_description"))
+        description = _find_parameter(run, self.node.resolve("robot_description"))
         wanted = None if description is None else run.parameter(description)
         for robot in left if wanted is not None else ():
             if run.parameter(names.join(robot["namespace"], "robot_description")) == wanted:
@@ -154,7 +154,7 @@ def _spawns(run: Run) -> list[SpawnModel]:
     return [task for task in run.tasks if isinstance(task, SpawnModel) and not task.is_sdf]
 
 
-def _found(run: Run, name: str) -> str | None:
+def _find_parameter(run: Run, name: str) -> str | None:
     """The full name of a parameter in its namespace or the nearest one above; None when it is not set."""
     namespace, last = names.parent(name), name.rpartition("/")[2]
     while True:

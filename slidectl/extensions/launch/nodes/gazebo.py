@@ -65,7 +65,7 @@ class Gazebo(Task):
         self.paused = words.has("-u") or words.has("--pause")
         self.world: WorldFile | None = None
         self.scene: sdf.Scene | None = None
-        """The models of the world file; set by `look_ahead`."""
+        """The models of the world file; set by `find_missing`."""
         for option in words.given:
             if option not in _QUIET:
                 plan.notice("ignored", node.place, node.full_name, f"Gazebo's option {option} has no effect")
@@ -99,7 +99,7 @@ class Gazebo(Task):
         asked = replace(self.world.settings if self.world else WorldSettings(), paused=self.paused)
         return asked.over(others)
 
-    def look_ahead(self, plan: LaunchPlan, packages: Packages, parameters: Mapping[str, Leaf]) -> None:  # noqa: ARG002
+    def find_missing(self, plan: LaunchPlan, packages: Packages, parameters: Mapping[str, Leaf]) -> None:  # noqa: ARG002
         """Read the models of the world; models with missing files are left out."""
         if self.world is not None and self.scene is None:
             self.scene = sdf.read(self.path, packages, plan.missing)
@@ -222,15 +222,15 @@ def parse_world(text: bytes, file: str) -> WorldFile | None:
         return None
     found = WorldFile(root.file)
     for element in worlds[0].children:
-        _take(element, found)
+        _read_tag(element, found)
     return found
 
 
-def _take(element: Element, found: WorldFile) -> None:
+def _read_tag(element: Element, found: WorldFile) -> None:
     if element.tag == "gravity":
         found.set(gravity=_vector(element))
     elif element.tag == "physics":
-        _take_physics(element, found)
+        _read_physics(element, found)
     elif element.tag in ("model", "include"):  # sdf.py reads these, except the ground
         if sdf.is_ground(element):
             found.set(ground=True)
@@ -243,7 +243,7 @@ def _take(element: Element, found: WorldFile) -> None:
         found.say("ignored", element, "has no effect: there is nothing like it here")
 
 
-def _take_physics(physics: Element, found: WorldFile) -> None:
+def _read_physics(physics: Element, found: WorldFile) -> None:
     factor: float | None = None
     rate: float | None = None
     for element in physics.children:

@@ -34,7 +34,7 @@ _LONGEST_BACK_OFF_S = 30.0
 _LONGEST_FIRST_LINE = 256
 _STOP_WAIT_S = 0.5
 """How long `stop` waits for the end of one process before the next one is stopped."""
-_LOOK_S = 0.1
+_POLL_S = 0.1
 """The polling interval while waiting for a program's end, so that another Ctrl-C is noticed."""
 
 
@@ -221,7 +221,7 @@ def _until(run: Run, condition: Callable[[], bool], seconds: float) -> None:
     """Run the event loop until the condition holds or the time is over, or a second signal arrives."""
     deadline = time.monotonic() + seconds
     while not condition() and (left := deadline - time.monotonic()) > 0 and len(run.interrupts.received) < 2:
-        run.watch.turn(min(left, _LOOK_S))
+        run.watch.turn(min(left, _POLL_S))
 
 
 _HOW_OFTEN = re.compile(r"-1|--once|-r.*|--rate(=.*)?|-f.*|--file(=.*)?", re.DOTALL)
