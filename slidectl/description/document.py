@@ -64,7 +64,7 @@ def load(
     """
     absences = Missing() if missing is None else missing
     model, root, base, packages = _opened(source, packages, title)
-    if _is_xacro(model, root):
+    if (model.path is not None and model.path.suffix.lower() == ".xacro") or has_xacro(root):
         from slidectl.description import xacro_adapter
 
         root, notices = xacro_adapter.expand(root, model.path, arguments or {}, packages, absences)
@@ -93,11 +93,6 @@ def _opened(
     return model, xml_tree.read(model.text, model.file), base, packages
 
 
-def _is_xacro(model: models.ModelText, root: Element) -> bool:
-    """True when the suffix is `.xacro`, or the tree has tags or attributes of xacro."""
-    return (model.path is not None and model.path.suffix.lower() == ".xacro") or has_xacro(root)
-
-
 def has_xacro(root: Element) -> bool:
     """True when the tree has tags or attributes of xacro."""
     return any(name.startswith("xacro:") for element in root.walk() for name in (element.tag, *element.attributes))
@@ -122,7 +117,7 @@ def _find_meshes(root: Element, meshes: MeshFiles, missing: Missing | None) -> N
                     thing = f"package {package}" if hint else f"mesh {uri}"
                     error = NotThere(f"mesh {uri!r}: {reason}", element.file, element.line, hint or None, thing)
                     missing.note(error, "the <collision> is left out")
-                    above.content[:] = [node for node in above.content if node is not shape]
+                    above.remove(shape)
                 elif uri.strip() and (expected := meshes.expected(uri, element.file)) is not None:
                     # The reader of the text has no package path, and would report a missing package.
                     element.set_mesh(expected.absolute().as_uri())
@@ -231,8 +226,7 @@ def with_root_free(xml: str, file: str = "robot_description") -> str:
         raise robot.error(
             f"cannot free the robot: its link {WORLD!r} must hold it by one fixed joint alone; joints there: {names}"
         )
-    gone = [below[0], *(link for link in robot.find_all("link") if link.get("name") == WORLD)]
-    robot.content[:] = [node for node in robot.content if node not in gone]
+    robot.remove(below[0], *(link for link in robot.find_all("link") if link.get("name") == WORLD))
     return xml_tree.write(robot)
 
 

@@ -118,6 +118,15 @@ def vector(element: Element, name: str, owner: str) -> Vector:
     return (x, y, z)
 
 
+def text_numbers(element: Element, count: int, what: str) -> tuple[float, ...]:
+    """The text of an element as `count` numbers, separated by blanks. `what` names it in the error."""
+    words = element.first_text.split()
+    if len(words) != count:
+        wanted = "a number" if count == 1 else f"{count} numbers"
+        raise element.error(f"{what} is {wanted}, not {element.first_text!r}")
+    return tuple(parse_number(word, element, what) for word in words)
+
+
 def pose_numbers(element: Element, what: str) -> tuple[Vector, Vector]:
     """Position and angles of an SDF `<pose>`. As in Gazebo, the angles are 0 unless all three of them are there.
 

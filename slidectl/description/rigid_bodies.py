@@ -108,24 +108,19 @@ class _ImpossibleInertial:
         report.converted(self.place, f"{self.why}; {consequence}", f"{_subject(self.link)}/<{self.tag}>")
 
 
+@dataclass
 class InertiaCorrector:
     """Corrects the bodies of one robot, with a notice for each link that cannot be simulated as written."""
 
-    def __init__(
-        self,
-        links: Mapping[str, Link],
-        joints: Mapping[str, Joint],
-        link_at: Mapping[str, Element],
-        report: Report,
-        strict: bool = False,
-    ) -> None:
-        """`strict` refuses what would be corrected."""
-        self.links = dict(links)
-        self.joints = joints
-        self.link_at = link_at
-        self.report = report
-        self.strict = strict
-        self._above = {joint.child: joint for joint in joints.values()}
+    links: dict[str, Link]
+    joints: Mapping[str, Joint]
+    link_at: Mapping[str, Element]
+    report: Report
+    strict: bool = False
+    """True: refuse what would be corrected."""
+
+    def __post_init__(self) -> None:
+        self._above = {joint.child: joint for joint in self.joints.values()}
 
     def weigh(self, root: str) -> dict[str, Link]:
         """The links, with inertias that can be simulated; those of correct bodies are unchanged.

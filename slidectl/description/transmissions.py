@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from slidectl.description import element_values, interfaces
@@ -56,18 +56,17 @@ class _DroppedError(Exception):
     """The whole transmission is dropped; the text is the reason."""
 
 
+@dataclass
 class TransmissionReader:
-    """Reads the `<transmission>` elements of one robot, in the order of the file.
+    """Reads the `<transmission>` elements of one robot, in the order of the file."""
 
-    `knows_all`: a joint that is not in `joints` does not exist. `is_real`: the transmissions are real.
-    """
-
-    def __init__(self, report: Report, joints: dict[str, Joint], knows_all: bool, is_real: bool) -> None:
-        self.report = report
-        self.joints = joints
-        self.knows_all = knows_all
-        self.is_real = is_real
-        self.driven: dict[str, tuple[Element, str]] = {}
+    report: Report
+    joints: dict[str, Joint]
+    knows_all: bool
+    """True: a joint that is not in `joints` does not exist."""
+    is_real: bool
+    driven: dict[str, tuple[Element, str]] = field(default_factory=dict)
+    """By joint: its first transmission, and the interface that counts."""
 
     def read(self, element: Element) -> TransmissionInfo | None:
         """Read one transmission; None when the parser of ros_control would drop it.
@@ -100,7 +99,7 @@ class TransmissionReader:
         kind = self.report.only(element, "type")
         if kind is None:
             # The older files of PR2 have the type as an attribute.
-            hint = "; an attribute does not do" if "type" in element.attributes else ""
+            hint = "; an attribute does not count" if "type" in element.attributes else ""
             text = f"<type> is missing{hint}; add <type>transmission_interface/SimpleTransmission</type>"
             raise _DroppedError(text)
         if not kind.first_text:

@@ -61,6 +61,11 @@ class Element:
         """The first child called `tag`."""
         return next((child for child in self.children if child.tag == tag), None)
 
+    def remove(self, *children: Element) -> None:
+        """Remove these children."""
+        gone = set(map(id, children))
+        self.content[:] = [node for node in self.content if id(node) not in gone]
+
     def get(self, name: str) -> str | None:
         """An attribute, or None."""
         return self.attributes.get(name)

@@ -260,8 +260,8 @@ def test_interfaces_of_hardware_that_is_not_there_are_left_out_with_it(ends: Com
     launch = written(tmp_path, WORLD, MODEL, SPAWN.format("-model arm"), CONTROL, model=model)
     done = ends("launch", launch, "--detach")
     assert done.returncode == 0, done.stderr
-    assert "their_hw/TheirSim' is no simulated hardware" in done.stderr
-    assert '<transmission name="seen"> is by no interface that the default hardware has; left out' in done.stderr
+    assert "their_hw/TheirSim' is not simulated hardware" in done.stderr
+    assert '<transmission name="seen"> has no interface of the default hardware; left out' in done.stderr
     assert "/control: jsc, hold running in /arm" in done.stdout
 
 

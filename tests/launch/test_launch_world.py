@@ -87,12 +87,12 @@ def test_what_else_a_world_holds_is_reported_with_its_line(workspace: Workspace)
 @pytest.mark.parametrize(
     ("content", "reason"),
     [
-        ("<gravity>0 0</gravity>", "<gravity> is three finite numbers, not '0 0'"),
-        ("<gravity>0 0 nan</gravity>", "<gravity> is three finite numbers"),
-        ("<physics><max_step_size>0</max_step_size></physics>", "<max_step_size> is a number above 0, not '0'"),
+        ("<gravity>0 0</gravity>", "<gravity> is 3 numbers, not '0 0'"),
+        ("<gravity>0 0 nan</gravity>", "<gravity> is 'nan', which is not a finite number"),
+        ("<physics><max_step_size>0</max_step_size></physics>", "<max_step_size> is 0; it must be above 0"),
         (
             "<physics><real_time_factor>fast</real_time_factor></physics>",
-            "<real_time_factor> is a number above 0",
+            "<real_time_factor> is 'fast', which is not a number",
         ),
     ],
 )

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from typing import Any
 from slidectl import paths
 from slidectl.client import spawning
 from slidectl.description import sdf, xml_tree
+from slidectl.description.element_values import text_numbers
 from slidectl.description.models import read_file
 from slidectl.description.packages import Packages, is_file, shown
 from slidectl.description.robot import Notice
@@ -248,11 +248,11 @@ def _read_physics(physics: Element, found: WorldFile) -> None:
     rate: float | None = None
     for element in physics.children:
         if element.tag == "max_step_size":
-            found.set(timestep=_numbers(element, "a number above 0", above=0.0)[0])
+            found.set(timestep=_number(element, above=0.0))
         elif element.tag == "real_time_factor":
-            factor = _numbers(element, "a number above 0", above=0.0)[0]
+            factor = _number(element, above=0.0)
         elif element.tag == "real_time_update_rate":
-            rate = _numbers(element, "a number")[0]
+            rate = _number(element)
         elif element.tag == "gravity":
             found.set(gravity=_vector(element))
         else:
@@ -266,16 +266,14 @@ def _read_physics(physics: Element, found: WorldFile) -> None:
         found.say("converted", physics, text)
 
 
-def _numbers(element: Element, expected: str, count: int = 1, above: float = -math.inf) -> list[float]:
-    """Read `count` finite numbers above a bound. Raises BadFile."""
-    numbers: list[float] = []
-    with suppress(ValueError):
-        numbers = [float(word) for word in element.first_text.split()]
-    if len(numbers) != count or not all(above < number < math.inf for number in numbers):
-        raise element.error(f"<{element.tag}> is {expected}, not {element.first_text!r}")
-    return numbers
+def _number(element: Element, above: float = -math.inf) -> float:
+    """Read a finite number above a bound. Raises BadFile."""
+    [value] = text_numbers(element, 1, f"<{element.tag}>")
+    if value <= above:
+        raise element.error(f"<{element.tag}> is {value:g}; it must be above {above:g}")
+    return value
 
 
 def _vector(element: Element) -> Vector:
-    x, y, z = _numbers(element, "three finite numbers", 3)
+    x, y, z = text_numbers(element, 3, f"<{element.tag}>")
     return x, y, z
