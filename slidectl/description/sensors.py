@@ -160,10 +160,10 @@ class SensorReader:
         vertical = below(ray, "scan", "vertical")
         if vertical is not None and child_count(vertical, "samples", 1, place) > 1:
             self.report.ignored(vertical, "has no effect: a scan has one layer here", f"{place}/<vertical>")
-        asked = child_number(scan, "samples", 640, place)
-        samples = int(asked)
-        if samples != asked:
-            text = f"{asked:g} is taken as {samples}: as in Gazebo, a fraction is cut off"
+        written = child_number(scan, "samples", 640, place)
+        samples = int(written)
+        if samples != written:
+            text = f"{written:g} is read as {samples}: as in Gazebo, a fraction is cut off"
             self.report.converted(sensor, text, f"{place}/<samples>")
         least, most = child_number(scan, "min_angle", 0.0, place), child_number(scan, "max_angle", 0.0, place)
         nearest = child_number(extent, "min", 0.0, place)
@@ -198,9 +198,7 @@ class SensorReader:
         written = child_text(image, "format", "R8G8B8") if image is not None else "R8G8B8"
         if written not in _ENCODINGS and image is not None:
             known = ", ".join(_ENCODINGS)
-            self.report.wrong(
-                image, f"<format> {written} is unknown here, and R8G8B8 is taken; there is {known}", place
-            )
+            self.report.wrong(image, f"<format> {written} is unknown here, and R8G8B8 is used; known: {known}", place)
         group = child_text(plugin, "cameraName", "")
         topics = [child_text(plugin, tag, default).strip("/") for tag, default in _CAMERA_TOPICS]
         topic, info = (f"{group.rstrip('/')}/{name}" if group else name for name in topics)

@@ -248,8 +248,9 @@ class Execution:
     def lacks(self) -> list[str]:
         """What the launch names and does not run, each on one line: what is not there, and windows of ROS."""
         windows = [task for task in self.begun if isinstance(task, LeftOut) and task.is_missed]
-        nodes = ((task.node, task.text_for(self.run)) for task in windows)
-        lines = (f"{node.place}: node {node.full_name} ({node.kind}): {text}" for node, text in nodes)
+        paths = self.run.client.paths
+        why = ((one.node, "; ".join(one.why(paths))) for one in windows)
+        lines = (f"{node.place}: node {node.full_name} ({node.kind}): {text}" for node, text in why)
         return [*self.run.plan.missing.lines(), *lines]
 
     # --- running --------------------------------------------------------------------------------------------------

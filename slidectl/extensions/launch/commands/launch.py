@@ -137,7 +137,7 @@ def launch(ctx: Context, /, words: tuple[str, ...], packages: tuple[str, ...], *
     tasks = node_kinds.tasks(plan, lookup, gather=True, has_master=bool(master))
     opens_page = given["view"] or wants_window(words, tasks)
     if opens_page:
-        from slidectl.extensions.launch.nodes.page_process import OpenPage
+        from slidectl.extensions.launch.nodes.programs import OpenPage
 
         tasks.append(OpenPage(plan, "--view" if given["view"] else "gui:=true"))
     if given["dry_run"] or plan.missing:  # find everything that is missing before a daemon is started

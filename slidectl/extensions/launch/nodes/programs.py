@@ -1,7 +1,7 @@
 """Programs as nodes: started as by roslaunch, their output shown, watched, respawned.
 
 They are ended with SIGINT, later SIGTERM, then SIGKILL; each signal goes to the program and everything it has started.
-`rostopic`, `rosservice` and `rosparam` are commands of slidectl.
+`rostopic`, `rosservice` and `rosparam` are commands of slidectl, and so is the page in a browser.
 """
 
 from __future__ import annotations
@@ -20,8 +20,9 @@ from typing import ClassVar
 
 from slidectl import input_files
 from slidectl.errors import Refused
-from slidectl.extensions.launch.plan import LaunchPlan, Node
+from slidectl.extensions.launch.plan import LaunchPlan, Location, Node
 from slidectl.extensions.launch.task import Run, Task
+from slidectl.open_page import address_of
 from slidectl.paths import with_package
 from slidectl.supervision import Child
 
@@ -253,6 +254,44 @@ class ToolProcess(Process):
     @property
     def text(self) -> str:
         return f"run {' '.join([self.node.type, *self.node.words])}"
+
+    def _environment(self, run: Run) -> dict[str, str]:
+        return with_package(super()._environment(run))
+
+
+class OpenPage(Process):
+    """`slidectl view` for `--view` and `gui:=true`. When the page is open already, its address is shown."""
+
+    def __init__(self, plan: LaunchPlan, why: str) -> None:
+        node = Node("slidectl", "view", "page", "/", Location(why, None), output="screen")
+        super().__init__(node, plan, [sys.executable, "-P", "-m", "slidectl", "--quiet", "view"])
+        self._is_open_already = False
+
+    @property
+    def text(self) -> str:
+        return "open the page: slidectl view"
+
+    @property
+    def keeps_running(self) -> bool:  # type: ignore[override]
+        return not self._is_open_already
+
+    def start(self, run: Run) -> str | None:
+        address = address_of(run.client.paths)
+        if self.child is None and address is None:
+            self._begin(run)
+        elif self.child is None:
+            self._is_open_already = True
+            self.settled(run, f"the page is open already: {address}", url=address)
+            return None
+        elif not self.is_alive:
+            return None
+        elif address is not None:
+            self.settled(run, f"the page is open: {address}", url=address)
+            return None
+        return "the page"
+
+    def _to_run(self, log: Path) -> list[str]:  # noqa: ARG002 - it has no log
+        return list(self.executable)
 
     def _environment(self, run: Run) -> dict[str, str]:
         return with_package(super()._environment(run))
