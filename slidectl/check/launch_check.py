@@ -472,7 +472,7 @@ class _LaunchCheck:
         if topic in there:
             return
         remap = task.node.remap_of("joint_states")
-        end = f"{topic}, which nobody publishes; did you mean {closest(topic, there) or there[0]}?"
+        end = f"{topic}, which has no publisher; did you mean {closest(topic, there) or there[0]}?"
         if remap is None:
             self._add("wrong", task.node, f"it listens to {end}")
         else:

@@ -146,7 +146,7 @@ def lacks_angles(element: Element) -> bool:
     return element.tag == "pose" and len(element.first_text.split()) in (4, 5)
 
 
-LACKS_ANGLES = "has not all three angles: it is a position without rotation, as in Gazebo"
+LACKS_ANGLES = "lacks some of its three angles: it is a position without rotation, as in Gazebo"
 """The notice for a pose that `lacks_angles`."""
 
 

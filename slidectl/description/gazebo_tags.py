@@ -94,7 +94,7 @@ class GazeboReader:
             self.report.ignored(element, f"only the first {_CONTROL_PLUGIN}.so counts, line {self.plugin.line}", place)
         else:
             if library(element) != _CONTROL_PLUGIN:
-                self.report.wrong(element, f"{filename} is taken for {_CONTROL_PLUGIN}.so, on which it is based", place)
+                self.report.wrong(element, f"{filename} is read as {_CONTROL_PLUGIN}.so, on which it is based", place)
             self.plugin = self._control(element, place)
         return True
 

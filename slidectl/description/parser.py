@@ -156,7 +156,7 @@ def _named(
         part = read(element)
         if part.name in parts:
             first = places[part.name]
-            raise element.error(f"{tag} {part.name!r} is there twice; the other is at {first.file}:{first.line}")
+            raise element.error(f"duplicate {tag} {part.name!r}; the first is at {first.file}:{first.line}")
         parts[part.name], places[part.name] = part, element
         return part
 
@@ -225,7 +225,7 @@ class _LinkReader:
         origin = _origin(self.report, element, owner)
         tensor = self.report.only(element, "inertia")
         if tensor is None and not self.strict:
-            text = "lacks <inertia>, which is taken for zeros, and these are corrected"
+            text = "lacks <inertia>: zeros are used, and corrected"
             self.report.wrong(element, text, f"{owner}/<inertial>")
             return Inertial(origin, mass, (0.0,) * 6, element.line)
         tensor = self._child(element, "inertia", owner)

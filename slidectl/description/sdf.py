@@ -210,7 +210,7 @@ def parse(
     """As read, for a text; `base` is the folder for relative paths. Without `may_use_files` all files are missing."""
     root = xml_tree.read(text, file)
     if root.tag not in ("sdf", "gazebo", "world", "model"):
-        raise root.error(f"this is no SDF: its outermost element is <{root.tag}>, expected <sdf>")
+        raise root.error(f"this is not SDF: its outermost element is <{root.tag}>, expected <sdf>")
     files = SdfFiles(packages or Packages(start=base), base) if may_use_files else ForbiddenFiles()
     reader = _SceneReader(files, missing)
     reader.read(root, root.get("version") or "1.6")
@@ -373,7 +373,7 @@ class _ModelReader:
             if element.tag == "link":
                 name = prefix + (element.get("name") or "link")
                 if name in self.links:
-                    raise element.error(f"model {self.name!r}: link {name!r} is there twice")
+                    raise element.error(f"model {self.name!r}: duplicate link {name!r}")
                 self.links[name] = _SdfLink(element, compose(frame, _pose_of(element)))
             elif element.tag == "joint":
                 self._joint(element, prefix)
@@ -403,7 +403,7 @@ class _ModelReader:
         if ends["child"] == "world":
             raise element.error(f"joint {name!r}: the world cannot be the child of a joint")
         if name in self.joints:
-            raise element.error(f"model {self.name!r}: joint {name!r} is there twice")
+            raise element.error(f"model {self.name!r}: duplicate joint {name!r}")
         self.joints[name] = _SdfJoint(element, name, ends["parent"], ends["child"], _pose_of(element))
 
     # --- parts -------------------------------------------------------------------------------------------------------
@@ -436,8 +436,8 @@ class _ModelReader:
                     known = ", ".join(self.links)
                     raise joint.element.error(f"joint {joint.name!r}: no link {link!r}", f"links: {known}")
             if joint.child in above:
-                text = f"link {joint.child!r} hangs on two joints: {above[joint.child].name} and {joint.name}"
-                raise joint.element.error(text, "a robot here is a tree; leave one of them out")
+                text = f"link {joint.child!r} is the child of two joints: {above[joint.child].name} and {joint.name}"
+                raise joint.element.error(text, "a robot here is a tree; remove one of them")
             above[joint.child] = joint
         for link in above:
             _root(link, above)
@@ -582,7 +582,7 @@ class _ModelReader:
             if scale is not None:
                 made.attributes["scale"] = _numbers(_values(scale, 3))
             if shape.find("submesh") is not None:
-                self.scene.say("ignored", shape, "<submesh> has no effect: the whole mesh is taken")
+                self.scene.say("ignored", shape, "<submesh> has no effect: the whole mesh is used")
             return made
         return None
 

@@ -275,7 +275,7 @@ class SensorReader:
             return self._force_torque(name, joint, topic, rate, noise)
         link = child_text(plugin, "bodyName", "")
         if link not in self.links:
-            return self.report.wrong(plugin, f"<bodyName> {link!r} is no link; the plugin has no effect", place)
+            return self.report.wrong(plugin, f"<bodyName> {link!r} is not a link; the plugin has no effect", place)
         origin = _moved(plugin, Pose(), place)
         if kind == "libgazebo_ros_p3d":
             topic, frame = child_text(plugin, "topicName", "odom"), child_text(plugin, "frameName", "world")

@@ -195,7 +195,7 @@ class TransmissionReader:
         first = joint.hardware_interfaces[0]
         before, counts = self.driven.setdefault(joint.name, (element, first))
         if before is not element:
-            text = f"joint {joint.name!r} is driven by {before.title} already (line {before.line})"
+            text = f"joint {joint.name!r} is already driven by {before.title} (line {before.line})"
             if interfaces.bare(counts) != interfaces.bare(first):
                 text = f"{text}, by {counts}: this one is dropped, and no controller finds its interface"
             self.report.wrong(element, text)
@@ -228,10 +228,10 @@ class TransmissionReader:
         self._described_joint(element, joint)
         first, _ = self.driven.setdefault(joint.name, (element, ""))
         if first is not element:
-            raise element.error(f"joint {joint.name!r} is driven by {first.title} already (line {first.line})")
+            raise element.error(f"joint {joint.name!r} is already driven by {first.title} (line {first.line})")
         for written in joint.hardware_interfaces:
             if interfaces.find(written) is None:
-                text = f"{written} is no interface of simulated joints and is skipped; known: {interfaces.KNOWN}"
+                text = f"{written} is not an interface of simulated joints and is skipped; known: {interfaces.KNOWN}"
                 self.report.wrong(element, text)
 
     def _check_interface(self, element: Element, joint: TransmissionJoint) -> None:
@@ -245,7 +245,7 @@ class TransmissionReader:
             self.report.ignored(other, f"of several hardware interfaces only the first counts, {first}", place)
         interface = interfaces.find(first)
         if interface is None:
-            text = f"{first} is no interface of simulated joints; known: {interfaces.KNOWN}"
+            text = f"{first} is not an interface of simulated joints; known: {interfaces.KNOWN}"
             self.report.wrong(written, text, place)
         elif first != interface.written:
             self.report.converted(written, f"{first} is read as {interface.written}", place)

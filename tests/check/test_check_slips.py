@@ -112,7 +112,7 @@ def test_soft_limits_without_effect_are_ignored(model: Check) -> None:
 
 
 PARAMETERS = [
-    ("bot:\n\tc: 1\n", "wrong 2", "a tab is no blank in YAML: use spaces"),
+    ("bot:\n\tc: 1\n", "wrong 2", "YAML allows no tabs: use spaces"),
     (CONTROLLERS.replace("    joint:", "   joint:"), "wrong 4", "begin in the same column"),
     (CONTROLLERS.replace("    ", "  "), "wrong 2", "indent what belongs to it"),
     (CONTROLLERS.replace(": ", ":"), "wrong 2", "a blank follows each colon"),
@@ -142,7 +142,7 @@ def test_gains_of_the_hardware_are_read_in_the_namespace_of_the_robot_only(model
 def test_of_a_controller_that_is_there_twice_only_the_last_one_counts(model: Check) -> None:
     again = "  slide_controller: {type: effort_controllers/JointEffortController, joint: slide}\n"
     lines = model(driven_cart(), CONTROLLERS + again)
-    assert lines.of("wrong") == ["wrong 6 slide_controller: is there twice, in line 2 too; the last one counts"]
+    assert lines.of("wrong") == ["wrong 6 slide_controller: duplicate key, also in line 2; the last one counts"]
     assert not lines.about("/pid/")
 
 

@@ -219,7 +219,7 @@ def test_a_link_without_an_inertia_gets_one(ends: CommandLine, tmp_path: Path) -
     launch = written(tmp_path, WORLD, MODEL, SPAWN.format("-model arm"), model=ARM[:begin] + ARM[end:])
     done = ends("launch", launch, "--detach")
     assert done.returncode == 0, done.stderr
-    assert "lacks <inertia>, which is taken for zeros, and these are corrected" in done.stderr
+    assert "lacks <inertia>: zeros are used, and corrected" in done.stderr
 
 
 def test_a_path_may_hold_a_plus(ends: CommandLine, tmp_path: Path) -> None:
@@ -244,7 +244,7 @@ def test_a_plugin_that_is_derived_from_the_control_plugin_is_taken_for_it(ends: 
     launch = written(tmp_path, WORLD, MODEL, SPAWN.format("-model arm"), CONTROL, model=model)
     done = ends("launch", launch, "--detach")
     assert done.returncode == 0, done.stderr
-    assert "libmyarm_gazebo_ros_control.so is taken for libgazebo_ros_control.so" in done.stderr
+    assert "libmyarm_gazebo_ros_control.so is read as libgazebo_ros_control.so" in done.stderr
     assert "/control: jsc, hold running in /arm" in done.stdout
 
 

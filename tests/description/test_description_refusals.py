@@ -110,7 +110,7 @@ def test_two_of_one_name_are_refused_with_both_lines(refuse: Refuse, kind: str) 
         "joint": robot(joint("a", parent="x", child="y"), joint("a", parent="x", child="y")),
     }
     error = refuse(twice[kind])
-    assert f"{kind} 'a' is there twice; the other is at bot.urdf:2" in str(error)
+    assert f"duplicate {kind} 'a'; the first is at bot.urdf:2" in str(error)
     assert error.line == 3
 
 

@@ -102,7 +102,7 @@ def test_numbers_that_are_none_are_refused_with_the_place(workspace: Workspace, 
 
 
 def test_a_file_that_is_no_world_is_refused(workspace: Workspace) -> None:
-    with pytest.raises(BadFile, match="this is no world file"):
+    with pytest.raises(BadFile, match="this is not a world file"):
         read_world(workspace.write("w.world", '<robot name="r"/>'))
     with pytest.raises(BadFile, match="no such file"):
         read_world(Path("/no/such.world"))

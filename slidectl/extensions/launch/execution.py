@@ -35,7 +35,7 @@ _FIRST_MOMENT_S = 0.1
 
 
 _LOADING = {"load", "lc", "spawn", "sp"}
-"""The verbs of the script controller_manager that load controllers, and their short forms."""
+"""The commands of the script controller_manager that load controllers, and their short forms."""
 
 
 class DaemonAccess(Protocol):
@@ -111,7 +111,7 @@ class Execution:
         _prepare(run, run.parameters)
         self._start_nodes()
         # Notice programs that have ended meanwhile, and watch those that have just started for a moment.
-        deadline = max((task.started_at + _FIRST_MOMENT_S for task in self._processes()), default=0.0)
+        deadline = max((task.started_at + _FIRST_MOMENT_S for task in self._processes), default=0.0)
         self._turn(0.0)
         while not self._over and (left := deadline - time.monotonic()) > 0:
             self._turn(left)
@@ -123,7 +123,10 @@ class Execution:
         for task in (task for task in self.tasks if not task.comes_last):
             self._start(task)
         self._retry_waiting()
-        self._let_go()  # what still waits may wait for what happens in the world
+        if self.run.is_held:  # what still waits may wait for what happens in the world
+            self.run.is_held = False
+            if self.run.resumes:
+                self.run.resume()
         self._wait_for_all()
         for task in (task for task in self.tasks if task.comes_last):
             self._start(task)
@@ -132,13 +135,7 @@ class Execution:
         for entry in self._waiting:
             entry.task.settled(self.run, f"waits for {entry.reason}")
 
-    def _let_go(self) -> None:
-        """End the standstill of a world that was held for its controllers."""
-        if self.run.is_held:
-            self.run.is_held = False
-            if self.run.resumes:
-                self.run.resume()
-
+    @property
     def _processes(self) -> list[Process]:
         return [task for task in self.begun if isinstance(task, Process)]
 
@@ -150,7 +147,7 @@ class Execution:
     @property
     def died(self) -> dict[Process, int]:
         """The programs that have died and do not run now, with their exit codes. Some may be respawned."""
-        return {task: code for task in self._processes() if (code := task.code)}
+        return {task: code for task in self._processes if (code := task.code)}
 
     def _start(self, task: Task) -> None:
         if isinstance(task, Process):
@@ -204,14 +201,14 @@ class Execution:
                 if not entry.reported:
                     entry.reported = True
                     entry.task.settled(self.run, f"waits for {entry.reason}")
+                thing = entry.reason.removeprefix("the ").removeprefix("a ")
                 if self._waits_in_vain(entry):
                     self._waiting.remove(entry)
-                    self._fail(entry.task, Refused(f"there is no {_bare(entry.reason)}"))
+                    self._fail(entry.task, Refused(f"there is no {thing}"))
                 elif self.run.client.monotonic() >= entry.until:
                     if not entry.task.goes_on_waiting(self.run):
-                        limit = f"within {entry.task.patience_s:g} s"
                         self._waiting.remove(entry)
-                        self._fail(entry.task, Refused(f"there was no {_bare(entry.reason)} {limit}"))
+                        self._fail(entry.task, Refused(f"there was no {thing} within {entry.task.patience_s:g} s"))
                     entry.waits_on = True
             self._turn(_RETRY_S)
             if self._over:
@@ -224,7 +221,7 @@ class Execution:
             awaited = entry.task.words.one("-wait")
             return any(isinstance(task, SpawnModel) and task.model == awaited for task in self.run.left_out)
         nodes = [task.node for task in self.tasks if task not in self.run.left_out]
-        could_come = any(isinstance(task, Process) for task in self.begun) or any(map(_spawns, nodes))
+        could_come = bool(self._processes) or any(map(_spawns, nodes))
         return isinstance(entry.task, Spawner) and not could_come and any(map(_spawns, self.run.plan.nodes))
 
     def _check_left(self) -> None:
@@ -270,16 +267,11 @@ class Execution:
         self.judge()
 
     def _turn(self, most_s: float | None) -> None:
-        """Handle what has arrived, and wait for more. Raises NoDaemon, Interrupted."""
+        """Pass received messages to the tasks that subscribe to them, and wait. Raises NoDaemon, Interrupted."""
         self.run.interrupts.check()
-        self._receive()
+        list(self.run.client.events(0.0))
         self.run.watch.turn(most_s)
-        self._receive()
-
-    def _receive(self) -> None:
-        """Pass received messages to the tasks that subscribe to them."""
-        for _ in self.run.client.events(0.0):
-            pass
+        list(self.run.client.events(0.0))
 
     @property
     def stays(self) -> bool:
@@ -288,8 +280,8 @@ class Execution:
 
     def _running(self) -> list[Task]:
         waiting = [entry.task for entry in self._waiting]
-        gone = (*self._ended, *self.run.left_out, *waiting)
-        return [task for task in self.begun if task.keeps_running and task not in gone]
+        idle = (*self._ended, *self.run.left_out, *waiting)
+        return [task for task in self.begun if task.keeps_running and task not in idle]
 
     def _is_required(self, task: Task) -> bool:
         if task.family == "notice":  # a viewer that was left out cannot be closed
@@ -307,10 +299,10 @@ class Execution:
     def judge(self) -> None:
         """Raise Refused when a node has ended with an error so far."""
         self._judge_required()
-        died = {task: code for task in self.begun if isinstance(task, Process) and (code := self._ended.get(task))}
+        codes = ((task, self._ended.get(task)) for task in self._processes)
+        died = [f"{task.node.full_name} ({reason(code)})" for task, code in codes if code]
         if died:
-            names = ", ".join(f"{task.node.full_name} ({reason(code)})" for task, code in died.items())
-            raise Refused(f"these nodes died: {names}")
+            raise Refused(f"these nodes died: {', '.join(died)}")
 
     def _judge_required(self) -> None:
         """Raise StepFailed when a required node has died."""
@@ -338,7 +330,7 @@ class Execution:
         run = self.run
         run.console.closing()
         run.failed = run.failed or not self.is_up
-        processes = self._processes()
+        processes = self._processes
         for process in processes:
             process.ending = True
         for task in reversed(self.begun):
@@ -389,10 +381,8 @@ class Execution:
     def _escalate(self, processes: Sequence[Process]) -> None:
         options = self.run.options
         deadline = time.monotonic()
-        for seconds, number in (
-            (options.sigint_timeout_s, signal.SIGTERM),
-            (options.sigterm_timeout_s, signal.SIGKILL),
-        ):
+        timeouts = ((options.sigint_timeout_s, signal.SIGTERM), (options.sigterm_timeout_s, signal.SIGKILL))
+        for seconds, number in timeouts:
             deadline += seconds
             for process in reversed(processes):
                 process.finish(self.run, deadline, number)
@@ -414,11 +404,6 @@ def _starts_controllers(node: Node) -> bool:
     return node.package == "controller_manager" and loads
 
 
-def _bare(reason: str) -> str:
-    """What a task waits for, without an article."""
-    return reason.removeprefix("the ").removeprefix("a ")
-
-
 # --- before the nodes start ------------------------------------------------------------------------------------------
 
 
@@ -438,21 +423,10 @@ def find_missing(
 
 
 def _prepare(run: Run, parameters: Mapping[str, Leaf]) -> None:
-    """Carry out the plan's commands and set its parameters. Raises Refused."""
-    _report_notices(run)
-    for command in run.plan.commands:
-        _carry_out(run, command)
-    for namespace, place in run.plan.clear:
-        if run.call("/rosapi/has_param", {"name": namespace})["exists"]:
-            _delete(run, namespace, place)
-    _set(run, parameters)
-    if parameters:
-        plural = "" if len(parameters) == 1 else "s"
-        run.console.step("parameters", f"{len(parameters)} parameter{plural} set", count=len(parameters))
+    """Report the notices of the plan, carry out its commands and set its parameters. Raises Refused.
 
-
-def _report_notices(run: Run) -> None:
-    """Print notices with the verdict "wrong", and count the others; with `-v` print all."""
+    Of the notices those with the verdict "wrong" are printed, with `-v` all of them; the others are counted.
+    """
     quiet = 0
     for notice in bounded(run.plan.notices):
         if notice.verdict == "wrong" or run.console.verbose:
@@ -462,6 +436,21 @@ def _report_notices(run: Run) -> None:
     if quiet:
         things = "one thing" if quiet == 1 else f"{quiet} things"
         run.console.step("notices", f"{things} in the files without effect, -v shows more", count=quiet)
+    for command in run.plan.commands:
+        _carry_out(run, command)
+    for namespace, place in run.plan.clear:
+        if run.call("/rosapi/has_param", {"name": namespace})["exists"]:
+            _delete(run, namespace, place)
+    # First all requests are sent, then the answers are read.
+    calls = [(name, place, _begin(run, name, value, place)) for name, (value, place) in parameters.items()]
+    for name, place, call in calls:
+        try:
+            run.client.answer(call)
+        except Refused as error:
+            raise Refused(f"{place}: parameter {name}: {error.message}", error.hint) from None
+    if parameters:
+        plural = "" if len(parameters) == 1 else "s"
+        run.console.step("parameters", f"{len(parameters)} parameter{plural} set", count=len(parameters))
 
 
 def _carry_out(run: Run, command: RosparamCommand) -> None:
@@ -491,16 +480,6 @@ def _delete(run: Run, name: str, place: Location) -> None:
         raise Refused(f"{place}: {error.message}", error.hint) from None
 
 
-def _set(run: Run, parameters: Mapping[str, Leaf]) -> None:
-    """Set all parameters: first all requests are sent, then the answers are read."""
-    calls = [(name, place, _begin(run, name, value, place)) for name, (value, place) in parameters.items()]
-    for name, place, call in calls:
-        try:
-            run.client.answer(call)
-        except Refused as error:
-            raise Refused(f"{place}: parameter {name}: {error.message}", error.hint) from None
-
-
 def _begin(run: Run, name: str, value: object, place: Location) -> str:
     """Send the request for a parameter; returns the id of the call. The source note of a robot is sent separately."""
     if isinstance(value, str):
@@ -511,6 +490,6 @@ def _begin(run: Run, name: str, value: object, place: Location) -> str:
         text = json.dumps(value, allow_nan=False)
         return run.client.call_async("/rosapi/set_param", {"name": name, "value": text})
     except ValueError:
-        raise place.error(f"parameter {name}: {value} is no finite number, and parameters hold no others") from None
+        raise place.error(f"parameter {name}: {value} is not finite, and parameters hold only finite numbers") from None
     except UsageError as error:  # the request is longer than a line may be
         raise place.error(f"parameter {name}: {error.message}") from None

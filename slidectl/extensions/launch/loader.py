@@ -286,7 +286,7 @@ def _node_tag(tag: Tag) -> None:
     for other in tag.plan.nodes:
         if other.full_name == made.full_name:
             hint = "give one of them another name, or $(anon NAME)"
-            raise tag.error(f"there is a node {made.full_name} already, at {other.place}", hint)
+            raise tag.error(f"duplicate node {made.full_name}; the first is at {other.place}", hint)
     inner = _filled(tag, made.namespace, made.full_name)
     made.remaps, made.environment = inner.remaps, inner.environment
     tag.plan.nodes.append(made)

@@ -204,9 +204,7 @@ class LaunchPlan:
         for name, over in _conflicts(found):
             gone, last = found.pop(name, None), found[over]
             if gone is not None:
-                self.notice(
-                    "wrong", gone[1], name, f"cannot be set beside {over}, which is set at {last[1]} and counts"
-                )
+                self.notice("wrong", gone[1], name, f"conflicts with {over}, which is set at {last[1]} and replaces it")
         return found
 
 

@@ -139,7 +139,9 @@ class Substitution:
             size += len(found)
             if count > MOST_SUBSTITUTIONS or size > MOST_TEXT:
                 what = f"{MOST_TEXT >> 10} KiB of text" if count <= MOST_SUBSTITUTIONS else f"{count - 1} substitutions"
-                raise SubstitutionError(f"comes to more than {what}", "do arguments repeat each other many times over?")
+                raise SubstitutionError(
+                    f"expands to more than {what}", "do arguments repeat each other many times over?"
+                )
             return found
 
         return _SUBSTITUTION.sub(replacement, text)
@@ -330,11 +332,11 @@ def _split(match: re.Match[str], text: str) -> tuple[str, list[str]]:
         raise SubstitutionError(f"'$(' is not closed in {plain(text)!r}")
     if "$" in inside or "(" in inside:
         what = "one substitution" if "$" in inside else "a bracket"
-        hint = "write it with $(eval ...), for example $(eval find(arg('package')) + '/urdf')"
-        raise SubstitutionError(f"{what} stands inside a substitution in {plain(text)!r}", hint)
+        hint = "use $(eval ...), for example $(eval find(arg('package')) + '/urdf')"
+        raise SubstitutionError(f"{what} is inside a substitution in {plain(text)!r}", hint)
     command, *words = [word for word in inside.split(" ") if word] or [""]
     if command == "eval":
-        raise SubstitutionError("$(eval) must be the whole value", "put what stands beside it into the expression")
+        raise SubstitutionError("$(eval) must be the whole value", "put the rest of the value into the expression")
     if command not in COMMANDS:
         near = closest(command, [*COMMANDS, "eval"])
         suggestion = f" Did you mean {near!r}?" if near else ""

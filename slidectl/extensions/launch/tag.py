@@ -60,7 +60,7 @@ class Launch:
         """Count a tag. Raises BadFile when there are too many."""
         self._tags += 1
         if self._tags > MOST_TAGS:
-            raise tag.error(f"unfolds to more than {MOST_TAGS} tags", "does a file include itself?")
+            raise tag.error(f"expands to more than {MOST_TAGS} tags", "does a file include itself?")
         if time.process_time() - self._began_s > MOST_SECONDS:
             raise tag.error(f"the launch takes more than {MOST_SECONDS:g} s to read", "does a file include itself?")
 
@@ -69,7 +69,7 @@ class Launch:
         self._text += len(text)
         if self._text > MOST_TEXT:
             hint = "do arguments repeat each other many times over?"
-            raise tag.error(f"the launch comes to more than {MOST_TEXT >> 10} KiB of text", hint)
+            raise tag.error(f"the launch expands to more than {MOST_TEXT >> 10} KiB of text", hint)
 
 
 @dataclass

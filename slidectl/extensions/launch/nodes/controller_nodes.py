@@ -163,7 +163,7 @@ class Spawner(_ControllerTask):
     def goes_on_waiting(self, run: Run) -> bool:
         """True while it waits for its topic: like the real spawner it then waits on, with a warning."""
         if self._subscription is not None:
-            self.warn(run, f"nothing true came on {self.topic} within {self.patience_s:g} s; it is waited for")
+            self.warn(run, f"no true message on {self.topic} within {self.patience_s:g} s; it goes on waiting")
         return self._subscription is not None
 
     def _is_open(self, run: Run) -> bool:
@@ -411,5 +411,5 @@ class GroupScript(_ControllerTask):
         if groups is None:
             raise Refused(f"the parameter {self._parameter} is not set", "it maps groups to lists of controllers")
         if not isinstance(groups, dict) or not all(isinstance(members, list) for members in groups.values()):
-            raise Refused(f"the parameter {self._parameter} is no mapping of groups to lists of controllers")
+            raise Refused(f"the parameter {self._parameter} is not a mapping of groups to lists of controllers")
         return {str(group): [str(name) for name in members] for group, members in groups.items()}

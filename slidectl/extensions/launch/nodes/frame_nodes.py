@@ -58,7 +58,7 @@ class RobotStatePublisher(Task):
         robot = robot or self._meant(run, robots)
         if robot is None:
             known = ", ".join(robot["namespace"] for robot in robots)
-            self.warn(run, f"which robot is meant is not clear (there are {known}); all have their frames anyway")
+            self.warn(run, f"the robot is ambiguous (there are {known}); all have their frames anyway")
         else:
             self._set_up(run, robot)
         return None
@@ -139,7 +139,7 @@ class RobotStatePublisher(Task):
         if (remap := self.node.remap_of("joint_states")) is not None:
             place, what = remap.place, f"{remap.source} is remapped to"
         run.console.warn(
-            f"{place}: {self.node.full_name}: {what} {self._topic}, which nobody publishes{suggestion}"
+            f"{place}: {self.node.full_name}: {what} {self._topic}, which has no publisher{suggestion}"
             " (frames are right all the same: the simulation reads the joints themselves)"
         )
 

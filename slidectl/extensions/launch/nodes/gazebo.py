@@ -147,7 +147,7 @@ class Gazebo(Task):
             run.call("/gazebo/pause_physics")
         chosen = run.call("/slidectl/status")["chosen"]
         if kept := [name for name in chosen if getattr(asked, name) is not None]:
-            self.warn(run, f"{file} sets {' and '.join(kept)}; what was chosen for the running world stays")
+            self.warn(run, f"{file} sets {' and '.join(kept)}; what was chosen for the running world is kept")
             asked = WorldSettings(**{**vars(asked), **dict.fromkeys(kept)})
         if asked.timestep is None and asked.gravity is None and asked.speed is None:
             return
@@ -210,7 +210,7 @@ def read_world(path: Path) -> WorldFile:
     """Read a world file. Raises BadFile: missing, not XML, without a world, or with malformed numbers."""
     found = parse_world(read_file(path), shown(path))
     if found is None:
-        raise BadFile("this is no world file: it has no <sdf> with a <world> inside", shown(path))
+        raise BadFile("this is not a world file: it has no <sdf> with a <world> inside", shown(path))
     return found
 
 
@@ -262,7 +262,7 @@ def _read_physics(physics: Element, found: WorldFile) -> None:
         speed = math.inf if rate <= 0 else rate * (found.settings.timestep or 0.001)
     found.set(speed=speed)
     if factor is not None and speed is not None and not math.isclose(speed, factor, rel_tol=1e-6):
-        text = f"real_time_update_rate goes before real_time_factor, as in Gazebo: the factor is {speed:g}"
+        text = f"real_time_update_rate overrides real_time_factor, as in Gazebo: the factor is {speed:g}"
         found.say("converted", physics, text)
 
 

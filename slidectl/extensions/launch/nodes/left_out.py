@@ -78,7 +78,8 @@ class JointStatePublisher(LeftOut):
     def why(self, paths: InstancePaths | None = None) -> list[str]:  # noqa: ARG002
         if self._has_robot:
             return [
-                "a simulated robot's joints are where the world has them; its joint_state_controller publishes them"
+                "the joints of a simulated robot are where the world has them",
+                "its joint_state_controller publishes them",
             ]
         none = ", and this launch spawns none" if self._is_launched else ""
         return [

@@ -192,7 +192,7 @@ class Process(Task):
         """Wait until the deadline on the monotonic clock. If the process still runs, warn and send the signal."""
         _until(run, lambda: not self.is_alive, deadline_s - time.monotonic())
         if self.is_alive and self.child is not None:
-            self.warn(run, f"does not end; it gets {signal.Signals(number).name}")
+            self.warn(run, f"does not end; sending {signal.Signals(number).name}")
             self.child.signal(number)
 
     def release(self) -> None:
@@ -210,7 +210,7 @@ def _why(error: OSError, program: str) -> str:
         first = file.readline(_LONGEST_FIRST_LINE).rstrip(b"\n").decode("utf-8", "backslashreplace")
     if not first.startswith("#!"):
         return f"{error.strerror}; a script begins with a line such as #!/usr/bin/env python3"
-    return f"{error.strerror}: there is no such program as its first line names, {first!r}"
+    return f"{error.strerror}: its first line names a program that does not exist: {first!r}"
 
 
 def reason(code: int) -> str:

@@ -154,7 +154,7 @@ class Relay(TopicTool):
 
     @property
     def text(self) -> str:
-        return f"passes {self.input} on to {self.output}{', so nothing is to do' if self.is_idle else ''}"
+        return f"passes {self.input} on to {self.output}{', so there is nothing to do' if self.is_idle else ''}"
 
     def begin(self, run: Run) -> None:  # noqa: ARG002
         if not self.is_idle:
