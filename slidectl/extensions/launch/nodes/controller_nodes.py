@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -122,7 +123,7 @@ class Spawner(_ControllerTask):
         return f"{verb} {', '.join(self.words.rest)} in {self.namespace}"
 
     def act(self, run: Run, manager: Manager) -> str | None:
-        if self.topic is not None and not self._is_open(run):
+        if self.topic is not None and not self._is_true(run, self.topic):
             return f"true on {self.topic}"
         wanted = [name for name in self._controllers(run) if name not in self._absent]
         controllers = self.configured(run, manager, wanted)
@@ -166,10 +167,10 @@ class Spawner(_ControllerTask):
             self.warn(run, f"no true message on {self.topic} within {self.patience_s:g} s; it goes on waiting")
         return self._subscription is not None
 
-    def _is_open(self, run: Run) -> bool:
+    def _is_true(self, run: Run, topic: str) -> bool:
         """True when the latest message on the topic of --wait-for is true."""
         if self._subscription is None:
-            self._subscription = run.client.subscribe(self.topic or "", "std_msgs/Bool")
+            self._subscription = run.client.subscribe(topic, "std_msgs/Bool")
         last = False
         while len(self._subscription):
             last = bool(self._subscription.get(0.0)["data"])
@@ -199,9 +200,9 @@ class Spawner(_ControllerTask):
         running = [name for name in self.loaded if self.has_started or states.get(name) == "running"]
         if running:
             _try(run, manager.switch, (), running)
-        gone = [name for name in reversed(self.loaded) if _try(run, manager.unload, name)]
+        unloaded = [name for name in reversed(self.loaded) if _try(run, manager.unload, name)]
         self.loaded.clear()
-        self.settled(run, f"{', '.join(gone) or 'nothing'} stopped and unloaded", controllers=gone)
+        self.settled(run, f"{', '.join(unloaded) or 'nothing'} stopped and unloaded", controllers=unloaded)
 
 
 class Unspawner(_ControllerTask):
@@ -274,7 +275,7 @@ _VERBS: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 """Maps a command to its steps; each step is done for all controllers before the next."""
 
-_Operation = tuple[Callable[[], None], str, str]
+_Operation = tuple[Callable[[], object], str, str]
 """One call of the script, and its output after success and after failure."""
 
 
@@ -359,13 +360,13 @@ class ManagerScript(_ControllerTask):
 
 def _operation(manager: Manager, verb: str, name: str) -> _Operation:
     if verb == "load":
-        return lambda: manager.load(name), f"Loaded {name!r}", f"Error when loading {name!r}"
+        return partial(manager.load, name), f"Loaded {name!r}", f"Error when loading {name!r}"
     if verb == "unload":
-        return lambda: manager.unload(name), f"Unloaded {name!r} successfully", f"Error when unloading {name!r}"
+        return partial(manager.unload, name), f"Unloaded {name!r} successfully", f"Error when unloading {name!r}"
     start, stop = ([name], []) if verb == "start" else ([], [name])
     failed = f"Error when starting {start} and stopping {stop}"
     done = f"{'Started' if start else 'Stopped'} {[name]} successfully"
-    return lambda: manager.switch(start, stop), done, failed
+    return partial(manager.switch, start, stop), done, failed
 
 
 class GroupScript(_ControllerTask):

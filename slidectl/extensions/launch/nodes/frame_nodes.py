@@ -49,8 +49,7 @@ class RobotStatePublisher(Task):
     def start(self, run: Run) -> str | None:
         robots = run.controlled_robots()
         robot = self._by_namespace(robots)
-        coming = [task for task in _spawns(run) if task not in run.left_out]
-        awaited = [task.model for task in coming if task.model not in run.spawned]
+        awaited = [task.model for task in _spawns(run) if task not in run.left_out and task.model not in run.spawned]
         if robot is None and awaited:  # any of them may be the node's robot
             return f"the robot {awaited[0]}"
         if not robots:
@@ -140,7 +139,7 @@ class RobotStatePublisher(Task):
             place, what = remap.place, f"{remap.source} is remapped to"
         run.console.warn(
             f"{place}: {self.node.full_name}: {what} {self._topic}, which has no publisher{suggestion}"
-            " (frames are right all the same: the simulation reads the joints themselves)"
+            " (the frames are right: the simulation reads the joints themselves)"
         )
 
     def stop(self, run: Run) -> None:
@@ -157,13 +156,11 @@ def _spawns(run: Run) -> list[SpawnModel]:
 def _find_parameter(run: Run, name: str) -> str | None:
     """The full name of a parameter in its namespace or the nearest one above; None when it is not set."""
     namespace, last = names.parent(name), name.rpartition("/")[2]
-    while True:
-        full = names.join(namespace, last)
-        if run.parameter(full) is not None:
-            return full
+    while run.parameter(full := names.join(namespace, last)) is None:
         if namespace == "/":
             return None
         namespace = names.parent(namespace)
+    return full
 
 
 # --- static_transform_publisher --------------------------------------------------------------------------------------

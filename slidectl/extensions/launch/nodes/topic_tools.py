@@ -93,29 +93,26 @@ class TopicTool(Task):
             run.watch.later(seconds, self._search)
 
     def _search(self) -> None:
+        """Subscribe to the wanted topics that exist now, and schedule the next search if some do not."""
         self._is_search_due = False
         if self._run is None:
             return
         try:
             self._subscribe_new()
         except TimedOut as error:
-            self.warn(self._run, f"{error.message}; it looks for its topics again")
+            self.warn(self._run, f"{error.message}; it searches for its topics again")
         self._read()
         if len(self._subscriptions) < len(self._inputs):
             self.search_later(self._run, _RETRY_S)
 
     def _subscribe_new(self) -> None:
-        """Subscribe to the wanted topics that exist now."""
         wanted = {topic: given for topic, (given, _) in self._inputs.items() if topic not in self._subscriptions}
         there = self.client.topics() if wanted else {}
         for topic, given in wanted.items():
             if (type_name := given or there.get(topic)) is None:
                 continue
-            subscription = self.client.subscribe(topic, type_name, take=partial(self._receive, topic, type_name))
-            if topic in self._inputs:
-                self._subscriptions[topic] = subscription
-            else:  # a service was called meanwhile
-                subscription.close()
+            take = partial(self._receive, topic, type_name)
+            self._subscriptions[topic] = self.client.subscribe(topic, type_name, take=take)
 
     def _receive(self, topic: str, type_name: str, came: Message) -> None:
         if topic in self._inputs:
@@ -158,7 +155,11 @@ class Relay(TopicTool):
 
     def begin(self, run: Run) -> None:  # noqa: ARG002
         if not self.is_idle:
-            self.listen(self.input, self.pass_on)
+            self.listen(self.input, self.receive)
+
+    def receive(self, type_name: str, came: Message) -> None:
+        """Pass a message on."""
+        self.pass_on(type_name, came)
 
 
 class Throttle(Relay):
@@ -189,11 +190,7 @@ class Throttle(Relay):
         what = f"bytes in {self._window_s:g} s" if self._window_s else "a second"
         return f"{super().text}, at most {self._rate:g} {what}"
 
-    def begin(self, run: Run) -> None:  # noqa: ARG002
-        if not self.is_idle:
-            self.listen(self.input, self._limit)
-
-    def _limit(self, type_name: str, came: Message) -> None:
+    def receive(self, type_name: str, came: Message) -> None:
         header = came["msg"].get("header")
         stamped_s = _seconds(header["stamp"]) if isinstance(header, dict) and "stamp" in header else 0.0
         now_s = stamped_s or _seconds(came["time"])
@@ -265,7 +262,7 @@ class Mux(TopicTool):
     def _add(self, request: Message) -> Message:
         topic = self.node.resolve(request["topic"])
         if topic in self.topics or request["topic"] == NONE:
-            raise Refused(f"{self.node.full_name} has the input {request['topic']} already")
+            raise Refused(f"{self.node.full_name} already has the input {request['topic']}")
         self.topics.append(names.check_absolute(topic, "topic"))
         return {}
 
@@ -287,11 +284,10 @@ class Mux(TopicTool):
 
 
 class Source(NamedTuple):
-    """An entry of twist_mux's `topics` or `locks`."""
+    """An entry of twist_mux's `topics` or `locks`. With `timeout_s` 0 a message is valid forever."""
 
     topic: str
     timeout_s: float
-    """0: a message is valid forever."""
     priority: int
 
 
@@ -336,15 +332,14 @@ class TwistMux(TopicTool):
 
     def _source(self, entry: Any, place: str) -> Source:
         try:
-            topic, timeout_s, priority = entry["topic"], float(entry["timeout"]), int(entry["priority"])
-            if not isinstance(topic, str):
-                raise TypeError
-        except (KeyError, TypeError, ValueError, OverflowError):
+            source = Source(self.node.resolve(entry["topic"]), float(entry["timeout"]), int(entry["priority"]))
+        except (KeyError, TypeError, ValueError, AttributeError):
             message = f"{place}: an entry has name, topic, timeout (s) and priority, not {entry!r}"
             raise Refused(message) from None
-        if not timeout_s >= 0.0 or not 0 <= priority <= 255:
-            raise Refused(f"{place}: {topic} has timeout {timeout_s:g} s and priority {priority}; 0 up, and 0 to 255")
-        return Source(self.node.resolve(topic), timeout_s, priority)
+        if not source.timeout_s >= 0.0 or not 0 <= source.priority <= 255:
+            numbers = f"timeout {source.timeout_s:g} s and priority {source.priority}"
+            raise Refused(f"{place}: {source.topic} has {numbers}; allowed: 0 s or more, and 0 to 255")
+        return source
 
     def _receive_command(self, source: Source, type_name: str, came: Message) -> None:
         self._note_time(source, came)
@@ -356,7 +351,7 @@ class TwistMux(TopicTool):
         self._locked[lock.topic] = came["msg"]["data"]
 
     def _note_time(self, source: Source, came: Message) -> None:
-        """Record the time of a message. If time went back, all earlier messages are forgotten."""
+        """Record the time of a message. When time jumps back, drop all earlier messages."""
         now_s = _seconds(came["time"])
         if now_s < self._now_s:
             self._came_s.clear()
@@ -366,12 +361,9 @@ class TwistMux(TopicTool):
     def _has_priority(self, source: Source) -> bool:
         """True when the source drives now. A lock is locked after its time-out, and before its first message."""
         locked = [one.priority for one in self._locks if self._locked.get(one.topic) or self._is_silent(one)]
-        least, best = max(locked, default=0), None
-        for one in self._sources:
-            speaks = not self._is_silent(one) and one.priority >= least
-            if speaks and one.priority > (best.priority if best else 0):
-                best = one
-        return best == source
+        least = max(1, *locked) if locked else 1
+        speaking = [one for one in self._sources if one.priority >= least and not self._is_silent(one)]
+        return bool(speaking) and max(speaking, key=lambda one: one.priority) == source
 
     def _is_silent(self, source: Source) -> bool:
         return source.timeout_s > 0.0 and self._now_s - self._came_s.get(source.topic, 0.0) > source.timeout_s
