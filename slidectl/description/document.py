@@ -59,8 +59,7 @@ def load(
         missing: collects things that the files name and that do not exist; without it they are errors.
         as_written: do not look for the files of meshes.
 
-    Raises:
-        BadFile: missing, broken, or refused by xacro. UnknownName: no shipped model of that name.
+    Raises BadFile: missing, broken, or refused by xacro. UnknownName: no shipped model of that name.
     """
     absences = Missing() if missing is None else missing
     model, root, base, packages = _opened(source, packages, title)
@@ -176,8 +175,7 @@ def written(source: str | Path, packages: Packages | None = None) -> Written:
 def declared_arguments(source: str | Path, packages: Packages | None = None) -> dict[str, str]:
     """The `<xacro:arg>` of a model and of the files that it includes by plain names, with their defaults.
 
-    Raises:
-        BadFile, UnknownName: as load.
+    Raises BadFile, UnknownName: as load.
     """
     return {name: element.get("default") or "" for name, element in written(source, packages).arguments.items()}
 
@@ -188,8 +186,7 @@ def declared_arguments(source: str | Path, packages: Packages | None = None) -> 
 def with_root_fixed(xml: str, file: str = "robot_description") -> str:
     """The robot with its root fixed to a link called `world`; unchanged if the root is `world` already.
 
-    Raises:
-        BadFile: broken XML, no single root, or a link called `world` that is not the root.
+    Raises BadFile: broken XML, no single root, or a link called `world` that is not the root.
     """
     robot = xml_tree.read(xml, file)
     root = _root_name(robot)
@@ -214,8 +211,7 @@ def with_root_free(xml: str, file: str = "robot_description") -> str:
 
     The link below becomes the root. The joint's origin is lost: the pose of the spawn replaces it.
 
-    Raises:
-        BadFile: broken XML, no single root, or `world` has other joints than one fixed joint.
+    Raises BadFile: broken XML, no single root, or `world` has other joints than one fixed joint.
     """
     robot = xml_tree.read(xml, file)
     if _root_name(robot) != WORLD:

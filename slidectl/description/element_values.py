@@ -130,8 +130,7 @@ def text_numbers(element: Element, count: int, what: str) -> tuple[float, ...]:
 def pose_numbers(element: Element, what: str) -> tuple[Vector, Vector]:
     """Position and angles of an SDF `<pose>`. As in Gazebo, the angles are 0 unless all three of them are there.
 
-    Raises:
-        BadFile: fewer than three numbers, more than six, or what is not a number.
+    Raises BadFile: fewer than three numbers, more than six, or what is not a number.
     """
     words = element.first_text.split()
     if not 3 <= len(words) <= 6:

@@ -49,11 +49,7 @@ class GazeboReader:
         self.drives = drives.DriveReader(report, joints)
 
     def read(self, element: Element) -> None:
-        """Read one `<gazebo>` element.
-
-        Raises:
-            BadFile: a malformed number or an impossible name.
-        """
+        """Read one `<gazebo>` element. Raises BadFile: a malformed number or an impossible name."""
         self.report.unknown(element, {"reference"}, [child.tag for child in element.children])
         reference = element.get("reference") or ""
         if reference and reference not in self.links and reference not in self.joints:

@@ -74,8 +74,7 @@ class Triangles(NamedTuple):
 def load(path: str | Path, scale: Vector = (1.0, 1.0, 1.0)) -> Triangles:
     """Read all triangles of a mesh file as one surface, in the file's own frame, scaled by `scale`.
 
-    Raises:
-        BadMesh: of no known kind, unreadable, over a bound, or without a triangle.
+    Raises BadMesh: of no known kind, unreadable, over a bound, or without a triangle.
     """
     path = Path(path)
     kind = path.suffix.lower()
@@ -219,8 +218,7 @@ def _used(vertices: NDArray[np.float64], faces: NDArray[np.int32], path: Path) -
 def _dae(content: bytes, path: Path) -> Triangles:
     """All triangles of the file's scene, in metres.
 
-    Raises:
-            BadMesh: not XML, no scene, or over a bound. ValueError: malformed numbers.
+    Raises BadMesh: not XML, no scene, or over a bound. ValueError: malformed numbers.
     """
     try:
         root = xml_tree.read(content, str(path), _MOST_BYTES_OF_TEXT)

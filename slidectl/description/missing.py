@@ -102,8 +102,7 @@ class Missing:
     def refuse(self) -> None:
         """Raise an error when something is missing that may not be left out.
 
-        Raises:
-            NotThere: the first absence; its hint lists the others.
+        Raises NotThere: the first absence; its hint lists the others.
         """
         found: dict[str, Absence] = {}
         for absence in self.absences:

@@ -53,8 +53,7 @@ class Packages:
     def find(self, name: str) -> Path:
         """The folder of the package, absolute.
 
-        Raises:
-                UnknownPackage: not found; the hint lists where it was looked for.
+        Raises UnknownPackage: not found; the hint lists where it was looked for.
         """
         found = self.candidates(name)
         if found:

@@ -77,8 +77,7 @@ def parse(
     Impossible masses and inertias are corrected, and shapes without a size are left out, each with a notice; `strict`
     refuses them.
 
-    Raises:
-        BadFile: with file and line, and the link or joint by name.
+    Raises BadFile: with file and line, and the link or joint by name.
     """
     meshes = MeshFiles(packages or Packages(start=base), base, read) if may_use_files else ForbiddenMeshes()
     return parse_tree(xml_tree.read(xml, file), meshes, Report(), strict)
@@ -87,8 +86,7 @@ def parse(
 def parse_tree(root: Element, meshes: MeshFiles, report: Report, strict: bool = False) -> Robot:
     """Parse a tree of elements; notices are added to `report`.
 
-    Raises:
-        BadFile: as parse. If the report collects faults, it has them all, and this is the first.
+    Raises BadFile: as parse. If the report collects faults, it has them all, and this is the first.
     """
     if root.tag != "robot":
         raise root.error(f"the outermost element is <{root.tag}>, expected <robot>")
@@ -512,8 +510,7 @@ class _Structure:
     def check(self, robot: Element) -> str | None:
         """Check the structure. Returns the name of the root link; None when the report has collected an error.
 
-        Raises:
-            BadFile: the links are no tree, a mimic joint follows a missing joint, or a chain of joints is too long.
+        Raises BadFile: the links are no tree, a mimic joint follows a missing joint, or a chain of joints is too long.
         """
         if not self.links:
             raise robot.error("the robot has no link")

@@ -125,8 +125,7 @@ class InertiaCorrector:
     def weigh(self, root: str) -> dict[str, Link]:
         """The links, with inertias that can be simulated; those of correct bodies are unchanged.
 
-        Raises:
-            BadFile: the sums overflow; or, with `strict`, anything needs a correction.
+        Raises BadFile: the sums overflow; or, with `strict`, anything needs a correction.
         """
         for body in rigid_bodies(root, self.joints):
             self.report.attempt(self._weigh, self.link_at[body.head], body)

@@ -190,8 +190,7 @@ def read(path: Path, packages: Packages | None = None, missing: Missing | None =
 
     `missing` collects the models and meshes that it names and that do not exist; these are left out.
 
-    Raises:
-        BadFile: missing, not SDF, or broken (file, line). NotThere: a model or a mesh, without `missing`.
+    Raises BadFile: missing, not SDF, or broken (file, line). NotThere: a model or a mesh, without `missing`.
     """
     base = path.absolute().parent
     places = packages.starting_at(base) if packages is not None else None

@@ -79,8 +79,7 @@ class SensorReader:
     def of_link(self, link: str, sensor: Element, place: str) -> None:
         """Read a `<sensor>` of `<gazebo reference="link">`; an unsupported one is reported.
 
-        Raises:
-            BadFile: a malformed number.
+        Raises BadFile: a malformed number.
         """
         kind = sensor.get("type") or ""
         if kind not in _OF_LINK:
@@ -216,8 +215,7 @@ class SensorReader:
     def of_joint(self, joint: str, sensor: Element, place: str) -> None:
         """Read a `<sensor>` of `<gazebo reference="joint">`; an unsupported one is reported.
 
-        Raises:
-            BadFile: a malformed number.
+        Raises BadFile: a malformed number.
         """
         kind = sensor.get("type") or ""
         if kind != "force_torque":

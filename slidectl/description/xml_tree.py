@@ -128,8 +128,7 @@ def below(element: Element | None, *tags: str) -> Element | None:
 def read(source: str | bytes, file: str, most_bytes: int = MOST_BYTES) -> Element:
     """Parse an XML text and return the root element. `file` is its name in messages.
 
-    Raises:
-        BadFile: not well-formed, an entity or document type with declarations, too large or too deep.
+    Raises BadFile: not well-formed, an entity or document type with declarations, too large or too deep.
     """
     if len(source) > most_bytes:
         raise BadFile(f"is larger than {most_bytes // 2**20} MiB", file)

@@ -46,8 +46,7 @@ def read(text: str | bytes, file: str, notices: list[Notice] | None = None, *, r
 
     `rooted`: keep the leading slash of a name, which means that it is not relative to the namespace.
 
-    Raises:
-        BadFile: not YAML, not a mapping of names, or a value that no parameter can have.
+    Raises BadFile: not YAML, not a mapping of names, or a value that no parameter can have.
     """
     return _Reader(file, notices if notices is not None else [], rooted=rooted).read(text)
 
@@ -78,8 +77,7 @@ def places(text: str | bytes, file: str) -> dict[str, int]:
 
     For a name that is written twice it is the last line, as the last value counts.
 
-    Raises:
-        BadFile: not YAML.
+    Raises BadFile: not YAML.
     """
     reader = _Reader(file, [])
     found: dict[str, int] = {}

@@ -86,8 +86,7 @@ class Execution:
     def bring_up(self) -> None:
         """Start everything. Returns when everything runs.
 
-        Raises:
-            BadFile: a value in the files cannot be computed. StepFailed. NoDaemon. Interrupted.
+        Raises BadFile: a value in the files cannot be computed. StepFailed. NoDaemon. Interrupted.
         """
         run = self.run
         settings = WorldSettings()
@@ -255,8 +254,7 @@ class Execution:
     def watch(self) -> None:
         """Watch the launch. Returns when nothing is left to watch, or a required node has finished.
 
-        Raises:
-            Refused: a required node died; or all nodes have ended, some with an error. NoDaemon. Interrupted.
+        Raises Refused: a required node died; or all nodes have ended, some with an error. NoDaemon. Interrupted.
         """
         if self.run.console.is_live:
             self._show_status()
@@ -412,8 +410,7 @@ def find_missing(
 ) -> Mapping[str, Leaf]:
     """The parameters of a plan. Before, everything missing that the files can tell is noted.
 
-    Raises:
-        NotThere: all that is missing, unless the launch leaves it out. BadFile: a value cannot be computed.
+    Raises NotThere: all that is missing, unless the launch leaves it out. BadFile: a value cannot be computed.
     """
     parameters = plan.parameters(gather=True, run_commands=run_commands)
     for task in tasks:

@@ -55,8 +55,7 @@ def load(
         parse: makes the elements of a file's text; `check` passes one whose elements record what is read.
         missing: collects missing things, which are left out; without it they are errors.
 
-    Raises:
-        BadFile: with file and line. UsageError: an argument that no file declares.
+    Raises BadFile: with file and line. UsageError: an argument that no file declares.
     """
     plan = LaunchPlan(missing=Missing() if missing is None else missing)
     places = (packages or Packages()).starting_at(Path.cwd())

@@ -65,8 +65,7 @@ def tasks(
     Nodes without a counterpart or program, or whose arguments need missing things, are left out and noted as missing.
     With `gather` the caller raises the error, after looking for more.
 
-    Raises:
-        BadFile: a node has invalid arguments. NotThere: something is missing.
+    Raises BadFile: a node has invalid arguments. NotThere: something is missing.
     """
     found = []
     for node in plan.nodes if nodes is None else nodes:
@@ -178,8 +177,7 @@ class NeedsRos(NotThere):
 def find(node: Node, packages: Packages) -> Path:
     """Find the executable of a node.
 
-    Raises:
-            NotThere: no such package, no such program in it, or the program is not executable. NeedsRos.
+    Raises NotThere: no such package, no such program in it, or the program is not executable. NeedsRos.
     """
     try:
         folders = packages.candidates(node.package) or [packages.find(node.package)]

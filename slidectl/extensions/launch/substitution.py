@@ -236,8 +236,7 @@ def evaluate(text: str, names: Mapping[str, Any], state: Callable[[], Any] = lam
     Returns:
         The value as text, and what `state` returns after it in that process, by way of JSON.
 
-    Raises:
-        EvalError: with the reason, but without the place. SubstitutionError: a function of `names` raised it.
+    Raises EvalError: with the reason, but without the place. SubstitutionError: a function of `names` raised it.
     """
     if "__" in text:
         raise EvalError("may not contain double underscores")

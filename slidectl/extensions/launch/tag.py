@@ -19,6 +19,7 @@ from slidectl import names
 from slidectl.description import xml_tree
 from slidectl.description.packages import Packages, UnknownPackage
 from slidectl.description.report import did_you_mean
+from slidectl.description.robot import Verdict
 from slidectl.description.xml_tree import Element
 from slidectl.errors import BadFile, NoFileThere, NotThere, closest
 from slidectl.extensions.launch.plan import LaunchPlan, Location, Remap, Setting
@@ -224,8 +225,7 @@ class Tag:
     def words(self, attribute: str, keep_absent: bool = False) -> list[str]:
         """Split the attribute like a POSIX shell, without expansions; `keep_absent` is as in `raw`.
 
-        Raises:
-                BadFile: a quotation is not closed.
+        Raises BadFile: a quotation is not closed.
         """
         try:
             return [plain(word) for word in shlex.split(self.raw(attribute, keep_absent) or "")]
@@ -298,7 +298,7 @@ class Tag:
                 hint = did_you_mean(element.tag, known, "<{}>")
                 tag.notice("wrong", f"is unknown in <{self.name}> and has no effect{hint}")
 
-    def notice(self, verdict: str, text: str) -> None:
+    def notice(self, verdict: Verdict, text: str) -> None:
         """Add a notice about the tag."""
         self.plan.notice(verdict, self.place, self.element.title, text)
 

@@ -175,8 +175,7 @@ class Task:
     def start(self, run: Run) -> str | None:
         """Do it. Returns None when it is done or runs, else what it waits for: then it is called again.
 
-        Raises:
-                SlidectlError: it failed, and the launch ends.
+        Raises SlidectlError: it failed, and the launch ends.
         """
         raise NotImplementedError
 
@@ -250,8 +249,7 @@ def number(node: Node, what: str, text: str) -> float:
 def parse(node: Node, known: Mapping[str, int]) -> Words:
     """Parse the words of a node. `known` maps each option, with its dashes, to its count of values.
 
-    Raises:
-        BadFile: an unknown option, or values missing.
+    Raises BadFile: an unknown option, or values missing.
     """
     import argparse
 

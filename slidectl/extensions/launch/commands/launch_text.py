@@ -173,8 +173,7 @@ def command_line(task: Task) -> str:
 def _steps(plan: LaunchPlan, tasks: Sequence[Task]) -> Iterator[tuple[str, str, Location]]:
     """Yield the steps of a launch in order: kind, text and place. It runs no programs.
 
-    Raises:
-        BadFile: the value of a parameter cannot be determined.
+    Raises BadFile: the value of a parameter cannot be determined.
     """
     for command in plan.commands:
         into = f" into {command.file}" if command.file else ""

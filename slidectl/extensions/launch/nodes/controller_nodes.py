@@ -62,8 +62,7 @@ class _ControllerTask(Task):
     def configured(self, run: Run, manager: Manager, controllers: Sequence[str]) -> list[str]:
         """The controllers that have parameters. The others are left out, as the scripts do, each with an error line.
 
-        Raises:
-            UnknownName: one has none, in a launch that leaves nothing out.
+        Raises UnknownName: one has none, in a launch that leaves nothing out.
         """
         known = manager.configured()
         found = []

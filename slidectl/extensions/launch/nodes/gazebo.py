@@ -19,7 +19,7 @@ from slidectl.description import sdf, xml_tree
 from slidectl.description.element_values import text_numbers
 from slidectl.description.models import read_file
 from slidectl.description.packages import Packages, is_file, shown
-from slidectl.description.robot import Notice
+from slidectl.description.robot import Notice, Verdict
 from slidectl.description.xml_tree import Element
 from slidectl.errors import BadFile, NotThere
 from slidectl.extensions.launch.plan import LaunchPlan, Leaf, Node
@@ -50,8 +50,8 @@ class WorldSettings:
 
     def over(self, others: WorldSettings) -> WorldSettings:
         """These settings, completed by `others`."""
-        said = {name: value for name, value in vars(self).items() if value is not None}
-        return replace(others, **{**said, "paused": self.paused or others.paused})
+        own = {name: value for name, value in vars(self).items() if value is not None}
+        return replace(others, **{**own, "paused": self.paused or others.paused})
 
 
 class Gazebo(Task):
@@ -202,8 +202,8 @@ class WorldFile:
     def set(self, **settings: Any) -> None:
         self.settings = replace(self.settings, **settings)
 
-    def say(self, verdict: str, element: Element, text: str) -> None:
-        self.notices.append(Notice(verdict, element.title, text, element.file, element.line))  # type: ignore[arg-type]
+    def say(self, verdict: Verdict, element: Element, text: str) -> None:
+        self.notices.append(Notice(verdict, element.title, text, element.file, element.line))
 
 
 def read_world(path: Path) -> WorldFile:

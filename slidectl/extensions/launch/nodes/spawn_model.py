@@ -52,7 +52,7 @@ class SpawnModel(Task):
                 raise self.error(f"{option}: {reason}", "describe the robot in URDF or xacro")
         self.is_sdf = words.has("-sdf")
         if words.has("-database") and not self.is_sdf:
-            raise self.error("-database NAME is model://NAME, which is SDF", "give it -sdf instead of -urdf")
+            raise self.error("-database NAME is model://NAME, which is SDF", "use -sdf instead of -urdf")
         if sum(words.has(option) for option in ("-file", "-param", "-database")) != 1:
             raise self.error("takes one of -param NAME and -file FILE, or with -sdf -database NAME")
         if words.rest:
@@ -193,10 +193,8 @@ class SpawnModel(Task):
 
     def _scene_plan(self, run: Run) -> spawning.SpawnPlan:
         """The plan of the parts of the model; their poses in the file are relative to the requested pose."""
-        source: Path | str | None = None
-        if self.words.has("-file"):
-            source = self._file()
-        elif self.parameter is not None:
+        source: Path | str | None = self._file() if self.words.has("-file") else None
+        if self.parameter is not None:
             source = self._text(run)[0]
         scene = self._scene(source, run.packages, run.plan)
         if not scene.models and not scene.has_ground:
@@ -249,7 +247,7 @@ class SpawnModel(Task):
             hint = f"descriptions there are: {', '.join(there) or 'none'}"
             raise Refused(f"the parameter {name} is not set to a robot's description", hint)
         if not _is_xml(xml):
-            raise Refused(f"the parameter {name} holds no XML")
+            raise Refused(f"the parameter {name} is not XML")
         return xml, own is not None
 
     def _spawn(self, run: Run, spawn: spawning.Spawn) -> None:
