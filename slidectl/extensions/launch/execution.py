@@ -78,8 +78,6 @@ class Execution:
         self._waiting: list[_Waiting] = []
         self._ended: dict[Process, int] = {}
         self._over = False
-        self._found: set[tuple[str, int]] = set()
-        """Name and process session of the robots that were in the world before the launch."""
 
     # --- up -------------------------------------------------------------------------------------------------------
 
@@ -103,10 +101,7 @@ class Execution:
         client, run.owns_daemon = self.daemon.connect()
         run.connect(client)
         run.watch.listen(client, lambda: None)
-        if run.owns_daemon:
-            run.is_held = holds
-        else:
-            self._found = set(self._robots())
+        run.is_held = holds and run.owns_daemon
         _prepare(run, run.parameters)
         self._start_nodes()
         # Notice programs that have ended meanwhile, and watch those that have just started for a moment.
@@ -344,23 +339,16 @@ class Execution:
             except SlidectlError as error:
                 run.console.warn(str(error))
 
-    def _robots(self) -> list[tuple[str, int]]:
-        """The robots in the world, each with the session id of the process that spawned it."""
-        return [(robot["name"], robot["process_session"]) for robot in self.run.robots(HOOK_LIMIT_S)]
-
     def _delete_robots_of(self, processes: Sequence[Process]) -> None:
-        """Delete robots that programs of this launch have spawned. A program in a session of its own is not found.
-
-        The id of a session may be reused: so robots that were there before the launch stay.
-        """
+        """Delete robots that programs of this launch have spawned. A program in a session of its own is not found."""
         owners = {number: process for process in processes for number in process.sessions}
         if not owners:
             return
         try:
-            for name, number in self._robots():
-                if number in owners and (name, number) not in self._found:
-                    self.run.call("/gazebo/delete_model", {"model_name": name}, HOOK_LIMIT_S)
-                    owners[number].settled(self.run, f"{name}: deleted")
+            for robot in self.run.robots(HOOK_LIMIT_S):
+                if (process := owners.get(robot["process_session"])) is not None:
+                    self.run.call("/gazebo/delete_model", {"model_name": robot["name"]}, HOOK_LIMIT_S)
+                    process.settled(self.run, f"{robot['name']}: deleted")
         except NoDaemon:
             self._lost_daemon = True
         except SlidectlError as error:

@@ -29,10 +29,8 @@ from slidectl.description.packages import Packages, UnknownPackage, is_file
 from slidectl.errors import SlidectlError, closest, listing
 
 COMMANDS = ("find", "env", "optenv", "dirname", "anon", "arg")
-MOST_TEXT = 4 * 2**20
-"""Against: arguments that repeat each other. The most characters that all substitutions of one text may insert."""
-MOST_SUBSTITUTIONS = 10_000
-"""The most substitutions in one text."""
+_MOST_RESULT = 4 * 2**20
+"""The most bytes of the result of an `$(eval ...)`."""
 LIMITS = Limits(cpu_s=5, wall_s=20, new_bytes=256 << 20)
 """Of an `$(eval ...)`, which runs in a process of its own.
 
@@ -112,6 +110,8 @@ class Substitution:
     """The names that `anon` has made in this file so far."""
     absent: dict[str, UnknownPackage]
     """Collects the missing packages."""
+    count: Callable[[str], None]
+    """Called with each text that is inserted; raises SubstitutionError when all texts are too long."""
 
     def resolve(self, text: str) -> str:
         """The text with all substitutions made. Raises SubstitutionError."""
@@ -123,26 +123,17 @@ class Substitution:
 
     def _pass(self, text: str, finds: bool) -> str:
         """Substitute only `find`, or everything but `find`."""
-        count = size = 0
 
         def replacement(match: re.Match[str]) -> str:
-            nonlocal count, size
             command, words = _split(match, text)
             if finds is not (command == "find"):
                 return match[0]
-            found = (
-                self._package_path(_one(command, words), match[3])
-                if finds
-                else self._command(command, words) + match[3]
-            )
-            count += 1
-            size += len(found)
-            if count > MOST_SUBSTITUTIONS or size > MOST_TEXT:
-                what = f"{MOST_TEXT >> 10} KiB of text" if count <= MOST_SUBSTITUTIONS else f"{count - 1} substitutions"
-                raise SubstitutionError(
-                    f"expands to more than {what}", "do arguments repeat each other many times over?"
-                )
-            return found
+            if finds:
+                inserted = self._package_path(_one(command, words), match[3])
+            else:
+                inserted = self._command(command, words) + match[3]
+            self.count(inserted)
+            return inserted
 
         return _SUBSTITUTION.sub(replacement, text)
 
@@ -225,6 +216,7 @@ class Substitution:
         self.anonymous_names.update(anonymous_names)
         for package in absent:
             self._folder_of(package)
+        self.count(value)
         return value
 
 
@@ -257,7 +249,7 @@ def evaluate(text: str, names: Mapping[str, Any], state: Callable[[], Any] = lam
         return json.dumps([value, error, state()]).encode()
 
     try:
-        value, error, after = json.loads(confined.run(work, LIMITS, MOST_TEXT))
+        value, error, after = json.loads(confined.run(work, LIMITS, _MOST_RESULT))
     except confined.EndedError as error:
         raise EvalError(f"cannot be computed: {error}") from None
     except OSError as error:

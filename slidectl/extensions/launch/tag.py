@@ -65,12 +65,12 @@ class Launch:
         if time.process_time() - self._began_s > MOST_SECONDS:
             raise tag.error(f"the launch takes more than {MOST_SECONDS:g} s to read", "does a file include itself?")
 
-    def count_text(self, tag: Tag, text: str) -> None:
-        """Count substituted text. Raises BadFile when it is too much."""
+    def count_text(self, text: str) -> None:
+        """Count substituted text. Raises SubstitutionError when it is too much."""
         self._text += len(text)
         if self._text > MOST_TEXT:
             hint = "do arguments repeat each other many times over?"
-            raise tag.error(f"the launch expands to more than {MOST_TEXT >> 10} KiB of text", hint)
+            raise SubstitutionError(f"the launch expands to more than {MOST_TEXT >> 10} KiB of text", hint)
 
 
 @dataclass
@@ -111,9 +111,10 @@ class Scope:
     @property
     def substitution(self) -> Substitution:
         """The substitutions at this point: arguments that are declared later are not known."""
-        folder, arguments = str(self.file.parent), dict(self.arguments)
-        environment = {**DEFAULTS, **os.environ}
-        return Substitution(self.packages, environment, arguments, folder, self.anonymous_names, self.launch.absent)
+        return Substitution(
+            self.packages, {**DEFAULTS, **os.environ}, dict(self.arguments), str(self.file.parent),
+            self.anonymous_names, self.launch.absent, self.launch.count_text,
+        )  # fmt: skip
 
     def group(self, namespace: str) -> Scope:
         """A copy of the scope for a group in the same file."""
@@ -186,7 +187,6 @@ class Tag:
             found = substitution.resolve(text)
         except SubstitutionError as error:
             raise self.error(f"{where}{error.message}", error.hint) from None
-        self.scope.launch.count_text(self, found)
         for package in () if keep_absent else absent_packages(found):
             raise self.absence_of(package)
         return found
