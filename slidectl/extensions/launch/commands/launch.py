@@ -90,19 +90,21 @@ def _step_effects(parameters: Mapping[str, Any], has_daemon: bool) -> StepEffect
 @click.option("--detach", is_flag=True, help="Return when everything runs, and leave it running.")
 @click.option("--view", is_flag=True, help="Open the page in a browser, until the launch ends; as gui:=true does.")
 @click.option("--wait", is_flag=True, help="Wait for a daemon instead of starting one (60 s, or --timeout).")
-@click.option("--package", "packages", multiple=True, metavar="NAME=PATH", help="Where a package is; may repeat.")
-@click.option("--keep-going", is_flag=True, help="Leave out files that are not there and nodes that fail, too.")
+@click.option(
+    "--package", "packages", multiple=True, metavar="NAME=PATH", help="The folder of a package; may be repeated."
+)
+@click.option("--keep-going", is_flag=True, help="Also leave out missing files and nodes that fail.")
 @click.option(
     "--strict",
     is_flag=True,
-    help="Refuse what is not there, and impossible masses, inertias and shapes, instead of going on.",
+    help="Refuse missing things, and impossible masses, inertias and shapes, instead of going on.",
 )
-@click.option("--skip-unknown", is_flag=True, help="With --strict: leave out nodes that cannot be had all the same.")
+@click.option("--skip-unknown", is_flag=True, help="With --strict: leave out missing nodes all the same.")
 @click.option("--no-commands", is_flag=True, help="Refuse <param command=...> that is not xacro.")
 @click.option("--screen", "output_of_all", flag_value="screen", help="Show the output of all nodes.")
 @click.option("--log", "output_of_all", flag_value="log", help="Write the output of all nodes into logs.")
 @click.option("--required", is_flag=True, help="The launch ends when any process of it ends.")
-@click.option("--pid", "pid_file", metavar="FILE", help="Write the process id into a file; removed at the end.")
+@click.option("--pid", "pid_file", metavar="FILE", help="Write the process id to a file, and remove it at the end.")
 @click.option("--sigint-timeout", type=float, default=15.0, callback=positive_seconds, metavar="S",
               help="How long a process may take to end on SIGINT, s of wall time (15).")  # fmt: skip
 @click.option("--sigterm-timeout", type=float, default=2.0, callback=positive_seconds, metavar="S",
@@ -111,24 +113,23 @@ def _step_effects(parameters: Mapping[str, Any], has_daemon: bool) -> StepEffect
 def launch(ctx: Context, /, words: tuple[str, ...], packages: tuple[str, ...], **given: Any) -> None:
     """Run a launch file as roslaunch does.
 
-    Starts a daemon when none runs, and then stops it at the end; Ctrl-C ends the nodes in reverse order, and so do
-    SIGTERM and SIGHUP, with exit code 0. A step that fails ends the launch with 1 and names its file and line; a
-    broken file is 2. Packages, programs and controllers that are not there are left out, as roslaunch does with
-    nodes: one list at the start, and again when everything else runs. It exits with 1 when no robot or none of its
-    controllers came up. A required node, and a file that is read, must be there. --strict refuses all that is not
-    there before anything starts. gui:=true opens the page of 'slidectl view' where the file asks for a window of
-    Gazebo, RViz or rqt then; --view does with any file. Robots that a launch that fails has spawned, itself or by its
-    programs, go again. NAME is a launch file that is shipped; - is standard input. JSON keys: event, text, and those
-    of the event.
+    Starts a daemon when none runs, and stops it at the end. Ctrl-C, SIGTERM and SIGHUP end the nodes in reverse order,
+    the latter two with exit code 0. A failed step ends the launch with exit code 1 and names its file and line; a
+    broken file ends it with 2. Missing packages, programs and controllers are left out, as roslaunch does with nodes,
+    and listed at the start, and again when everything else runs. It exits with 1 when no robot, or none of its
+    controllers, came up. A required node, and a file that is read, must exist. --strict refuses everything that is
+    missing before anything starts. gui:=true opens the page of 'slidectl view' if the file then asks for a window of
+    Gazebo, RViz or rqt; --view does with any file. Robots that a failed launch has spawned, itself or by its programs,
+    are deleted. NAME is a shipped launch file; - is standard input. JSON keys: event, text, and those of the event.
     """
     from slidectl import open_page
     from slidectl.daemon import lifecycle
     from slidectl.extensions.launch import execution, node_kinds
     from slidectl.extensions.launch.commands import launch_text
 
-    asked = ["--" + name.replace("_of", "").replace("_", "-") for name in _LISTINGS if given[name]]
-    if len(asked) > 1:
-        raise UsageError(f"{' and '.join(asked)} exclude each other")
+    listings = ["--" + name.replace("_of", "").replace("_", "-") for name in _LISTINGS if given[name]]
+    if len(listings) > 1:
+        raise UsageError(f"{' and '.join(listings)} exclude each other")
     plan, lookup, title = load_plan(words, packages, given)
     if launch_text.print_plan(ctx, plan, given):
         return
@@ -158,8 +159,8 @@ def wants_window(words: Sequence[str], tasks: Sequence[Task]) -> bool:
     """
     from slidectl.extensions.launch.nodes.left_out import Viewer, Window
 
-    said = [word.partition(":=")[2].strip().lower() for word in words if word.startswith("gui:=")]
-    return said[-1:] in (["true"], ["1"]) and any(isinstance(task, Viewer | Window) for task in tasks)
+    values = [word.partition(":=")[2].strip().lower() for word in words if word.startswith("gui:=")]
+    return values[-1:] in (["true"], ["1"]) and any(isinstance(task, Viewer | Window) for task in tasks)
 
 
 def ros_master(ctx: Context) -> str:
@@ -217,9 +218,9 @@ class LaunchDaemon:
 
         paths = self.context.paths
         runs_already = lifecycle.running(paths) is not None
-        asked = {name: getattr(settings, name) for name in ("timestep", "gravity", "ground")} | {"rtf": settings.speed}
-        said = {name: value for name, value in asked.items() if value is not None}
-        options = DaemonOptions(**said, paused=settings.paused, child=self.child)
+        named = {name: getattr(settings, name) for name in ("timestep", "gravity", "ground")} | {"rtf": settings.speed}
+        given = {name: value for name, value in named.items() if value is not None}
+        options = DaemonOptions(**given, paused=settings.paused, child=self.child)
         self._beginning = lifecycle.DaemonStart(paths, options)
         return not runs_already
 
@@ -328,7 +329,10 @@ def _drive(ctx: Context, execution: Execution, title: str, detach: bool, backgro
             if not leave:
                 execution.watch()
     except Interrupted as interrupted:
-        _interrupted(interrupted.number, execution.is_up)
+        if interrupted.number == signal.SIGINT:
+            raise KeyboardInterrupt from None  # exit code 130
+        if not execution.is_up:
+            raise Refused(f"ended by {signal.Signals(interrupted.number).name} before everything ran") from None
         execution.judge()
     except KeyboardInterrupt:  # this ends a scenario, which fails when a node has failed
         execution.judge()
@@ -340,14 +344,6 @@ def _drive(ctx: Context, execution: Execution, title: str, detach: bool, backgro
             execution.shut_down()
             if execution.run.interrupts.received:
                 execution.run.interrupts.ignore()  # a further interrupt must not cut off the last messages
-
-
-def _interrupted(number: int, was_up: bool) -> None:
-    """Raise KeyboardInterrupt for Ctrl-C (exit code 130), and Refused for SIGTERM or SIGHUP before everything ran."""
-    if number == signal.SIGINT:
-        raise KeyboardInterrupt
-    if not was_up:
-        raise Refused(f"ended by {signal.Signals(number).name} before everything ran")
 
 
 def _report_running(execution: Execution, title: str, detach: bool, background: Background | None) -> None:

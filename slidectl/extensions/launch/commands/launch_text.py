@@ -28,7 +28,6 @@ class Terminal:
         both = output.is_terminal(sys.stdout) and output.is_terminal(sys.stderr)
         self.is_live = both and context.format == "text" and not context.quiet
         self._status = ""
-        self._unheard = False
         self._closing = False
 
     def step(self, event: str, text: str, **details: Any) -> None:
@@ -55,9 +54,7 @@ class Terminal:
         self.status("")
 
     def _say(self, action: Callable[[], None]) -> None:
-        """Print above the status line. The first failed write (closed pipe or terminal, full disk) ends the launch."""
-        if self._unheard:
-            return
+        """Print above the status line. A failed write (closed pipe or terminal, full disk) ends the launch."""
         try:
             if self._status:
                 self._draw("")
@@ -65,7 +62,6 @@ class Terminal:
             if self._status:
                 self._draw(paint(self._status, "cyan"))
         except (output.ClosedPipe, Refused, OSError) as error:
-            self._unheard = True
             if self._closing:  # the end of a launch needs no reader
                 return
             if isinstance(error, BrokenPipeError):
