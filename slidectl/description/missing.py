@@ -22,7 +22,7 @@ AllowedMissing = Literal["nothing", "nodes", "all but files", "all"]
 not there is an error, as roslaunch and xacro have it. `all` is --keep-going.
 """
 
-TO_GO_ON = "--keep-going leaves out what is not there"
+TO_GO_ON = "--keep-going leaves out what is missing"
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ class Missing:
         error = first.error
         lines = [error.hint] if error.hint else []
         if others:
-            lines += ["these are not there either:", *(f"  {one.error.message!s}" for one in others)]
+            lines += ["also missing:", *(f"  {one.error.message!s}" for one in others)]
         if any(absence.is_required for absence in found.values()):
             lines.append("a launch ends with a required node, so it does not start without it")
         else:

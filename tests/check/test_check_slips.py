@@ -80,7 +80,7 @@ def test_all_faults_are_told_at_once_and_all_that_is_sound_is_checked(model: Che
     )
     lines = model(faulty)
     assert sorted(str(error.line) for error in lines.findings.broken) == ["3", "3", "4", "4", "4", "7"]
-    for reason in ("is 'zero'", "'1 1': 2 numbers", "is no direction", "no joint 'slid'", "'a'", "'x'"):
+    for reason in ("is 'zero'", "'1 1': 2 numbers", "is not a direction", "no joint 'slid'", "'a'", "'x'"):
         assert [line for line in lines.of("wrong") if reason in line], reason
     assert lines.about("used 3 link 'cart'/<collision>/<geometry>/<sphere>")
     assert not lines.about("used", "/<limit>")

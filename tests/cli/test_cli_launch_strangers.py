@@ -90,7 +90,7 @@ def test_a_file_that_is_not_there_is_an_error_unless_the_launch_keeps_going(ends
     done = ends("launch", launch, "--detach")
     assert done.returncode == 2
     assert "gone.yaml: no such file" in done.stderr
-    assert "--keep-going leaves out what is not there" in done.stderr
+    assert "--keep-going leaves out what is missing" in done.stderr
     done = ends("launch", launch, "--detach", "--keep-going")
     assert done.returncode == 0
     assert "gone.yaml: no such file" in done.stdout.partition("left out:\n")[2]

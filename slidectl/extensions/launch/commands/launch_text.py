@@ -108,7 +108,7 @@ def print_tasks(ctx: Context, plan: LaunchPlan, tasks: Sequence[Task], node_name
         node = find_node(plan, node_name)
         task = next((task for task in tasks if task.node is node), None)
         if task is None:
-            raise Refused(f"{node.place}: node {node.full_name} is left out: it is not there")
+            raise Refused(f"{node.place}: node {node.full_name} is missing and left out")
         ctx.emit({"node": node.full_name, "command": command_line(task)}, command_line(task))
         return
     for kind, text, place in _steps(plan, tasks):
