@@ -17,9 +17,11 @@ from slidectl.description.xml_tree import Element
 from slidectl.errors import BadFile, closest
 
 MOST_NOTICES = 1000
+"""Of one robot. Against: a description that was sent, whose every tag makes a notice."""
 MOST_ALIKE = 100
 """The most notices of one file in `bounded` that say the same of different things."""
 _MOST_COMPARED = 100
+"""The most names that are compared for a suggestion. Against: the same, as comparing is slow."""
 
 # Tags of related formats, with the tag that replaces them here.
 _FOREIGN = {
