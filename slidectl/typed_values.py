@@ -210,7 +210,7 @@ def _angle(loader: Any, node: Any) -> float:
     try:
         return angle(loader.construct_scalar(node), node.tag)
     except (ValueError, ArithmeticError, RecursionError) as error:
-        raise ValueError(f"{node.value.strip()!r} is no angle: {error}") from None
+        raise ValueError(f"{node.value.strip()!r} is not an angle: {error}") from None
 
 
 def _checked(value: Any, what: str, left: Iterator[int]) -> Any:

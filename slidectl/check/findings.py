@@ -46,7 +46,7 @@ class Findings:
 
     def tell_missing(self) -> None:
         """Add a finding for each missing thing: "ignored" if it is left out, else "wrong"."""
-        for absence in self.missing.found:
+        for absence in self.missing.absences:
             error = absence.error
             named = _NAMED.match(error.reason)
             subject, start = (named["subject"], named[0]) if named else (error.thing, "")

@@ -291,7 +291,7 @@ class _LaunchCheck:
                 continue
             leaves_of = {name: (value, task.node.place) for name, value in self.values.items()}
             try:
-                task.look_ahead(self.plan, self.packages, leaves_of)
+                task.find_missing(self.plan, self.packages, leaves_of)
             except BadFile as error:
                 self.findings.fail(f"node {task.node.full_name}", error)
                 continue
@@ -318,7 +318,7 @@ class _LaunchCheck:
 
     def _robot(self, task: SpawnModel) -> PlannedRobot:
         found = self._model(task)
-        namespace = task.asked_namespace
+        namespace = task.given_namespace
         if found is not None:
             namespace = task.home(found.robot, self.tasks)
             found = replace(found, namespace=namespace)
@@ -472,7 +472,7 @@ class _LaunchCheck:
         if topic in there:
             return
         remap = task.node.remap_of("joint_states")
-        end = f"{topic}, which nobody publishes; did you mean {closest(topic, there) or there[0]}?"
+        end = f"{topic}, which has no publisher; did you mean {closest(topic, there) or there[0]}?"
         if remap is None:
             self._add("wrong", task.node, f"it listens to {end}")
         else:

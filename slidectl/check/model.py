@@ -386,5 +386,5 @@ def _tell_whole(robot: Robot, root: Element, namespace: str, findings: Findings)
     for transmission, joint in driving(robot.transmissions):
         if not any(map(interfaces.find, joint.hardware_interfaces)):
             written = ", ".join(joint.hardware_interfaces)
-            text = f"transmission {transmission.name!r}: {written} is no interface of simulated joints"
+            text = f"transmission {transmission.name!r}: {written} is not an interface of simulated joints"
             findings.refuse(BadFile(text, transmission.file, transmission.line))

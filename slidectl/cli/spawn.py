@@ -298,7 +298,7 @@ def in_package(
     from slidectl.description.packages import shown
     from slidectl.extensions.launch import files
 
-    if model == "-" or models.looks_like_path(model) or model in models.shipped():
+    if model == "-" or models.is_path_like(model) or model in models.shipped():
         hint = f"slidectl {command} --help shows the order of arguments"
         if command == "spawn" and file.endswith((".yaml", ".yml")):
             hint = f"a file of controllers stands behind an option: --controllers {file}"
@@ -380,21 +380,21 @@ def _how_to_go_on(ctx: Context, robot: Robot, controllers: str | None, start: Se
 
 def _tell_report(ctx: Context, robot: Robot, document: Document, positions: Mapping[str, float]) -> None:
     """Print the report on the tags: wrong tags and corrected inertias in full, the others counted unless `-v`."""
-    from slidectl.description.parser import is_put_inside
+    from slidectl.description.parser import is_moved_inside
 
     for notice in document.report:
         ctx.warn(str(notice))
-    report = [one for one in robot["report"] if not is_put_inside(one["subject"], one["text"], positions)]
+    report = [one for one in robot["report"] if not is_moved_inside(one["subject"], one["text"], positions)]
     _tell_notices(ctx, report)
     if not ctx.verbose:
         ctx.say(robots.summary(robot["name"], report))
 
 
 def _tell_notices(ctx: Context, notices: Sequence[dict[str, Any]]) -> None:
-    from slidectl.description.report import needs_telling
+    from slidectl.description.report import is_important
 
     for notice in notices:
-        if ctx.verbose or needs_telling(notice["verdict"], notice["subject"]):
+        if ctx.verbose or is_important(notice["verdict"], notice["subject"]):
             ctx.warn(robots.notice_text(notice))
 
 

@@ -20,8 +20,7 @@ def read(path: str | Path, notices: list[Notice] | None = None, text: bytes | No
     """The tree of parameters in a file, which holds `text` if that was read already; doubtful things are appended to
     `notices`.
 
-    Raises:
-        BadFile: missing, not YAML, or with values that no parameter can have; names file and line.
+    Raises BadFile: missing, not YAML, or with values that no parameter can have; names file and line.
     """
     from slidectl.description import yaml_tree
 

@@ -59,12 +59,11 @@ def load(
         missing: collects things that the files name and that do not exist; without it they are errors.
         as_written: do not look for the files of meshes.
 
-    Raises:
-        BadFile: missing, broken, or refused by xacro. UnknownName: no shipped model of that name.
+    Raises BadFile: missing, broken, or refused by xacro. UnknownName: no shipped model of that name.
     """
     absences = Missing() if missing is None else missing
     model, root, base, packages = _opened(source, packages, title)
-    if _is_xacro(model, root):
+    if (model.path is not None and model.path.suffix.lower() == ".xacro") or has_xacro(root):
         from slidectl.description import xacro_adapter
 
         root, notices = xacro_adapter.expand(root, model.path, arguments or {}, packages, absences)
@@ -93,11 +92,6 @@ def _opened(
     return model, xml_tree.read(model.text, model.file), base, packages
 
 
-def _is_xacro(model: models.ModelText, root: Element) -> bool:
-    """True when the suffix is `.xacro`, or the tree has tags or attributes of xacro."""
-    return (model.path is not None and model.path.suffix.lower() == ".xacro") or has_xacro(root)
-
-
 def has_xacro(root: Element) -> bool:
     """True when the tree has tags or attributes of xacro."""
     return any(name.startswith("xacro:") for element in root.walk() for name in (element.tag, *element.attributes))
@@ -122,7 +116,7 @@ def _find_meshes(root: Element, meshes: MeshFiles, missing: Missing | None) -> N
                     thing = f"package {package}" if hint else f"mesh {uri}"
                     error = NotThere(f"mesh {uri!r}: {reason}", element.file, element.line, hint or None, thing)
                     missing.note(error, "the <collision> is left out")
-                    above.content[:] = [node for node in above.content if node is not shape]
+                    above.remove(shape)
                 elif uri.strip() and (expected := meshes.expected(uri, element.file)) is not None:
                     # The reader of the text has no package path, and would report a missing package.
                     element.set_mesh(expected.absolute().as_uri())
@@ -181,8 +175,7 @@ def written(source: str | Path, packages: Packages | None = None) -> Written:
 def declared_arguments(source: str | Path, packages: Packages | None = None) -> dict[str, str]:
     """The `<xacro:arg>` of a model and of the files that it includes by plain names, with their defaults.
 
-    Raises:
-        BadFile, UnknownName: as load.
+    Raises BadFile, UnknownName: as load.
     """
     return {name: element.get("default") or "" for name, element in written(source, packages).arguments.items()}
 
@@ -193,8 +186,7 @@ def declared_arguments(source: str | Path, packages: Packages | None = None) -> 
 def with_root_fixed(xml: str, file: str = "robot_description") -> str:
     """The robot with its root fixed to a link called `world`; unchanged if the root is `world` already.
 
-    Raises:
-        BadFile: broken XML, no single root, or a link called `world` that is not the root.
+    Raises BadFile: broken XML, no single root, or a link called `world` that is not the root.
     """
     robot = xml_tree.read(xml, file)
     root = _root_name(robot)
@@ -219,8 +211,7 @@ def with_root_free(xml: str, file: str = "robot_description") -> str:
 
     The link below becomes the root. The joint's origin is lost: the pose of the spawn replaces it.
 
-    Raises:
-        BadFile: broken XML, no single root, or `world` has other joints than one fixed joint.
+    Raises BadFile: broken XML, no single root, or `world` has other joints than one fixed joint.
     """
     robot = xml_tree.read(xml, file)
     if _root_name(robot) != WORLD:
@@ -231,8 +222,7 @@ def with_root_free(xml: str, file: str = "robot_description") -> str:
         raise robot.error(
             f"cannot free the robot: its link {WORLD!r} must hold it by one fixed joint alone; joints there: {names}"
         )
-    gone = [below[0], *(link for link in robot.find_all("link") if link.get("name") == WORLD)]
-    robot.content[:] = [node for node in robot.content if node not in gone]
+    robot.remove(below[0], *(link for link in robot.find_all("link") if link.get("name") == WORLD))
     return xml_tree.write(robot)
 
 

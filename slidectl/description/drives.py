@@ -57,7 +57,7 @@ class DriveReader:
         """Read a plugin of `DRIVES`. Raises BadFile: a malformed number, or a size of a wheel that is not above 0."""
         is_force_based = library in FORCE_BASED
         own = _OF_PLANAR if library == PLANAR else _OF_WHEELS | (_OF_DIFF if library == DIFF else _OF_SKID)
-        self._tell_unknown(plugin, _OF_ALL | (_OF_FORCE_BASED | _GAINS if is_force_based else own), place)
+        self._report_unknown(plugin, _OF_ALL | (_OF_FORCE_BASED | _GAINS if is_force_based else own), place)
         namespace = plugin.find("robotNamespace")
         common: dict[str, Any] = {
             "name": plugin.get("name") or library,
@@ -69,31 +69,24 @@ class DriveReader:
             "pose_variances": _VARIANCES,
             "twist_variances": None,
         }
-        if library == PLANAR:
+        if library == PLANAR or is_force_based:
             rate = child_rate(plugin, "odometryRate", 20.0, place)
-            timeout_s = child_number(plugin, "cmdTimeout", -1.0, place, finite=False)
-            common |= dict.fromkeys(("has_odometry", "has_odometry_tf"), rate > 0.0)
-            drive = PlanarMove(**common, tells_height=False, odometry_rate_hz=rate, timeout_s=timeout_s)
-            self.drives.append(drive)
+            tag, default = ("cmdVelTimeOut", 0.25) if is_force_based else ("cmdTimeout", -1.0)
+            timeout_s = child_number(plugin, tag, default, place, finite=False)
+            has_frame = rate > 0.0 and (not is_force_based or self._flag(plugin, "publishOdometryTf", True, place))
+            for gain in sorted(_GAINS) if is_force_based else ():
+                if (child := plugin.find(gain)) is not None:
+                    self.report.converted(child, "the robot has the commanded velocity at once", f"{place}/<{gain}>")
+            self.drives.append(
+                PlanarMove(
+                    **common, odometry_rate_hz=rate, has_odometry=rate > 0.0, has_odometry_tf=has_frame,
+                    tells_height=False, timeout_s=timeout_s, falls=is_force_based,
+                )
+            )  # fmt: skip
             return
-        if is_force_based:
-            rate = child_rate(plugin, "odometryRate", 20.0, place)
-            timeout_s = child_number(plugin, "cmdVelTimeOut", 0.25, place, finite=False)
-            tells_frame = rate > 0.0 and self._flag(plugin, "publishOdometryTf", True, place)
-            common |= {"has_odometry": rate > 0.0, "has_odometry_tf": tells_frame}
-            for tag in sorted(_GAINS):
-                if (child := plugin.find(tag)) is not None:
-                    self.report.converted(child, "the robot has the commanded velocity at once", f"{place}/<{tag}>")
-            drive = PlanarMove(**common, tells_height=False, odometry_rate_hz=rate, timeout_s=timeout_s, falls=True)
-            self.drives.append(drive)
-            return
-        read = self._diff if library == DIFF else self._skid
-        wheels = read(plugin, place)
-        lengths = (
-            ("separation", "wheelSeparation", wheels.pop("default_separation")),
-            ("diameter", "wheelDiameter", 0.15),
-        )
-        for name, tag, default in lengths:
+        wheels = self._diff(plugin, place) if library == DIFF else self._skid(plugin, place)
+        separation = 0.34 if library == DIFF else 0.4
+        for name, tag, default in (("separation", "wheelSeparation", separation), ("diameter", "wheelDiameter", 0.15)):
             wheels[name] = length = child_number(plugin, tag, default, place)
             if not 0.0 < length < float("inf"):
                 raise (plugin.find(tag) or plugin).error(f"{place}: <{tag}> is {length:g} m; it must be above 0")
@@ -117,7 +110,6 @@ class DriveReader:
             self.report.wrong(plugin, f"<odometrySource> {source!r} is neither encoder nor world; it is world", place)
         has_odometry = self._flag(plugin, "publishTf", True, place)
         return {
-            "default_separation": 0.34,
             "left": sides[0],
             "right": sides[1],
             "torque": child_number(plugin, "wheelTorque", 5.0, place, finite=False),
@@ -136,7 +128,6 @@ class DriveReader:
         }
         variances = tuple(child_number(plugin, tag, default, place) for tag, default in _COVARIANCES)
         return {
-            "default_separation": 0.4,
             **joints,
             "torque": child_number(plugin, "torque", 5.0, place, finite=False),
             "has_odometry": True,
@@ -148,7 +139,7 @@ class DriveReader:
 
     def read_mimic(self, plugin: Element, place: str) -> None:
         """Read a plugin of `MIMIC`. Raises BadFile: a malformed number."""
-        self._tell_unknown(plugin, {"robotNamespace", *_OF_MIMIC, *_DONE_BY_CONSTRAINT}, place)
+        self._report_unknown(plugin, {"robotNamespace", *_OF_MIMIC, *_DONE_BY_CONSTRAINT}, place)
         for tag in _DONE_BY_CONSTRAINT:
             if (child := plugin.find(tag)) is not None:
                 self.report.ignored(child, "has no effect: a constraint holds the joint", f"{place}/<{tag}>")
@@ -161,7 +152,7 @@ class DriveReader:
         offset = child_number(plugin, "offset", 0.0, place)
         self.mimics[follower] = Mimic(leader, multiplier, offset), plugin
 
-    def _tell_unknown(self, plugin: Element, tags: Collection[str], place: str) -> None:
+    def _report_unknown(self, plugin: Element, tags: Collection[str], place: str) -> None:
         self.report.unknown(plugin, {"name", "filename"}, {*tags, *_HARMLESS}, place)
         for tag in _HARMLESS:
             if (child := plugin.find(tag)) is not None:

@@ -118,11 +118,19 @@ def vector(element: Element, name: str, owner: str) -> Vector:
     return (x, y, z)
 
 
+def text_numbers(element: Element, count: int, what: str) -> tuple[float, ...]:
+    """The text of an element as `count` numbers, separated by blanks. `what` names it in the error."""
+    words = element.first_text.split()
+    if len(words) != count:
+        wanted = "a number" if count == 1 else f"{count} numbers"
+        raise element.error(f"{what} is {wanted}, not {element.first_text!r}")
+    return tuple(parse_number(word, element, what) for word in words)
+
+
 def pose_numbers(element: Element, what: str) -> tuple[Vector, Vector]:
     """Position and angles of an SDF `<pose>`. As in Gazebo, the angles are 0 unless all three of them are there.
 
-    Raises:
-        BadFile: fewer than three numbers, more than six, or what is not a number.
+    Raises BadFile: fewer than three numbers, more than six, or what is not a number.
     """
     words = element.first_text.split()
     if not 3 <= len(words) <= 6:
@@ -137,7 +145,7 @@ def lacks_angles(element: Element) -> bool:
     return element.tag == "pose" and len(element.first_text.split()) in (4, 5)
 
 
-LACKS_ANGLES = "has not all three angles: it is a position without rotation, as in Gazebo"
+LACKS_ANGLES = "lacks some of its three angles: it is a position without rotation, as in Gazebo"
 """The notice for a pose that `lacks_angles`."""
 
 

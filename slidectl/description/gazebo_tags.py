@@ -37,10 +37,9 @@ _NO = ("false", "no", "0")
 
 
 class GazeboReader:
-    """Reads the `<gazebo>` elements of one robot."""
+    """Reads the `<gazebo>` elements of one robot. `joints` has the parent link and the child link of each joint."""
 
     def __init__(self, report: Report, links: Collection[str], joints: Mapping[str, tuple[str, str]]) -> None:
-        """`joints` has the parent link and the child link of each joint."""
         self.report = report
         self.links = links
         self.joints = joints
@@ -50,11 +49,7 @@ class GazeboReader:
         self.drives = drives.DriveReader(report, joints)
 
     def read(self, element: Element) -> None:
-        """Read one `<gazebo>` element.
-
-        Raises:
-            BadFile: a malformed number or an impossible name.
-        """
+        """Read one `<gazebo>` element. Raises BadFile: a malformed number or an impossible name."""
         self.report.unknown(element, {"reference"}, [child.tag for child in element.children])
         reference = element.get("reference") or ""
         if reference and reference not in self.links and reference not in self.joints:
@@ -95,7 +90,7 @@ class GazeboReader:
             self.report.ignored(element, f"only the first {_CONTROL_PLUGIN}.so counts, line {self.plugin.line}", place)
         else:
             if library(element) != _CONTROL_PLUGIN:
-                self.report.wrong(element, f"{filename} is taken for {_CONTROL_PLUGIN}.so, on which it is based", place)
+                self.report.wrong(element, f"{filename} is read as {_CONTROL_PLUGIN}.so, on which it is based", place)
             self.plugin = self._control(element, place)
         return True
 
@@ -105,15 +100,23 @@ class GazeboReader:
         texts = {tag: _text(child) for tag, child in found.items()}
         if "legacyModeNS" in texts:
             self.report.ignored(found["legacyModeNS"], "legacyModeNS has no effect, as since ROS Melodic", place)
+        namespace = texts.get("robotNamespace")
+        if namespace is not None and not names.is_legal("/" + namespace.strip("/")):
+            text = f"robotNamespace {namespace!r} is not a legal name (letters, digits, '_' and '/')"
+            raise found["robotNamespace"].error(text)
+        try:
+            how = transmissions_named(texts["transmissions"]) if "transmissions" in texts else None
+        except Refused as error:
+            raise found["transmissions"].error(error.message) from None
         return ControlPlugin(
-            _namespace(element, texts.get("robotNamespace")),
+            namespace,
             texts.get("robotParam") or "robot_description",
             texts.get("robotSimType") or ControlPlugin.robot_sim_type,
-            _period(element, texts.get("controlPeriod")),
+            _period(found["controlPeriod"]) if "controlPeriod" in found else None,
             texts.get("eStopTopic") or None,
             element.line,
             element.file,
-            _transmissions(element, texts.get("transmissions")),
+            how,
         )
 
     def _of_link(self, child: Element, link: str, element: Element) -> bool:
@@ -128,7 +131,7 @@ class GazeboReader:
         elif child.tag == "material":
             self._set(link, material=_text(child) or None)
         elif child.tag == "plugin" and _is_control(child):
-            self.report.wrong(child, "has no effect in here: it belongs into a <gazebo> without a reference", place)
+            self.report.wrong(child, "has no effect in here: it belongs in a <gazebo> without a reference", place)
         else:
             self.report.ignored(child, f"has no effect here{self.report.meant(child.tag, _OF_LINK, '<{}>')}", place)
         return True
@@ -172,13 +175,13 @@ def leave_out_hardware(root: Element, missing: Missing) -> None:
         return
     for plugin in _control_plugins(root):
         for kind in plugin.find_all("robotSimType"):
-            if _text(kind) in SIM_TYPES or _text(kind) in installed_hardware():
+            known = (*SIM_TYPES, *installed_hardware())
+            if _text(kind) in known:
                 continue
-            known = listing((*SIM_TYPES, *installed_hardware()))
-            text = f"<robotSimType> {_text(kind)!r} is no simulated hardware; there is {known}"
+            text = f"<robotSimType> {_text(kind)!r} is not simulated hardware; known: {listing(known)}"
             error = NotThere(text, kind.file, kind.line, thing=f"robotSimType {_text(kind)}")
-            missing.note(error, "the default is taken")
-            plugin.content[:] = [node for node in plugin.content if node is not kind]
+            missing.note(error, "the default is used")
+            plugin.remove(kind)
             _leave_out_interfaces(root, missing)
 
 
@@ -195,12 +198,12 @@ def _leave_out_interfaces(root: Element, missing: Missing) -> None:
         if unknown and len(unknown) == len(tags):
             left_out.append(transmission)
         for joint in joints:
-            joint.content[:] = [node for node in joint.content if not any(node is tag for tag in unknown)]
-    root.content[:] = [node for node in root.content if not any(node is one for one in left_out)]
+            joint.remove(*unknown)
+    root.remove(*left_out)
     if left_out:
         first = left_out[0]
-        text = f"{first.title} is by no interface that the default hardware has"
-        others = f"; so are {len(left_out) - 1} others" if left_out[1:] else ""
+        text = f"{first.title} has no interface of the default hardware"
+        others = f", nor have {len(left_out) - 1} others" if left_out[1:] else ""
         error = NotThere(f"{text}{others}", first.file, first.line, thing="transmissions of robotSimType")
         missing.note(error, "left out")
 
@@ -217,8 +220,8 @@ def set_transmissions(root: Element, how: Transmissions) -> None:
         attributes = {"name": "gazebo_ros_control", "filename": f"{_CONTROL_PLUGIN}.so"}
         plugin = Element("plugin", attributes, root.file, root.line, [])
         root.content.append(Element("gazebo", {}, root.file, root.line, [plugin]))
-    others = [node for node in plugin.content if not (isinstance(node, Element) and node.tag == "transmissions")]
-    plugin.content[:] = [*others, Element("transmissions", {}, plugin.file, plugin.line, [how])]
+    plugin.remove(*plugin.find_all("transmissions"))
+    plugin.content.append(Element("transmissions", {}, plugin.file, plugin.line, [how]))
 
 
 def _control_plugins(root: Element) -> list[Element]:
@@ -239,21 +242,6 @@ def _text(element: Element) -> str:
     return value.strip() if value is not None else element.first_text
 
 
-def _namespace(plugin: Element, text: str | None) -> str | None:
-    """Check the namespace and return it as written; an empty one means the root. Raises BadFile unless it is legal."""
-    if text is not None and not names.is_legal("/" + text.strip("/")):
-        place = plugin.find("robotNamespace") or plugin
-        raise place.error(f"robotNamespace {text!r} is not a legal name (letters, digits, '_' and '/')")
-    return text
-
-
-def _transmissions(plugin: Element, text: str | None) -> Transmissions | None:
-    try:
-        return None if text is None else transmissions_named(text)
-    except Refused as error:
-        raise (plugin.find("transmissions") or plugin).error(error.message) from None
-
-
 def transmissions_named(text: str) -> Transmissions:
     """Check the value of `transmissions`. Raises Refused."""
     if text not in get_args(Transmissions):
@@ -261,13 +249,9 @@ def transmissions_named(text: str) -> Transmissions:
     return cast(Transmissions, text)
 
 
-def _period(plugin: Element, text: str | None) -> float | None:
-    if text is None:
-        return None
-    place = plugin.find("controlPeriod") or plugin
-    period = element_values.parse_number(text, place, "controlPeriod")
-    if period <= 0:
-        raise place.error(f"controlPeriod is {period:g} s; it must be above 0")
-    if period > element_values.LONGEST_PERIOD_S:
-        raise place.error(f"controlPeriod is {period:g} s; durations of ROS end at {element_values.LONGEST_PERIOD_S} s")
+def _period(element: Element) -> float:
+    period = element_values.parse_number(_text(element), element, "controlPeriod")
+    if not 0 < period <= element_values.LONGEST_PERIOD_S:
+        bounds = f"above 0 and at most {element_values.LONGEST_PERIOD_S} s, the longest duration of ROS"
+        raise element.error(f"controlPeriod is {period:g} s; it must be {bounds}")
     return period

@@ -57,8 +57,8 @@ def principal(inertia: Tensor) -> tuple[Vector, Matrix]:
         _turn(rows, axes, i, j)
     order = sorted(range(3), key=lambda k: rows[k][k])
     x, y, z = (rows[k][k] * scale for k in order)
-    columns = [tuple(row[k] for k in order) for row in axes]
-    return (x, y, z), (_vector(columns[0]), _vector(columns[1]), _vector(columns[2]))
+    first, second, third = ((row[order[0]], row[order[1]], row[order[2]]) for row in axes)
+    return (x, y, z), (first, second, third)
 
 
 def _turn(rows: list[list[float]], axes: list[list[float]], i: int, j: int) -> None:
@@ -73,11 +73,6 @@ def _turn(rows: list[list[float]], axes: list[list[float]], i: int, j: int) -> N
     rows[i] = [cosine * a - sine * b for a, b in zip(first, second, strict=True)]
     rows[j] = [sine * a + cosine * b for a, b in zip(first, second, strict=True)]
     rows[i][j] = rows[j][i] = 0.0
-
-
-def _vector(values: tuple[float, ...]) -> Vector:
-    x, y, z = values
-    return (x, y, z)
 
 
 def is_mass(mass: float) -> bool:

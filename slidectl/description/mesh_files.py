@@ -39,10 +39,10 @@ class MeshFiles:
 
         A relative path is looked up beside that file, then beside the robot's file.
         """
-        path, why = self._read(f"place of the mesh {uri}", lambda: self._look(uri.strip(), written_in))
+        path, why = self._read(f"place of the mesh {uri}", lambda: self._find(uri.strip(), written_in))
         return Path(path) if path else None, why
 
-    def _look(self, uri: str, written_in: str) -> tuple[str, str]:
+    def _find(self, uri: str, written_in: str) -> tuple[str, str]:
         try:
             candidates = self._candidates(uri, written_in)
         except UnknownPackage as error:

@@ -34,10 +34,9 @@ _MOST_BYTES = 128 * 2**20
 _MOST_BYTES_OF_TEXT = 64 * 2**20
 """The largest file in a text format, bytes; reading takes several times its size in memory."""
 _MOST_FACES = 2_000_000
+_LONGEST_SKIN_CHAIN = 10
 _MOST_PARTS = 20_000
 """The most nodes of a scene with their transforms and instances; repeated instances count again."""
-_DEEPEST = 100
-"""The deepest nesting of nodes."""
 
 _TRANSFORMS = {"matrix": 16, "translate": 3, "rotate": 4, "scale": 3, "lookat": 9}
 """The transforms of nodes, each with its count of numbers."""
@@ -75,13 +74,12 @@ class Triangles(NamedTuple):
 def load(path: str | Path, scale: Vector = (1.0, 1.0, 1.0)) -> Triangles:
     """Read all triangles of a mesh file as one surface, in the file's own frame, scaled by `scale`.
 
-    Raises:
-        BadMesh: of no known kind, unreadable, over a bound, or without a triangle.
+    Raises BadMesh: of no known kind, unreadable, over a bound, or without a triangle.
     """
     path = Path(path)
     kind = path.suffix.lower()
     if kind not in SUFFIXES:
-        raise BadMesh(f"is of no known kind of mesh; known: {', '.join(SUFFIXES)}", path)
+        raise BadMesh(f"is not of a known kind of mesh; known: {', '.join(SUFFIXES)}", path)
     content = _content(path)
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused below
@@ -91,9 +89,7 @@ def load(path: str | Path, scale: Vector = (1.0, 1.0, 1.0)) -> Triangles:
                 _check_size(len(content), _MOST_BYTES_OF_TEXT, path)
                 vertices, faces = _obj(content, path) if kind == ".obj" else _dae(content, path)
     except (ValueError, IndexError, ArithmeticError) as error:
-        raise BadMesh(f"cannot read the mesh: {_without_content(error)}", path) from None
-    except RecursionError:
-        raise BadMesh("cannot read the mesh: it is nested too deep", path) from None
+        raise BadMesh(f"cannot read the mesh: {error}", path) from None
     except MemoryError:
         raise BadMesh("cannot read the mesh: it needs more memory than there is for it", path) from None
     if not len(faces):
@@ -108,14 +104,6 @@ def load(path: str | Path, scale: Vector = (1.0, 1.0, 1.0)) -> Triangles:
         raise BadMesh(f"the mesh has coordinates of more than {_FARTHEST:g} m", path)
     # Mirroring turns triangles inside out; reversing their corners corrects that.
     return Triangles(vertices, faces[:, ::-1].copy() if np.prod(scale) < 0 else faces)
-
-
-def _without_content(error: Exception) -> str:
-    """The reason of an error. Python and numpy quote what they cannot convert: a client that may name a file, and may
-    not read it, would see its content.
-    """
-    text = str(error).strip() or type(error).__name__
-    return "what should be a number is none" if "convert" in text or "literal" in text else text
 
 
 def is_flat(vertices: NDArray[np.float64]) -> bool:
@@ -230,8 +218,7 @@ def _used(vertices: NDArray[np.float64], faces: NDArray[np.int32], path: Path) -
 def _dae(content: bytes, path: Path) -> Triangles:
     """All triangles of the file's scene, in metres.
 
-    Raises:
-            BadMesh: not XML, no scene, or over a bound. ValueError: malformed numbers.
+    Raises BadMesh: not XML, no scene, or over a bound. ValueError: malformed numbers.
     """
     try:
         root = xml_tree.read(content, str(path), _MOST_BYTES_OF_TEXT)
@@ -284,46 +271,41 @@ class _Scene:
     def _instances(self) -> Iterator[tuple[Element, NDArray[np.float64]]]:
         """Each instance of a geometry in the scene, with its 4 x 4 placement."""
         count = 0
-        waiting = [(node, np.eye(4), 0) for node in reversed(self._top_nodes())]
-        while waiting:
-            node, place, depth = waiting.pop()
+        scene = below(self.root, "library_visual_scenes", "visual_scene")
+        if (instance := below(self.root, "scene", "instance_visual_scene")) is not None:
+            scene = self._target(instance, "url")
+        if scene is None:
+            raise BadMesh("cannot read the mesh: it has no <visual_scene>", self.path)
+        pending = [(node, np.eye(4)) for node in reversed(scene.find_all("node"))]
+        while pending:
+            node, place = pending.pop()
             count += 1 + len(node.children)
             if count > _MOST_PARTS:
                 raise BadMesh(f"the scene has more than {_MOST_PARTS} nodes, instances included", self.path)
-            if depth > _DEEPEST:
-                raise BadMesh(f"the nodes of the scene are nested deeper than {_DEEPEST}", self.path)
-            inside: list[tuple[Element, NDArray[np.float64], int]] = []
+            inside: list[tuple[Element, NDArray[np.float64]]] = []
             for child in node.children:
                 kind = child.tag
                 if (placed := _transform(child)) is not None:
                     place = place @ placed
                 elif kind == "node":
-                    inside.append((child, place, depth + 1))
+                    inside.append((child, place))
                 elif kind == "instance_node":
-                    inside.append((self._target(child, "url"), place, depth + 1))
+                    inside.append((self._target(child, "url"), place))
                 elif kind in ("instance_geometry", "instance_controller"):
                     yield self._geometry(child), place
-            waiting.extend(reversed(inside))
-
-    def _top_nodes(self) -> list[Element]:
-        shown = below(self.root, "library_visual_scenes", "visual_scene")
-        if (instance := below(self.root, "scene", "instance_visual_scene")) is not None:
-            shown = self._target(instance, "url")
-        if shown is None:
-            raise BadMesh("cannot read the mesh: it has no <visual_scene>", self.path)
-        return shown.find_all("node")
+            pending.extend(reversed(inside))
 
     def _geometry(self, instance: Element) -> Element:
         """The instanced geometry; for a skin or a morph the geometry at rest."""
         target = self._target(instance, "url")
-        for _ in range(_DEEPEST):
-            if target.tag == "geometry":
-                return target
+        for _ in range(_LONGEST_SKIN_CHAIN):
             skin = target.find("skin") or target.find("morph")
             if skin is None:
                 break
             target = self._target(skin, "source")
-        raise BadMesh(f"cannot read the mesh: {instance.get('url')!r} is no geometry", self.path)
+        if target.tag != "geometry":
+            raise BadMesh(f"cannot read the mesh: {instance.get('url')!r} is not a geometry", self.path)
+        return target
 
     def _target(self, element: Element, attribute: str) -> Element:
         name = (element.get(attribute) or "").removeprefix("#")
@@ -350,14 +332,11 @@ class _Scene:
                     self.points_read += len(vertices[-1])
                     if self.points_read > 3 * _MOST_FACES:
                         raise BadMesh(f"the mesh has more than {3 * _MOST_FACES} vertices", self.path)
-                offsets = [int(entry.get("offset") or 0) for entry in inputs]
-                if min(offsets) < 0:
-                    text = f"line {primitive.line} has an input of offset {min(offsets)}"
-                    raise BadMesh(f"cannot read the mesh: {text}", self.path)
-                stride = 1 + max(offsets)
+                stride = 1 + max(int(entry.get("offset") or 0) for entry in inputs)
                 corners = _corners(primitive, offset, stride)
                 if len(corners) and not 0 <= corners.min() <= corners.max() < total - starts[id(source)]:
-                    raise BadMesh(f"cannot read the mesh: line {primitive.line} uses vertices that are none", self.path)
+                    text = f"line {primitive.line} uses vertices that do not exist"
+                    raise BadMesh(f"cannot read the mesh: {text}", self.path)
                 faces.append(corners + starts[id(source)])
                 _check_faces(sum(map(len, faces)), self.path)
         if not faces:
@@ -382,11 +361,9 @@ class _Scene:
         if array is None:
             raise BadMesh(f"cannot read the mesh: line {source.line} has no <float_array>", self.path)
         numbers = _floats(array)
-        stride = int((accessor.get("stride") if accessor is not None else None) or 3)
-        offset = int((accessor.get("offset") if accessor is not None else None) or 0)
-        if stride < 3 or offset < 0:
-            raise BadMesh(f"cannot read the mesh: line {source.line} has points of {stride} numbers", self.path)
-        numbers = numbers[offset:]
+        layout = accessor.attributes if accessor is not None else {}
+        stride = int(layout.get("stride") or 3)
+        numbers = numbers[int(layout.get("offset") or 0) :]
         return numbers[: len(numbers) // stride * stride].reshape(-1, stride)[:, :3]
 
 
@@ -416,7 +393,7 @@ def _corners(primitive: Element, offset: int, stride: int) -> NDArray[np.int64]:
 def _fans(corners: NDArray[np.int64], sizes: NDArray[np.int64]) -> NDArray[np.int64]:
     """Split polygons of `sizes` corners into triangles around their first corners. Raises ValueError."""
     if len(sizes) and (sizes.min() < 0 or sizes.max() > len(corners) or sizes.sum() > len(corners)):
-        raise ValueError(f"{len(sizes)} polygons have not the {len(corners)} corners that are there")
+        raise ValueError(f"{len(sizes)} polygons do not fit the {len(corners)} corners that are there")
     counts = np.maximum(sizes - 2, 0)
     starts = np.repeat(np.cumsum(sizes) - sizes, counts)
     steps = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
@@ -448,7 +425,7 @@ def _transform(element: Element) -> NDArray[np.float64] | None:
     if kind == "translate":
         placed[:3, 3] = numbers
     elif kind == "rotate":
-        # Rotation about an axis by an angle in degrees (Rodrigues' formula).
+        # An axis and an angle in degrees (Rodrigues' formula).
         length = float(np.linalg.norm(numbers[:3]))
         if length > 0.0:
             x, y, z = numbers[:3] / length

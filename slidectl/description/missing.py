@@ -22,7 +22,7 @@ AllowedMissing = Literal["nothing", "nodes", "all but files", "all"]
 not there is an error, as roslaunch and xacro have it. `all` is --keep-going.
 """
 
-TO_GO_ON = "--keep-going leaves out what is not there"
+TO_GO_ON = "--keep-going leaves out what is missing"
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Missing:
         return len(self._found)
 
     @property
-    def found(self) -> list[Absence]:
+    def absences(self) -> list[Absence]:
         return list(self._found.values())
 
     @property
@@ -82,7 +82,7 @@ class Missing:
         """What was noted, as JSON values, for `add` in another process."""
         return [
             [isinstance(e, NoFileThere), one.loss, [e.reason, e.file, e.line, e.hint, e.thing]]
-            for one in self.found
+            for one in self.absences
             for e in (one.error,)
         ]
 
@@ -102,11 +102,10 @@ class Missing:
     def refuse(self) -> None:
         """Raise an error when something is missing that may not be left out.
 
-        Raises:
-            NotThere: the first absence; its hint lists the others.
+        Raises NotThere: the first absence; its hint lists the others.
         """
         found: dict[str, Absence] = {}
-        for absence in self.found:
+        for absence in self.absences:
             if not self.forgives(absence):
                 found.setdefault(absence.error.thing, absence)
         if not found:
@@ -115,7 +114,7 @@ class Missing:
         error = first.error
         lines = [error.hint] if error.hint else []
         if others:
-            lines += ["these are not there either:", *(f"  {one.error.message!s}" for one in others)]
+            lines += ["also missing:", *(f"  {one.error.message!s}" for one in others)]
         if any(absence.is_required for absence in found.values()):
             lines.append("a launch ends with a required node, so it does not start without it")
         else:
@@ -124,7 +123,7 @@ class Missing:
 
     def lines(self) -> list[str]:
         """The things that are left out, each as `file:line: what is missing; what is left out because of it`."""
-        return [absence.text for absence in self.found if self.forgives(absence)]
+        return [absence.text for absence in self.absences if self.forgives(absence)]
 
 
 # --- across processes ------------------------------------------------------------------------------------------------
@@ -135,13 +134,13 @@ _NOTES = "SLIDECTL_LEFT_OUT"
 the file for what was."""
 
 
-def passed_on(missing: Missing, notes: str) -> dict[str, str]:
+def to_environment(missing: Missing, notes: str) -> dict[str, str]:
     """Environment variables with which our xacro, run by another program, judges as this process. `notes` is a file."""
     return {_FORGIVEN: missing.forgiven, _NOTES: notes}
 
 
-def taken_over(environment: Mapping[str, str] = os.environ) -> Missing | None:
-    """What `passed_on` has passed on to this process, or None."""
+def from_environment(environment: Mapping[str, str] = os.environ) -> Missing | None:
+    """What `to_environment` has passed on to this process, or None."""
     levels: dict[str, AllowedMissing] = {level: level for level in ("nothing", "nodes", "all but files", "all")}
     found = levels.get(environment.get(_FORGIVEN, ""))
     return None if found is None else Missing(found)

@@ -31,8 +31,7 @@ class ModelText:
 def read(source: str | Path) -> ModelText:
     """Read the text that `source` means.
 
-    Raises:
-        BadFile: no such file, or one that cannot be read. UnknownName: no shipped model of that name.
+    Raises BadFile: no such file, or one that cannot be read. UnknownName: no shipped model of that name.
     """
     if source == "-":
         return ModelText(input_files.read_stdin(MOST_BYTES), "<stdin>", None)
@@ -45,8 +44,7 @@ def read(source: str | Path) -> ModelText:
 def read_file(path: Path, *, pipes: bool = False) -> bytes:
     """Read a user's file of at most MOST_BYTES; `pipes` is as in `input_files.opened`.
 
-    Raises:
-            NotThere: missing. BadFile: not a regular file, too large, or not readable.
+    Raises NotThere: missing. BadFile: not a regular file, too large, or not readable.
     """
     try:
         return input_files.read_bytes(path, MOST_BYTES, pipes=pipes)
@@ -61,8 +59,7 @@ def xacro_words(words: Iterable[str]) -> tuple[dict[str, str], list[str]]:
 
     As with xacro, `name:=` leaves the model's own default, and `_name:=value` is a parameter of a node, of no effect.
 
-    Raises:
-        UsageError: a word has several `:=`.
+    Raises UsageError: a word has several `:=`.
     """
     arguments, others = {}, []
     for word in words:
@@ -79,20 +76,19 @@ def xacro_words(words: Iterable[str]) -> tuple[dict[str, str], list[str]]:
 def find(source: str | Path) -> Path:
     """The file of a model: a bare name means a shipped model, anything else is a path.
 
-    Raises:
-            UnknownName: a bare name that is neither a shipped model nor a file.
+    Raises UnknownName: a bare name that is neither a shipped model nor a file.
     """
     text = os.fspath(source)
     known = shipped()
     if text in known:
         return known[text]
     path = Path(os.path.expanduser(text))
-    if looks_like_path(text) or is_file(path):
+    if is_path_like(text) or is_file(path):
         return path
     raise UnknownName("shipped model", text, sorted(known), "(and no file of that name here)")
 
 
-def looks_like_path(text: str) -> bool:
+def is_path_like(text: str) -> bool:
     """True for a text that can only be a path."""
     return "/" in text or os.sep in text or text.startswith(("~", ".")) or text.lower().endswith(SUFFIXES)
 

@@ -19,6 +19,7 @@ from slidectl.input_files import MOST_TEXT, read_bytes
 
 _NAME = re.compile(r"<name\b[^>]*>\s*([^<\s]+)\s*</name>")
 _DEEPEST = 8
+"""The deepest folder that is searched. Links may lead in a circle."""
 _VARIABLES = ("SLIDECTL_PACKAGE_PATH", "ROS_PACKAGE_PATH")
 _LEAVE_OUT = ("CATKIN_IGNORE", "AMENT_IGNORE", "COLCON_IGNORE", "rospack_nosubdirs")
 _MARKS = ("package.xml", "manifest.xml")
@@ -39,7 +40,8 @@ class Packages:
     def __init__(self, named: Mapping[str, str | Path] | None = None, start: str | Path | None = None) -> None:
         self.named = {name: _folder(path) for name, path in (named or {}).items()}
         self.starts = (Path(start).absolute(),) if start is not None else ()
-        self._found: dict[Path, dict[str, Path]] = {}
+        self._found: dict[str, dict[str, str]] = {}
+        """Name and folder of the packages below each folder that was searched."""
         self.own: dict[str, Path] = {}
         """The user's packages that are used instead of shipped ones; shared with the copies of `starting_at`."""
 
@@ -53,30 +55,27 @@ class Packages:
     def find(self, name: str) -> Path:
         """The folder of the package, absolute.
 
-        Raises:
-                UnknownPackage: not found; the hint lists where it was looked for.
+        Raises UnknownPackage: not found; the hint lists where it was looked for.
         """
         found = self.candidates(name)
         if found:
             self.note_own(name, found[0])
             return found[0]
-        raise UnknownPackage(name, [*self.names(), *self._shipped()], self._looked())
+        raise UnknownPackage(name, [*self.names(), *self._shipped()], self._searched_places())
 
     def learned(self) -> list[dict[str, Any]]:
         """What was found, as JSON values, for `learn` in another process."""
-        below = {str(top): {name: str(path) for name, path in found.items()} for top, found in self._found.items()}
-        return [below, {name: str(path) for name, path in self.own.items()}]
+        return [self._found, {name: str(path) for name, path in self.own.items()}]
 
     def learn(self, learned: list[dict[str, Any]]) -> None:
-        """Take over what another process has found."""
-        below, own = learned
-        for top, found in below.items():
-            self._found.setdefault(Path(top), {name: Path(path) for name, path in found.items()})
+        """Add what another process has found."""
+        found, own = learned
+        self._found.update(found)
         self.own.update({name: Path(path) for name, path in own.items()})
 
     def note_own(self, name: str, folder: Path) -> None:
         """Record that a folder is used as the package if a shipped package has the same name."""
-        if folder != self._shipped().get(name, folder):
+        if str(folder) != self._shipped().get(name, str(folder)):
             self.own[name] = folder
 
     def candidates(self, name: str) -> list[Path]:
@@ -84,10 +83,11 @@ class Packages:
 
         It returns a list, because an interrupt is lost in a generator that is closed before its end.
         """
-        below = [self._packages_below(folder) for folder in self._search_path()]
-        found = [packages[name] for packages in (self.named, *below) if name in packages]
+        places: list[Mapping[str, str | Path]] = [self.named, *map(self._packages_below, self._search_path())]
+        found = [Path(packages[name]) for packages in places if name in packages]
         found += [folder for start in self.starts for folder in self._above(name, start)]
-        return found + [shipped for known, shipped in self._shipped().items() if known == name]
+        shipped = self._shipped().get(name)
+        return found if shipped is None else [*found, Path(shipped)]
 
     def names(self) -> list[str]:
         """The names of all packages that are found without walking upwards."""
@@ -98,15 +98,15 @@ class Packages:
         entries = [entry for variable in _VARIABLES for entry in os.environ.get(variable, "").split(os.pathsep)]
         return list(dict.fromkeys(_folder(entry) for entry in entries if entry))
 
-    def _packages_below(self, folder: Path) -> dict[str, Path]:
-        if folder not in self._found:
-            found: dict[str, Path] = {}
+    def _packages_below(self, folder: Path) -> dict[str, str]:
+        """Name and folder of the packages below `folder`. The first one of a name counts."""
+        if str(folder) not in self._found:
+            found = self._found[str(folder)] = {}
             for package in _crawl(folder):
-                found.setdefault(package_name(package), package)
-            self._found[folder] = found
-        return self._found[folder]
+                found.setdefault(package_name(package), str(package))
+        return self._found[str(folder)]
 
-    def _shipped(self) -> dict[str, Path]:
+    def _shipped(self) -> dict[str, str]:
         return self._packages_below(paths.share("launch"))
 
     def _above(self, name: str, start: Path) -> Iterator[Path]:
@@ -118,13 +118,11 @@ class Packages:
                 if _is_package(beside):
                     yield beside
 
-    def _looked(self) -> list[str]:
-        looked = [f"--package {name}" for name in self.named]
-        for variable in _VARIABLES:
-            if value := os.environ.get(variable):
-                looked.append(f"{variable}={value}")
-        looked += [f"{start} and the folders above it" for start in self.starts]
-        return [*looked, "the packages shipped with slidectl"]
+    def _searched_places(self) -> list[str]:
+        named = (f"--package {name}" for name in self.named)
+        variables = (f"{variable}={value}" for variable in _VARIABLES if (value := os.environ.get(variable)))
+        above = (f"{start} and the folders above it" for start in self.starts)
+        return [*named, *variables, *above, "the packages shipped with slidectl"]
 
 
 def package_name(folder: Path) -> str:

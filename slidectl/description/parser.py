@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, cast, get_args
 
@@ -40,7 +40,7 @@ from slidectl.description.robot import (
     Surface,
     Vector,
 )
-from slidectl.description.transmissions import TransmissionReader, driving, takes_positions
+from slidectl.description.transmissions import TransmissionReader, driving, has_position_command
 from slidectl.description.xml_tree import Element
 from slidectl.errors import listing
 from slidectl.input_files import ReadInput, from_disk
@@ -77,25 +77,16 @@ def parse(
     Impossible masses and inertias are corrected, and shapes without a size are left out, each with a notice; `strict`
     refuses them.
 
-    Raises:
-        BadFile: with file and line, and the link or joint by name.
+    Raises BadFile: with file and line, and the link or joint by name.
     """
     meshes = MeshFiles(packages or Packages(start=base), base, read) if may_use_files else ForbiddenMeshes()
     return parse_tree(xml_tree.read(xml, file), meshes, Report(), strict)
 
 
-def _tell_stray_text(root: Element, report: Report) -> None:
-    """Report texts where only tags can be. What is inside of `<gazebo>` is read by others."""
-    for element in (root, *(inside for part in root.children if part.tag != "gazebo" for inside in part.walk())):
-        if stray := element.stray_text:
-            report.wrong(element, f"the text {stray!r} has no effect: is it a tag without its '<'?")
-
-
 def parse_tree(root: Element, meshes: MeshFiles, report: Report, strict: bool = False) -> Robot:
     """Parse a tree of elements; notices are added to `report`.
 
-    Raises:
-        BadFile: as parse. If the report collects faults, it has them all, and this is the first.
+    Raises BadFile: as parse. If the report collects faults, it has them all, and this is the first.
     """
     if root.tag != "robot":
         raise root.error(f"the outermost element is <{root.tag}>, expected <robot>")
@@ -115,7 +106,10 @@ def parse_tree(root: Element, meshes: MeshFiles, report: Report, strict: bool = 
         if base == WORLD and (inertial := link_at[base].find("inertial")) is not None:
             report.ignored(inertial, "the world does not move", f"link {base!r}/<inertial>")
         links = InertiaCorrector(links, joints, link_at, report, strict).weigh(base)
-    _tell_stray_text(root, report)
+    # Texts where only tags can be. What is inside of `<gazebo>` is read by others.
+    for element in (root, *(inside for part in root.children if part.tag != "gazebo" for inside in part.walk())):
+        if stray := element.stray_text:
+            report.wrong(element, f"the text {stray!r} has no effect: is it a tag without its '<'?")
     known = dict.fromkeys(part.get("name") or "" for part in root.find_all("link"))
     ends = {part.get("name") or "": (_end(part, "parent"), _end(part, "child")) for part in root.find_all("joint")}
     gazebo = GazeboReader(report, known, ends)
@@ -127,7 +121,7 @@ def parse_tree(root: Element, meshes: MeshFiles, report: Report, strict: bool = 
                 report.wrong(plugin, f"joint {follower!r} is {kind} and cannot follow; the plugin has no effect")
                 continue
             if joints[follower].mimic not in (None, mimic):
-                text = f"the plugin goes before the <mimic> of joint {follower!r}, which says otherwise, as in Gazebo"
+                text = f"the plugin overrides the <mimic> of joint {follower!r}, which differs, as in Gazebo"
                 report.wrong(plugin, text)
             joints[follower] = replace(joints[follower], mimic=mimic)
             report.attempt(structure.check_mimic, joint_at[follower])
@@ -136,7 +130,7 @@ def parse_tree(root: Element, meshes: MeshFiles, report: Report, strict: bool = 
     read = (report.attempt(reader.read, element) for element in root.find_all("transmission"))
     transmissions = tuple(info for info in read if info is not None)
     # A position joint moves to its command, which the limits bound, in the first steps.
-    moved = {joint.name for _, joint in driving(transmissions) if takes_positions(joint)}
+    moved = {joint.name for _, joint in driving(transmissions) if has_position_command(joint)}
     for joint in joints.values():
         limit = joint.limit if joint.type in _WITH_RANGE and joint.name not in moved else None
         if limit is not None and limit.lower != limit.upper and not limit.lower <= 0 <= limit.upper:
@@ -156,16 +150,16 @@ def _named(
     parts: dict[str, Any] = {}
     places: dict[str, Element] = {}
 
-    def take(element: Element) -> Any:
+    def add(element: Element) -> Any:
         part = read(element)
         if part.name in parts:
             first = places[part.name]
-            raise element.error(f"{tag} {part.name!r} is there twice; the other is at {first.file}:{first.line}")
+            raise element.error(f"duplicate {tag} {part.name!r}; the first is at {first.file}:{first.line}")
         parts[part.name], places[part.name] = part, element
         return part
 
     for element in root.find_all(tag):
-        report.attempt(take, element)
+        report.attempt(add, element)
     return parts, places
 
 
@@ -180,7 +174,7 @@ def place_of_limit(joint: str) -> str:
     return f"joint {joint!r}/<limit>"
 
 
-def is_put_inside(subject: str, text: str, joints: Collection[str]) -> bool:
+def is_moved_inside(subject: str, text: str, joints: Collection[str]) -> bool:
     """True for the notice that one of `joints` starts outside of its limits. These joints are spawned at positions in
     their limits, as other positions are refused."""
     return text.startswith(STARTS_OUTSIDE) and subject in map(place_of_limit, joints)
@@ -229,7 +223,7 @@ class _LinkReader:
         origin = _origin(self.report, element, owner)
         tensor = self.report.only(element, "inertia")
         if tensor is None and not self.strict:
-            text = "lacks <inertia>, which is taken for zeros, and these are corrected"
+            text = "lacks <inertia>: zeros are used, and corrected"
             self.report.wrong(element, text, f"{owner}/<inertial>")
             return Inertial(origin, mass, (0.0,) * 6, element.line)
         tensor = self._child(element, "inertia", owner)
@@ -285,21 +279,22 @@ class _LinkReader:
         return self._mesh(shape, owner, needed) if shape.tag == "mesh" else self._primitive(shape, owner)
 
     def _primitive(self, shape: Element, owner: str) -> Geometry | None:
+        made: Box | Sphere | Cylinder
         attributes = _GEOMETRIES[shape.tag]
         if shape.tag == "box":
             sizes: tuple[float, ...] = element_values.vector(shape, "size", owner)
             if min(sizes) < 0:
                 raise shape.error(f"{owner}: edges of a <box> must be above 0, not {shape.get('size')!r}")
+            made = Box((sizes[0], sizes[1], sizes[2]))
         else:
             sizes = tuple(element_values.not_negative(shape, name, owner) for name in attributes)
+            made = Sphere(*sizes) if shape.tag == "sphere" else Cylinder(*sizes)
         # The physics uses half lengths, and half of the smallest float is 0.
         if min(sizes) / 2 == 0.0:
             written = ", ".join(f"{name} {shape.get(name)!r}" for name in attributes)
             self._leave_out(shape, owner, f"<{shape.tag}> with {written} has no volume")
             return None
-        if shape.tag == "box":
-            return Box((sizes[0], sizes[1], sizes[2]))
-        return Sphere(sizes[0]) if shape.tag == "sphere" else Cylinder(sizes[0], sizes[1])
+        return made
 
     def _mesh(self, shape: Element, owner: str, needed: bool) -> Mesh | None:
         """Read a mesh. The file of a visual may be missing (it does not affect motion), that of a collision may not."""
@@ -315,7 +310,7 @@ class _LinkReader:
         path, why = self.meshes.locate(uri, shape.file)
         trouble: type[MissingMesh | UnknownMesh] = MissingMesh
         if path is not None and not uri.strip().lower().endswith(SUFFIXES):
-            path, why, trouble = None, f"is of no known kind; known: {', '.join(SUFFIXES)}", UnknownMesh
+            path, why, trouble = None, f"is not of a known kind; known: {', '.join(SUFFIXES)}", UnknownMesh
         if path is None and needed:
             raise shape.error(f"{owner}: mesh {uri!r}: {why}", kind=trouble)
         if path is None:
@@ -425,7 +420,7 @@ class _JointReader:
         x, y, z = element_values.vector(axis, "xyz", owner)
         length = math.hypot(x, y, z)
         if not 0.0 < length < math.inf:
-            raise axis.error(f"{owner}: <axis> is {axis.get('xyz')!r}, which is no direction")
+            raise axis.error(f"{owner}: <axis> is {axis.get('xyz')!r}, which is not a direction")
         if abs(length - 1.0) <= 1e-9:
             # Left as written: if the length is 1 within rounding errors, dividing would only change the last digit.
             return x, y, z
@@ -490,45 +485,37 @@ class _JointReader:
             self._ignore(mimic, owner, f"a {kind} joint cannot follow another")
             return None
         self.report.unknown(mimic, {"joint", "multiplier", "offset"}, (), f"{owner}/<mimic>")
-        multiplier = element_values.number(mimic, "multiplier", owner, 1.0)
-        return Mimic(
-            element_values.required(mimic, "joint", owner),
-            multiplier,
-            element_values.number(mimic, "offset", owner, 0.0),
+        multiplier, offset = (
+            element_values.number(mimic, name, owner, default)
+            for name, default in (("multiplier", 1.0), ("offset", 0.0))
         )
+        return Mimic(element_values.required(mimic, "joint", owner), multiplier, offset)
 
 
 # --- the tree of links ------------------------------------------------------------------------------------------------
 
 
+@dataclass
 class _Structure:
     """Checks the links and joints of one robot, and knows their elements. Takes time linear in the size."""
 
-    def __init__(
-        self,
-        links: Mapping[str, Link],
-        joints: Mapping[str, Joint],
-        link_at: Mapping[str, Element],
-        joint_at: Mapping[str, Element],
-        report: Report,
-    ) -> None:
-        self.links = links
-        self.joints = joints
-        self.link_at = link_at
-        self.joint_at = joint_at
-        self.report = report
-        self.above: dict[str, Joint] = {}
+    links: Mapping[str, Link]
+    joints: Mapping[str, Joint]
+    link_at: Mapping[str, Element]
+    joint_at: Mapping[str, Element]
+    report: Report
+    above: dict[str, Joint] = field(default_factory=dict)
+    """The joint above each link."""
 
     def check(self, robot: Element) -> str | None:
         """Check the structure. Returns the name of the root link; None when the report has collected an error.
 
-        Raises:
-            BadFile: the links are no tree, a mimic joint follows a missing joint, or a chain of joints is too long.
+        Raises BadFile: the links are no tree, a mimic joint follows a missing joint, or a chain of joints is too long.
         """
         if not self.links:
             raise robot.error("the robot has no link")
         elements = [self.joint_at[name] for name in self.joints]
-        placed = [self.report.attempt(self._take, element) for element in elements]
+        placed = [self.report.attempt(self._add_to_tree, element) for element in elements]
         root = self.report.attempt(self._root, robot) if all(placed) else None
         for element in elements:
             self.report.attempt(self.check_mimic, element)
@@ -536,7 +523,7 @@ class _Structure:
             raise self.joint_at[joint.name].error(f"joint {joint.name!r}: {TOO_DEEP}")
         return root
 
-    def _take(self, element: Element) -> bool:
+    def _add_to_tree(self, element: Element) -> bool:
         """Add a joint to the tree."""
         joint = self.joints[element.attributes["name"]]
         for role, name in (("parent", joint.parent), ("child", joint.child)):

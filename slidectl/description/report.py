@@ -17,22 +17,22 @@ from slidectl.description.xml_tree import Element
 from slidectl.errors import BadFile, closest
 
 MOST_NOTICES = 1000
-MOST_OF_ONE = 100
-"""The most unknown attributes, and the most unknown children, of one element that are named; the rest is counted."""
+"""Of one robot. Against: a description that was sent, whose every tag makes a notice."""
 MOST_ALIKE = 100
 """The most notices of one file in `bounded` that say the same of different things."""
 _MOST_COMPARED = 100
+"""The most names that are compared for a suggestion. Against: the same, as comparing is slow."""
 
 # Tags of related formats, with the tag that replaces them here.
 _FOREIGN = {
     "ros2_control": "it is ROS 2's; here joints are driven by <transmission>s",
-    "plugin": "it belongs into a <gazebo> without a reference",
-    "sensor": "it belongs into a <gazebo>",
+    "plugin": "it belongs in a <gazebo> without a reference",
+    "sensor": "it belongs in a <gazebo>",
     "model": "it is SDF's; here a robot is URDF",
 }
 
 
-def needs_telling(verdict: str, subject: str) -> bool:
+def is_important(verdict: str, subject: str) -> bool:
     """True for a notice that `spawn` prints in full: "wrong", or a corrected mass or inertia."""
     return verdict == "wrong" or (verdict == "converted" and "/<inertial>" in subject)
 
@@ -44,7 +44,7 @@ class Report:
         self.faults: list[BadFile] = []
         """Errors that `attempt` has caught; always empty in this class."""
         self._notices: list[Notice] = []
-        self._untold = 0
+        self._left_out = 0
         self._compared = 0
 
     def add(
@@ -59,17 +59,17 @@ class Report:
         if len(self._notices) < MOST_NOTICES:
             self._notices.append(Notice(verdict, subject or element.title, text, element.file, element.line))
         else:
-            self._untold += 1
+            self._left_out += 1
 
     def attempt(self, read: Callable[..., Any], element: Element, *values: Any) -> Any:
         """Call `read` for an element and return its result. A check catches its BadFile and returns None."""
         return read(element, *values)
 
     def notices(self, root: Element) -> tuple[Notice, ...]:
-        """All notices up to MOST_NOTICES; one more tells how many are left out."""
-        if not self._untold:
+        """All notices up to MOST_NOTICES; one more has the number of the others."""
+        if not self._left_out:
             return tuple(self._notices)
-        text = f"{self._untold} more notices are left out"
+        text = f"{self._left_out} more notices are left out"
         return (*self._notices, Notice("ignored", root.title, text, root.file, None))
 
     def ignored(self, element: Element, text: str, subject: str | None = None, attribute: str | None = None) -> None:
@@ -86,20 +86,14 @@ class Report:
     ) -> None:
         """Report every attribute and child of `element` that is not among the known ones."""
         place = owner or element.title
-        names = [name for name in element.attributes if name not in attributes and not is_namespace(name)]
-        for name in names[:MOST_OF_ONE]:
-            hint = self.meant(name, attributes)
-            self.ignored(element, f"attribute {name!r} is unknown here and has no effect{hint}", place, name)
-        if len(names) > MOST_OF_ONE:
-            self.ignored(element, f"and {len(names) - MOST_OF_ONE} more unknown attributes have no effect", place)
-        strange = [child for child in element.children if child.tag not in children]
-        for child in strange[:MOST_OF_ONE]:
-            hint = f"; {_FOREIGN[child.tag]}" if child.tag in _FOREIGN else self.meant(child.tag, children, "<{}>")
-            self.ignored(child, f"is unknown here and has no effect{hint}", f"{place}/{child.title}")
-        if len(strange) > MOST_OF_ONE:
-            child = strange[MOST_OF_ONE]
-            text = f"and {len(strange) - MOST_OF_ONE} more unknown tags, from here on, have no effect"
-            self.ignored(child, text, f"{place}/{child.title}")
+        for name in element.attributes:
+            if name not in attributes and not is_namespace(name):
+                hint = self.meant(name, attributes)
+                self.ignored(element, f"attribute {name!r} is unknown here and has no effect{hint}", place, name)
+        for child in element.children:
+            if child.tag not in children:
+                hint = f"; {_FOREIGN[child.tag]}" if child.tag in _FOREIGN else self.meant(child.tag, children, "<{}>")
+                self.ignored(child, f"is unknown here and has no effect{hint}", f"{place}/{child.title}")
 
     def meant(self, name: str, known: Iterable[str], form: str = "{!r}") -> str:
         """`; did you mean ...?` with the known name closest to `name`, or an empty text.
@@ -122,14 +116,14 @@ class Report:
 def bounded(notices: Sequence[Notice]) -> list[Notice]:
     """The notices; of more than MOST_ALIKE that say the same of different things, the rest is one with their number."""
     counts = Counter(map(_kind, notices))
-    told: Counter[tuple[str, str, str]] = Counter()
+    seen: Counter[tuple[str, str, str]] = Counter()
     shown = []
     for notice in notices:
         kind = _kind(notice)
-        told[kind] += 1
-        if notice.verdict == "used" or told[kind] <= MOST_ALIKE:
+        seen[kind] += 1
+        if notice.verdict == "used" or seen[kind] <= MOST_ALIKE:
             shown.append(notice)
-        elif told[kind] == MOST_ALIKE + 1:
+        elif seen[kind] == MOST_ALIKE + 1:
             rest = counts[kind] - MOST_ALIKE
             shown.append(replace(notice, text=f"and {rest} more like those before, of which this is the first"))
     return shown

@@ -104,34 +104,28 @@ class _ImpossibleInertial:
     place: Element
     why: str
 
-    def tell(self, report: Report, consequence: str) -> None:
+    def report_to(self, report: Report, consequence: str) -> None:
         report.converted(self.place, f"{self.why}; {consequence}", f"{_subject(self.link)}/<{self.tag}>")
 
 
+@dataclass
 class InertiaCorrector:
     """Corrects the bodies of one robot, with a notice for each link that cannot be simulated as written."""
 
-    def __init__(
-        self,
-        links: Mapping[str, Link],
-        joints: Mapping[str, Joint],
-        link_at: Mapping[str, Element],
-        report: Report,
-        strict: bool = False,
-    ) -> None:
-        """`strict` refuses what would be corrected."""
-        self.links = dict(links)
-        self.joints = joints
-        self.link_at = link_at
-        self.report = report
-        self.strict = strict
-        self._above = {joint.child: joint for joint in joints.values()}
+    links: dict[str, Link]
+    joints: Mapping[str, Joint]
+    link_at: Mapping[str, Element]
+    report: Report
+    strict: bool = False
+    """True: refuse what would be corrected."""
+
+    def __post_init__(self) -> None:
+        self._above = {joint.child: joint for joint in self.joints.values()}
 
     def weigh(self, root: str) -> dict[str, Link]:
         """The links, with inertias that can be simulated; those of correct bodies are unchanged.
 
-        Raises:
-            BadFile: the sums overflow; or, with `strict`, anything needs a correction.
+        Raises BadFile: the sums overflow; or, with `strict`, anything needs a correction.
         """
         for body in rigid_bodies(root, self.joints):
             self.report.attempt(self._weigh, self.link_at[body.head], body)
@@ -144,7 +138,7 @@ class InertiaCorrector:
                 raise unfit[0].place.error(f"link {unfit[0].link!r} {unfit[0].why}")
             if not body.moves:
                 for found in unfit:
-                    found.tell(self.report, "it is fixed to the world, where nothing has a weight")
+                    found.report_to(self.report, "it is fixed to the world, where nothing has a weight")
                     self.links[found.link] = replace(self.links[found.link], inertial=None)
             elif (written := self._lumped(body)) is not None:
                 self._mend(body, written, unfit)
@@ -168,10 +162,10 @@ class InertiaCorrector:
         whole = "it is" if len(weighing) == 1 else f"fixed to one another, {listing(weighing)} are"
         end = f"simulated with {change}" if change else f"one body of {_weight(mended)}"
         for found in unfit:
-            found.tell(self.report, f"{whole} {end}")
+            found.report_to(self.report, f"{whole} {end}")
         if not unfit:
             place = self._inertial_of(weighing[0])
-            text = f"{_weight(written)} are too little for what moves"
+            text = f"{_weight(written)} are too little for a body that moves"
             if self.strict:
                 raise place.error(f"link {weighing[0]!r}: {text}; both must be at least {LEAST:g}")
             self.report.converted(place, f"{text}; {whole} simulated with {change}", _subject(weighing[0]))

@@ -439,8 +439,7 @@ def namespace_of(robot: Robot, name: str) -> str:
 
     A `name` that is no graph name becomes one, part by part (see names.legal_robot).
 
-    Raises:
-        BadName: a `robotNamespace` that cannot be a namespace.
+    Raises BadName: a `robotNamespace` that cannot be a namespace.
     """
     written = robot.plugin.robot_namespace if robot.plugin is not None else None
     return names.legal_namespace(name) if written is None else names.check("/" + written.strip("/"))

@@ -21,7 +21,14 @@ from pathlib import Path
 from urllib.parse import unquote
 
 from slidectl.description import models, xml_tree
-from slidectl.description.element_values import LACKS_ANGLES, child_text, lacks_angles, parse_number, pose_numbers
+from slidectl.description.element_values import (
+    LACKS_ANGLES,
+    child_text,
+    lacks_angles,
+    parse_number,
+    pose_numbers,
+    text_numbers,
+)
 from slidectl.description.mesh_files import FORBIDDEN
 from slidectl.description.missing import Missing
 from slidectl.description.packages import Packages, UnknownPackage, is_file, shown
@@ -45,6 +52,7 @@ _JOINTS = ("revolute", "continuous", "prismatic", "fixed")
 _UNLIMITED = 1e16
 NO_LIGHT = "has no effect: the light of pictures is that of the camera and the sun"
 """Said about lights other than the sun."""
+_NOTHING_LIKE_IT = "has no effect: there is nothing like it here"
 _QUIET = ("allow_auto_disable", "enable_wind", "kinematic", "must_be_base_link", "audio_source")
 """Tags without effect in a world of rigid bodies; they are not reported."""
 
@@ -182,8 +190,7 @@ def read(path: Path, packages: Packages | None = None, missing: Missing | None =
 
     `missing` collects the models and meshes that it names and that do not exist; these are left out.
 
-    Raises:
-        BadFile: missing, not SDF, or broken (file, line). NotThere: a model or a mesh, without `missing`.
+    Raises BadFile: missing, not SDF, or broken (file, line). NotThere: a model or a mesh, without `missing`.
     """
     base = path.absolute().parent
     places = packages.starting_at(base) if packages is not None else None
@@ -202,10 +209,10 @@ def parse(
     """As read, for a text; `base` is the folder for relative paths. Without `may_use_files` all files are missing."""
     root = xml_tree.read(text, file)
     if root.tag not in ("sdf", "gazebo", "world", "model"):
-        raise root.error(f"this is no SDF: its outermost element is <{root.tag}>, expected <sdf>")
+        raise root.error(f"this is not SDF: its outermost element is <{root.tag}>, expected <sdf>")
     files = SdfFiles(packages or Packages(start=base), base) if may_use_files else ForbiddenFiles()
     reader = _SceneReader(files, missing)
-    reader.take(root, root.get("version") or "1.6")
+    reader.read(root, root.get("version") or "1.6")
     is_empty = not reader.scene.models and not reader.scene.has_ground and not missing
     if is_empty and root.tag != "world" and root.find("world") is None:
         raise root.error("there is no <model> in it")
@@ -238,16 +245,15 @@ class _SceneReader:
             raise error
         self.missing.note(error, loss)
 
-    def take(self, root: Element, version: str) -> None:
+    def read(self, root: Element, version: str) -> None:
         """Read the first world, and the models beside it."""
+        if root.tag == "model":
+            return self.model(root, version)
         worlds = [root] if root.tag == "world" else root.find_all("world")
         for extra in worlds[1:]:
             self.say("wrong", extra, "only the first world of a file is used")
-        places = [root] if root.tag != "world" else []
         states = _states(worlds[0]) if worlds else {}
-        if root.tag == "model":
-            return self.model(root, version)
-        for holder in (*places, *worlds[:1]):
+        for holder in dict.fromkeys((root, *worlds[:1])):
             for element in holder.children:
                 try:
                     if element.tag == "model":
@@ -271,7 +277,7 @@ class _SceneReader:
         with self.included(element) as (model, version):
             name = child_text(element, "name", model.get("name") or short)
             at = states.get(name) or (_pose(pose) if pose is not None else None)
-            self.model(model, version, name, at, _truth(static) if static is not None else None)
+            self.model(model, version, name, at, static)
 
     @contextmanager
     def included(self, element: Element) -> Iterator[tuple[Element, str]]:
@@ -301,9 +307,9 @@ class _SceneReader:
         version: str,
         name: str | None = None,
         at: Pose | None = None,
-        static: bool | None = None,
+        static: Element | None = None,
     ) -> None:
-        """Read one model: its links and joints, and those of nested models."""
+        """Read one model: its links and joints, and those of nested models. `at` and `static` replace its own."""
         title = name or element.get("name") or "model"
         if title == GROUND_PLANE or is_ground(element):
             self.scene.has_ground = True
@@ -311,10 +317,10 @@ class _SceneReader:
         for pose in filter(lacks_angles, element.walk()):
             self.say("wrong", pose, LACKS_ANGLES)
         part = _ModelReader(self, title, element, version)
-        place = at if at is not None else _pose_of(element)
-        is_static = static if static is not None else _truth(element.find("static"))
         part.read(element, ORIGIN, "")
-        self.scene.models += list(part.parts(place, is_static))  # all parts, or none if a file is missing
+        is_static = _truth(element.find("static") if static is None else static)
+        # All parts, or none if a file is missing.
+        self.scene.models += list(part.parts(_pose_of(element) if at is None else at, is_static))
 
     def free_name(self, wanted: str) -> str:
         """A legal and unused robot name, made from `wanted`."""
@@ -366,7 +372,7 @@ class _ModelReader:
             if element.tag == "link":
                 name = prefix + (element.get("name") or "link")
                 if name in self.links:
-                    raise element.error(f"model {self.name!r}: link {name!r} is there twice")
+                    raise element.error(f"model {self.name!r}: duplicate link {name!r}")
                 self.links[name] = _SdfLink(element, compose(frame, _pose_of(element)))
             elif element.tag == "joint":
                 self._joint(element, prefix)
@@ -382,7 +388,7 @@ class _ModelReader:
             elif element.tag == "plugin":
                 self.scene.say("wrong", element, "plugins of Gazebo have no effect")
             elif element.tag not in ("pose", "static", "self_collide", *_QUIET):
-                self.scene.say("ignored", element, "has no effect: there is nothing like it here")
+                self.scene.say("ignored", element, _NOTHING_LIKE_IT)
 
     def _joint(self, element: Element, prefix: str) -> None:
         name = prefix + (element.get("name") or "joint")
@@ -396,7 +402,7 @@ class _ModelReader:
         if ends["child"] == "world":
             raise element.error(f"joint {name!r}: the world cannot be the child of a joint")
         if name in self.joints:
-            raise element.error(f"model {self.name!r}: joint {name!r} is there twice")
+            raise element.error(f"model {self.name!r}: duplicate joint {name!r}")
         self.joints[name] = _SdfJoint(element, name, ends["parent"], ends["child"], _pose_of(element))
 
     # --- parts -------------------------------------------------------------------------------------------------------
@@ -429,8 +435,8 @@ class _ModelReader:
                     known = ", ".join(self.links)
                     raise joint.element.error(f"joint {joint.name!r}: no link {link!r}", f"links: {known}")
             if joint.child in above:
-                text = f"link {joint.child!r} hangs on two joints: {above[joint.child].name} and {joint.name}"
-                raise joint.element.error(text, "a robot here is a tree; leave one of them out")
+                text = f"link {joint.child!r} is the child of two joints: {above[joint.child].name} and {joint.name}"
+                raise joint.element.error(text, "a robot here is a tree; remove one of them")
             above[joint.child] = joint
         for link in above:
             _root(link, above)
@@ -486,34 +492,29 @@ class _ModelReader:
                     made.content.append(shape)
                 if element.tag == "collision":
                     gazebo.content += self._friction(element)
-                    self._bounce(element)
+                    text = "has no effect: contacts here do not bounce"
+                    self._report_unless_zero(below(element, "surface", "bounce"), ("restitution_coefficient",), text)
             elif element.tag == "gravity":
                 gazebo.content.append(_made("turnGravityOff", element, "false" if _truth(element) else "true"))
             elif element.tag == "self_collide":
                 gazebo.content.append(_made("selfCollide", element, "true" if _truth(element) else "false"))
             elif element.tag == "velocity_decay":
-                self._velocity_decay(element)
+                text = "has no effect: bodies here have no damping of their own, joints have"
+                self._report_unless_zero(element, ("linear", "angular"), text)
             elif element.tag == "light":
                 self.scene.say("ignored", element, NO_LIGHT)
-            elif element.tag not in ("pose", "inertial", "sensor", *_QUIET):
-                self.scene.say("ignored", element, "has no effect: there is nothing like it here")
             elif element.tag == "sensor":
                 self.scene.say("wrong", element, "sensors of a world's models have no effect")
+            elif element.tag not in ("pose", "inertial", *_QUIET):
+                self.scene.say("ignored", element, _NOTHING_LIKE_IT)
         yield made
         if gazebo.content:
             yield gazebo
 
-    def _velocity_decay(self, decay: Element) -> None:
-        """Report a damping of the body's own motion, which is not there; a damping of 0 is none."""
-        if any(child.tag in ("linear", "angular") and _number(child) for child in decay.children):
-            self.scene.say("ignored", decay, "has no effect: bodies here have no damping of their own, joints have")
-
-    def _bounce(self, collision: Element) -> None:
-        """Report a restitution, which is not there; a coefficient of 0 is none."""
-        bounce = below(collision, "surface", "bounce")
-        coefficient = below(bounce, "restitution_coefficient")
-        if bounce is not None and coefficient is not None and _number(coefficient):
-            self.scene.say("ignored", bounce, "has no effect: contacts here do not bounce")
+    def _report_unless_zero(self, element: Element | None, tags: Collection[str], text: str) -> None:
+        """Report an element without effect if one of its children `tags` has another number than 0."""
+        if element is not None and any(child.tag in tags and _number(child) for child in element.children):
+            self.scene.say("ignored", element, text)
 
     def _inertial(self, link: Element, shift: Pose) -> Element:
         """The `<inertial>`; defaults are SDF's, 1 kg and moments of 1 kg·m²."""
@@ -580,7 +581,7 @@ class _ModelReader:
             if scale is not None:
                 made.attributes["scale"] = _numbers(_values(scale, 3))
             if shape.find("submesh") is not None:
-                self.scene.say("ignored", shape, "<submesh> has no effect: the whole mesh is taken")
+                self.scene.say("ignored", shape, "<submesh> has no effect: the whole mesh is used")
             return made
         return None
 
@@ -718,10 +719,7 @@ def _limit(limit: Element | None, tag: str, default: float) -> float:
 
 
 def _values(element: Element, count: int) -> tuple[float, ...]:
-    words = element.first_text.split()
-    if len(words) != count:
-        raise element.error(f"<{element.tag}> is {count} numbers, not {element.first_text!r}")
-    return tuple(parse_number(word, element, f"<{element.tag}>") for word in words)
+    return text_numbers(element, count, f"<{element.tag}>")
 
 
 def _pose_of(element: Element) -> Pose:
@@ -747,8 +745,8 @@ def _colour(material: Element | None) -> str:
     for tag in ("diffuse", "ambient"):
         element = below(material, tag)
         if element is not None and element.first_text:
-            words = element.first_text.split()
-            return _numbers(_values(element, len(words)) if len(words) != 3 else (*_values(element, 3), 1.0))
+            parts = _values(element, len(element.first_text.split()))
+            return _numbers((*parts, 1.0) if len(parts) == 3 else parts)
     return ""
 
 

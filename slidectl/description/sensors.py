@@ -79,8 +79,7 @@ class SensorReader:
     def of_link(self, link: str, sensor: Element, place: str) -> None:
         """Read a `<sensor>` of `<gazebo reference="link">`; an unsupported one is reported.
 
-        Raises:
-            BadFile: a malformed number.
+        Raises BadFile: a malformed number.
         """
         kind = sensor.get("type") or ""
         if kind not in _OF_LINK:
@@ -96,7 +95,7 @@ class SensorReader:
         if plugin is None:
             names = " or ".join(f"{name}.so" for name in _OF_LINK[kind])
             return self.report.ignored(sensor, f"publishes nothing without a <plugin> {names}", place)
-        self._tell_unknown(sensor, place)
+        self._report_unknown(sensor, place)
         name = sensor.get("name") or kind
         text = plugin.find("pose") or sensor.find("pose")
         origin = _pose(text, place) if text is not None else Pose()
@@ -132,7 +131,7 @@ class SensorReader:
             )
         )  # fmt: skip
 
-    def _tell_unknown(self, sensor: Element, place: str) -> None:
+    def _report_unknown(self, sensor: Element, place: str) -> None:
         for child in sensor.children:
             if child.tag not in _KNOWN_TAGS:
                 self.report.ignored(child, "has no effect in a sensor here", f"{place}/{child.title}")
@@ -160,10 +159,10 @@ class SensorReader:
         vertical = below(ray, "scan", "vertical")
         if vertical is not None and child_count(vertical, "samples", 1, place) > 1:
             self.report.ignored(vertical, "has no effect: a scan has one layer here", f"{place}/<vertical>")
-        asked = child_number(scan, "samples", 640, place)
-        samples = int(asked)
-        if samples != asked:
-            text = f"{asked:g} is taken as {samples}: as in Gazebo, a fraction is cut off"
+        written = child_number(scan, "samples", 640, place)
+        samples = int(written)
+        if samples != written:
+            text = f"{written:g} is read as {samples}: as in Gazebo, a fraction is cut off"
             self.report.converted(sensor, text, f"{place}/<samples>")
         least, most = child_number(scan, "min_angle", 0.0, place), child_number(scan, "max_angle", 0.0, place)
         nearest = child_number(extent, "min", 0.0, place)
@@ -198,9 +197,7 @@ class SensorReader:
         written = child_text(image, "format", "R8G8B8") if image is not None else "R8G8B8"
         if written not in _ENCODINGS and image is not None:
             known = ", ".join(_ENCODINGS)
-            self.report.wrong(
-                image, f"<format> {written} is unknown here, and R8G8B8 is taken; there is {known}", place
-            )
+            self.report.wrong(image, f"<format> {written} is unknown here, and R8G8B8 is used; known: {known}", place)
         group = child_text(plugin, "cameraName", "")
         topics = [child_text(plugin, tag, default).strip("/") for tag, default in _CAMERA_TOPICS]
         topic, info = (f"{group.rstrip('/')}/{name}" if group else name for name in topics)
@@ -218,8 +215,7 @@ class SensorReader:
     def of_joint(self, joint: str, sensor: Element, place: str) -> None:
         """Read a `<sensor>` of `<gazebo reference="joint">`; an unsupported one is reported.
 
-        Raises:
-            BadFile: a malformed number.
+        Raises BadFile: a malformed number.
         """
         kind = sensor.get("type") or ""
         if kind != "force_torque":
@@ -236,7 +232,7 @@ class SensorReader:
             elif child is not None:
                 text = f"{child.first_text!r} has no effect: it is {words[tag]}, or {known[1]}"
                 self.report.ignored(child, text, f"{place}/<{tag}>")
-        self._tell_unknown(sensor, place)
+        self._report_unknown(sensor, place)
         topic = child_text(plugin, "topicName", "") if plugin is not None else ""
         stddev, _ = self._noise(below(tags, "force", "x", "noise"), place)
         self._force_torque(
@@ -277,7 +273,7 @@ class SensorReader:
             return self._force_torque(name, joint, topic, rate, noise)
         link = child_text(plugin, "bodyName", "")
         if link not in self.links:
-            return self.report.wrong(plugin, f"<bodyName> {link!r} is no link; the plugin has no effect", place)
+            return self.report.wrong(plugin, f"<bodyName> {link!r} is not a link; the plugin has no effect", place)
         origin = _moved(plugin, Pose(), place)
         if kind == "libgazebo_ros_p3d":
             topic, frame = child_text(plugin, "topicName", "odom"), child_text(plugin, "frameName", "world")

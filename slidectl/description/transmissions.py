@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from slidectl.description import element_values, interfaces
@@ -26,7 +26,7 @@ _ACTUATOR_CHILDREN = {
 _IF_REAL = "counts only with real transmissions: slidectl spawn --transmissions real"
 
 
-def takes_positions(joint: TransmissionJoint) -> bool:
+def has_position_command(joint: TransmissionJoint) -> bool:
     """True when a transmission's joint takes position commands."""
     interface = interfaces.find(joint.hardware_interfaces[0])
     return interface is not None and interface.quantity == "position"
@@ -56,18 +56,17 @@ class _DroppedError(Exception):
     """The whole transmission is dropped; the text is the reason."""
 
 
+@dataclass
 class TransmissionReader:
-    """Reads the `<transmission>` elements of one robot, in the order of the file.
+    """Reads the `<transmission>` elements of one robot, in the order of the file."""
 
-    `knows_all`: a joint that is not in `joints` does not exist. `is_real`: the transmissions are real.
-    """
-
-    def __init__(self, report: Report, joints: dict[str, Joint], knows_all: bool, is_real: bool) -> None:
-        self.report = report
-        self.joints = joints
-        self.knows_all = knows_all
-        self.is_real = is_real
-        self.driven: dict[str, tuple[Element, str]] = {}
+    report: Report
+    joints: dict[str, Joint]
+    knows_all: bool
+    """True: a joint that is not in `joints` does not exist."""
+    is_real: bool
+    driven: dict[str, tuple[Element, str]] = field(default_factory=dict)
+    """By joint: its first transmission, and the interface that counts."""
 
     def read(self, element: Element) -> TransmissionInfo | None:
         """Read one transmission; None when the parser of ros_control would drop it.
@@ -100,7 +99,7 @@ class TransmissionReader:
         kind = self.report.only(element, "type")
         if kind is None:
             # The older files of PR2 have the type as an attribute.
-            hint = "; an attribute does not do" if "type" in element.attributes else ""
+            hint = "; an attribute does not count" if "type" in element.attributes else ""
             text = f"<type> is missing{hint}; add <type>transmission_interface/SimpleTransmission</type>"
             raise _DroppedError(text)
         if not kind.first_text:
@@ -190,13 +189,13 @@ class TransmissionReader:
     def _check_simulated(self, element: Element, info: TransmissionInfo) -> None:
         """Report how gazebo_ros_control treats a valid transmission with one joint."""
         (joint,) = info.joints
-        on_paper = self._on_paper(element, joint)
-        if on_paper is None:
+        described = self._described_joint(element, joint)
+        if described is None:
             return
         first = joint.hardware_interfaces[0]
         before, counts = self.driven.setdefault(joint.name, (element, first))
         if before is not element:
-            text = f"joint {joint.name!r} is driven by {before.title} already (line {before.line})"
+            text = f"joint {joint.name!r} is already driven by {before.title} (line {before.line})"
             if interfaces.bare(counts) != interfaces.bare(first):
                 text = f"{text}, by {counts}: this one is dropped, and no controller finds its interface"
             self.report.wrong(element, text)
@@ -207,32 +206,32 @@ class TransmissionReader:
             self.report.ignored(element.find("type") or element, text, f"{element.title}/<type>")
         self._check_interface(element, joint)
         # A position joint moves without an effort, unless it has gains; these are in other files.
-        limits = {"effort": on_paper.limit.effort, "velocity": on_paper.limit.velocity} if on_paper.limit else {}
+        limits = {"effort": described.limit.effort, "velocity": described.limit.velocity} if described.limit else {}
         for what, value in limits.items():
-            if value == 0 and not (what == "effort" and takes_positions(joint)):
+            if value == 0 and not (what == "effort" and has_position_command(joint)):
                 text = f"the {what} limit of joint {joint.name!r} is 0, which is a limit: it cannot be driven"
                 self.report.wrong(element, text)
 
-    def _on_paper(self, element: Element, joint: TransmissionJoint) -> Joint | None:
+    def _described_joint(self, element: Element, joint: TransmissionJoint) -> Joint | None:
         """The joint of the robot; None when it could not be read. Raises BadFile: it does not exist or cannot move."""
         place = f"transmission {element.attributes['name']!r}"
         child = next(child for child in element.find_all("joint") if child.attributes["name"].strip() == joint.name)
-        on_paper = self.joints.get(joint.name)
-        if on_paper is None and self.knows_all:
+        described = self.joints.get(joint.name)
+        if described is None and self.knows_all:
             raise element_values.unknown(child, place, "joint", joint.name, self.joints)
-        if on_paper is not None and on_paper.type not in MOVING:
-            raise child.error(f"{place}: joint {joint.name!r} is {on_paper.type} and cannot be driven")
-        return on_paper
+        if described is not None and described.type not in MOVING:
+            raise child.error(f"{place}: joint {joint.name!r} is {described.type} and cannot be driven")
+        return described
 
     def _check_real(self, element: Element, joint: TransmissionJoint) -> None:
         """Check a joint of a real transmission, as far as this needs no computation."""
-        self._on_paper(element, joint)
+        self._described_joint(element, joint)
         first, _ = self.driven.setdefault(joint.name, (element, ""))
         if first is not element:
-            raise element.error(f"joint {joint.name!r} is driven by {first.title} already (line {first.line})")
+            raise element.error(f"joint {joint.name!r} is already driven by {first.title} (line {first.line})")
         for written in joint.hardware_interfaces:
             if interfaces.find(written) is None:
-                text = f"{written} is no interface of simulated joints and is skipped; known: {interfaces.KNOWN}"
+                text = f"{written} is not an interface of simulated joints and is skipped; known: {interfaces.KNOWN}"
                 self.report.wrong(element, text)
 
     def _check_interface(self, element: Element, joint: TransmissionJoint) -> None:
@@ -246,7 +245,7 @@ class TransmissionReader:
             self.report.ignored(other, f"of several hardware interfaces only the first counts, {first}", place)
         interface = interfaces.find(first)
         if interface is None:
-            text = f"{first} is no interface of simulated joints; known: {interfaces.KNOWN}"
+            text = f"{first} is not an interface of simulated joints; known: {interfaces.KNOWN}"
             self.report.wrong(written, text, place)
         elif first != interface.written:
             self.report.converted(written, f"{first} is read as {interface.written}", place)

@@ -27,6 +27,7 @@ import signal
 import sys
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
+from traceback import walk_stack, walk_tb
 from types import FrameType
 from typing import Any, NoReturn
 from xml.dom import minidom
@@ -78,12 +79,12 @@ def expand(
         Refused: no process can be started.
     """
     try:
-        said = confined.run(_Run(root, path, arguments, packages, missing).said, LIMITS, _MOST_RESULT)
+        output = confined.run(_Run(root, path, arguments, packages, missing).output, LIMITS, _MOST_RESULT)
     except confined.EndedError as error:
         raise BadFile(f"cannot expand it: {error}", root.file) from None
     except OSError as error:
         raise Refused(f"no process can be started to run xacro: {error.strerror}") from None
-    result = json.loads(said)
+    result = json.loads(output)
     sys.stderr.write("".join(f"{line}\n" for line in result["messages"]))
     packages.learn(result["packages"])
     missing.add(result["missing"])
@@ -98,18 +99,18 @@ class _OutOfTime(BaseException):
 
 
 class _Arguments(dict[str, str]):
-    """The arguments for xacro; records which names were used or declared."""
+    """The arguments for xacro. `declared` records the names that the file declares or uses."""
 
     def __init__(self, given: Mapping[str, str]) -> None:
         super().__init__(given)
-        self.asked: set[str] = set()
+        self.declared: set[str] = set()
 
     def __contains__(self, name: object) -> bool:
-        self.asked.add(str(name))
+        self.declared.add(str(name))
         return super().__contains__(name)
 
     def __getitem__(self, name: str) -> str:
-        self.asked.add(name)
+        self.declared.add(name)
         return super().__getitem__(name)
 
 
@@ -134,8 +135,8 @@ class _Run:
         """True for a thing without effect, and the other fields of a Notice."""
         self.messages: list[str] = []
 
-    def said(self) -> bytes:
-        """Run xacro. Returns JSON: the expanded `root` or an `error`, and what is to tell beside it."""
+    def output(self) -> bytes:
+        """Run xacro. Returns JSON: the expanded `root` or an `error`, and notices, messages and what is missing."""
         signal.signal(signal.SIGXCPU, _out_of_time)
         root: list[Any] | None = None
         error: BadFile | None = None
@@ -147,9 +148,9 @@ class _Run:
             root = _plain(document.documentElement)
         except (Exception, _OutOfTime) as reason:  # expressions of the file may raise any exception
             error = self.explained(reason)
-        declared = listing(self.arguments.asked)
-        for name in sorted(self.given.keys() - self.arguments.asked):
-            text = f"the file has no such argument and it has no effect; arguments: {declared}"
+        declared = self.arguments.declared
+        for name in sorted(self.given.keys() - declared):
+            text = f"the file has no such argument and it has no effect; arguments: {listing(declared)}"
             self.notices.append((True, f"{name}:=", text, self.root.file, None))
         result = {
             "root": root,
@@ -183,13 +184,16 @@ class _Run:
         if node.tagName in self.bare_macros:
             node.tagName = node.nodeName = f"{_PREFIX}{node.tagName}"
         name = node.tagName.removeprefix(_PREFIX)
-        if not (self.lacks_macros and name not in (node.tagName, "call") and _is_unknown(name, macros, symbols)):
-            return self.macro_call(node, macros, symbols)
-        if self.missing.keeps_going:
-            error = NotThere(f"no macro {name!r}", node.file, node.line, thing=f"macro {name}")
-            self.missing.note(error, f"<{node.tagName}> is left out")
-        xacro.replace_node(node, by=None)
-        return True
+        try:
+            if self.lacks_macros and name not in (node.tagName, "call"):
+                xacro.resolve_macro(name, macros, symbols)
+        except KeyError:
+            if self.missing.keeps_going:
+                error = NotThere(f"no macro {name!r}", node.file, node.line, thing=f"macro {name}")
+                self.missing.note(error, f"<{node.tagName}> is left out")
+            xacro.replace_node(node, by=None)
+            return True
+        return self.macro_call(node, macros, symbols)
 
     def process_include(self, node: Any, macros: Any, symbols: Any, function: Any) -> None:
         """Include a file; a missing file is noted and left out."""
@@ -259,9 +263,7 @@ class _Run:
         bare = list(_bare(root))
         if bare:
             names = ", ".join(f"<{name}>" for name in sorted({element.tag for element in bare}))
-            text = (
-                f"{names} without the prefix are taken as <{_PREFIX}...>; xacro itself does so only until ROS Kinetic"
-            )
+            text = f"{names} without the prefix are read as <{_PREFIX}...>; xacro itself does so only until ROS Kinetic"
             self.notices.append((False, "xacro", text, root.file, bare[0].line))
         elif f"xmlns:{_PREFIX[:-1]}" not in root.attributes:
             used = next((element for element in root.walk() if element.tag.startswith(_PREFIX)), None)
@@ -298,32 +300,22 @@ class _Run:
 
 
 def _here() -> tuple[_Node | None, str]:
-    """What _where tells of this moment."""
-    frames = []
-    frame: FrameType | None = sys._getframe(1)
-    while frame is not None:
-        frames.append(frame)
-        frame = frame.f_back
-    return _where(frames)
+    """As _where, at this moment."""
+    return _where(walk_stack(sys._getframe(1)))
 
 
 def _raised_at(error: BaseException) -> tuple[_Node | None, str]:
-    """What _where tells of the moment when xacro raised the error."""
-    frames = []
-    trace = error.__traceback__
-    while trace is not None:
-        frames.append(trace.tb_frame)
-        trace = trace.tb_next
-    return _where(reversed(frames))
+    """As _where, at the moment when xacro raised the error."""
+    return _where(reversed(list(walk_tb(error.__traceback__))))
 
 
-def _where(frames: Iterable[FrameType]) -> tuple[_Node | None, str]:
+def _where(frames: Iterable[tuple[FrameType, int]]) -> tuple[_Node | None, str]:
     """The element that xacro works on, and for a message where the macro around it was called. Innermost frame first.
 
     xacro does not tell it; the parameters of its functions do.
     """
     at_work: _Node | None = None
-    for frame in frames:
+    for frame, _ in frames:
         if frame.f_code.co_filename != _XACRO:
             continue
         node = next((frame.f_locals[name] for name in _AT_WORK if name in frame.f_locals), None)
@@ -411,14 +403,6 @@ def _bare(element: Element) -> Iterator[Element]:
         yield element
     for child in element.children if element.tag != "gazebo" else ():
         yield from _bare(child)
-
-
-def _is_unknown(name: str, macros: Any, symbols: Any) -> bool:
-    try:
-        xacro.resolve_macro(name, macros, symbols)
-    except KeyError:
-        return True
-    return False
 
 
 def _opened(name: str) -> io.StringIO:

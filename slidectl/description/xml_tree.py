@@ -61,6 +61,11 @@ class Element:
         """The first child called `tag`."""
         return next((child for child in self.children if child.tag == tag), None)
 
+    def remove(self, *children: Element) -> None:
+        """Remove these children."""
+        gone = set(map(id, children))
+        self.content[:] = [node for node in self.content if id(node) not in gone]
+
     def get(self, name: str) -> str | None:
         """An attribute, or None."""
         return self.attributes.get(name)
@@ -123,8 +128,7 @@ def below(element: Element | None, *tags: str) -> Element | None:
 def read(source: str | bytes, file: str, most_bytes: int = MOST_BYTES) -> Element:
     """Parse an XML text and return the root element. `file` is its name in messages.
 
-    Raises:
-        BadFile: not well-formed, an entity or document type with declarations, too large or too deep.
+    Raises BadFile: not well-formed, an entity or document type with declarations, too large or too deep.
     """
     if len(source) > most_bytes:
         raise BadFile(f"is larger than {most_bytes // 2**20} MiB", file)
@@ -303,7 +307,7 @@ def write(root: Element) -> str:
     places: list[source_note.Place] = []
     meshes: dict[int, str] = {}
 
-    def put(element: Element, indent: str) -> None:
+    def add(element: Element, indent: str) -> None:
         attributes = element.attributes
         if element.mesh_name is not None:
             meshes[len(places)] = attributes["filename"]
@@ -315,7 +319,7 @@ def write(root: Element) -> str:
             pieces.append(">\n")
             for node in element.content:
                 if isinstance(node, Element):
-                    put(node, indent + "  ")
+                    add(node, indent + "  ")
                 elif not isinstance(node, Comment) and node.strip():
                     pieces.append(f"{indent}  {node.strip().translate(_IN_TEXTS)}\n")
             pieces.append(f"{indent}</{element.tag}>\n")
@@ -324,7 +328,7 @@ def write(root: Element) -> str:
         else:
             pieces.append("/>\n")
 
-    put(root, "")
+    add(root, "")
     return "".join(pieces) + source_note.encode(places, meshes, root.folder or _folder_of(root.file)) + "\n"
 
 

@@ -24,7 +24,7 @@ MOST_VALUES = 200_000
 DEEPEST = 60
 NO_MAPPING = "expected names with values, as `name: value`"
 
-REPLACED = "is a value, and a namespace of values too: the last one counts"
+REPLACED = "is both a value and a namespace of values: the last one counts"
 """The notice for a path that `merge` returns."""
 _LOOKS_LIKE_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)[eE][+-]?\d+|[+-]?(inf|nan)", re.IGNORECASE)
 _MERGE = "tag:yaml.org,2002:merge"
@@ -46,8 +46,7 @@ def read(text: str | bytes, file: str, notices: list[Notice] | None = None, *, r
 
     `rooted`: keep the leading slash of a name, which means that it is not relative to the namespace.
 
-    Raises:
-        BadFile: not YAML, not a mapping of names, or a value that no parameter can have.
+    Raises BadFile: not YAML, not a mapping of names, or a value that no parameter can have.
     """
     return _Reader(file, notices if notices is not None else [], rooted=rooted).read(text)
 
@@ -78,8 +77,7 @@ def places(text: str | bytes, file: str) -> dict[str, int]:
 
     For a name that is written twice it is the last line, as the last value counts.
 
-    Raises:
-        BadFile: not YAML.
+    Raises BadFile: not YAML.
     """
     reader = _Reader(file, [])
     found: dict[str, int] = {}
@@ -195,13 +193,13 @@ class _Reader:
         for key_node, value_node in self.pairs(node):
             key = self.key(key_node)
             if key in seen:
-                self.notice(key_node, key, f"is there twice, in line {seen[key]} too; the last one counts")
+                self.notice(key_node, key, f"duplicate key, also in line {seen[key]}; the last one counts")
             seen[key] = _line(key_node)
             if _is_empty(value_node):
                 raise self.error(key_node, f"{key!r} has no value", _missing(key))
             value = self.value(value_node, depth + 1)
             if not key.strip("/") and not isinstance(value, dict):
-                raise self.error(key_node, f"{key!r} is no name for a value")
+                raise self.error(key_node, f"{key!r} is not a name")
             values[key] = value
         tree: Tree = {}
         for key, value in values.items():
@@ -236,7 +234,7 @@ class _Reader:
     def key(self, node: yaml.Node) -> str:
         if not isinstance(node, yaml.ScalarNode) or node.tag != "tag:yaml.org,2002:str":
             text = node.value if isinstance(node, yaml.ScalarNode) else "a list or mapping"
-            raise self.error(node, f"{text} is no name: names are text", f'quote it: "{text}"')
+            raise self.error(node, f"{text} is not a name: names are text", f'quote it: "{text}"')
         return str(node.value)
 
     def scalar(self, node: yaml.ScalarNode) -> Any:
@@ -257,7 +255,7 @@ class _Reader:
         try:
             return angle(node.value, node.tag)
         except (ValueError, ArithmeticError, RecursionError) as error:
-            raise self.error(node, f"{node.value.strip()!r} is no angle: {error}") from None
+            raise self.error(node, f"{node.value.strip()!r} is not an angle: {error}") from None
 
     def notice(self, node: yaml.Node, subject: str, text: str) -> None:
         self.notices.append(Notice("wrong", subject, text, self.file, _line(node)))
@@ -278,7 +276,7 @@ def _advice(error: yaml.MarkedYAMLError, text: str | bytes) -> str | None:
             if found := _NO_BLANK.fullmatch(line):
                 return f"a blank follows the colon: {found[1]}: {found[2]}"
     if "'\\t'" in problem:
-        return "a tab is no blank in YAML: use spaces"
+        return "YAML allows no tabs: use spaces"
     if "expected <block end>" in problem or "mapping values are not allowed" in problem:
         return "names that belong together begin in the same column, and a blank follows each colon"
     return None

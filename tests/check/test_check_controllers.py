@@ -147,12 +147,12 @@ def test_the_entries_of_a_list_of_joints_are_checked_one_by_one(controllers: Che
 
 def test_a_name_that_is_written_twice_is_wrong(controllers: Check) -> None:
     (line,) = controllers(pid("p: 1.0, p: 2.0")).of("wrong")
-    assert "is there twice" in line
+    assert "duplicate key" in line
 
 
 def test_a_name_of_ros_2_that_is_a_value_and_a_namespace_is_wrong(controllers: Check) -> None:
     text = "bot:\n  c:\n    ros__parameters:\n      type: a/B\n      x: 1\n      x.y: 2\n"
-    assert controllers(text).about("wrong", "/bot/c/x: is a value, and a namespace of values too: the last one counts")
+    assert controllers(text).about("wrong", "/bot/c/x: is both a value and a namespace of values: the last one counts")
 
 
 def test_what_nobody_reads_is_ignored(controllers: Check) -> None:

@@ -112,7 +112,10 @@ def test_of_three_interfaces_on_a_joint_the_first_drives_and_the_others_load_no_
              "e": "effort_controllers/JointEffortController"}  # fmt: skip
     yaml = "bot:\n" + "".join(f"  {name}: {{type: {kind}, joint: slide}}\n" for name, kind in names.items())
     lines = model(xml, yaml)
-    assert [line.split()[1] for line in lines.about("wrong", "is driven by", "this one is dropped")] == ["6", "7"]
+    assert [line.split()[1] for line in lines.about("wrong", "is already driven by", "this one is dropped")] == [
+        "6",
+        "7",
+    ]
     assert not lines.about("wrong", "/bot/p/")
     simulation = Simulation(ground=False, engine="plain")
     simulation.spawn(xml, "bot")

@@ -103,14 +103,14 @@ def test_a_slip_is_found_at_its_line(launch: Launch, part: str, start: str, end:
 def test_joint_states_that_nobody_publishes_are_pointed_out_at_the_remap(launch: Launch) -> None:
     lines = launch(ROBOT, SPAWN, LOAD, START, FRAMES.replace('to="/bot', 'to="/rrbot'))
     assert lines.of("wrong") == [
-        "wrong 6 <remap>: /rsp listens to /rrbot/joint_states, which nobody publishes; did you mean /bot/joint_states?"
+        "wrong 6 <remap>: /rsp listens to /rrbot/joint_states, which has no publisher; did you mean /bot/joint_states?"
     ]
 
 
 def test_joint_states_that_are_not_remapped_are_pointed_out_at_the_node(launch: Launch) -> None:
     node = '<node name="rsp" pkg="robot_state_publisher" type="robot_state_publisher"/>'
     (line,) = launch(ROBOT, SPAWN, LOAD, START, node).of("wrong")
-    assert line.startswith("wrong 6 node /rsp: it listens to /joint_states, which nobody publishes")
+    assert line.startswith("wrong 6 node /rsp: it listens to /joint_states, which has no publisher")
 
 
 def test_a_tool_makes_use_of_remaps_of_the_topics_that_it_names(launch: Launch) -> None:

@@ -30,14 +30,14 @@ MODELS = [
         "wrong 5",
         "add <hardwareInterface>hardware_interface/EffortJointInterface</hardwareInterface>",
     ),
-    (cart(OLD, PLUGIN), "wrong 5", "an attribute does not do; add <type>transmission_interface/SimpleTransmission"),
+    (cart(OLD, PLUGIN), "wrong 5", "an attribute does not count; add <type>transmission_interface/SimpleTransmission"),
     (driven_cart().replace("libgazebo", "gazebo"), "wrong 6", "did you mean libgazebo_ros_control.so?"),
     (driven_cart().replace("ros_control.so", "ros2_control.so"), "wrong 6", "did you mean libgazebo_ros_control.so?"),
-    (UNPLUGGED, "ignored 6", "it belongs into a <gazebo> without a reference"),
+    (UNPLUGGED, "ignored 6", "it belongs in a <gazebo> without a reference"),
     (
         driven_cart().replace("<gazebo>", '<gazebo reference="cart">'),
         "wrong 6",
-        "it belongs into a <gazebo> without a reference",
+        "it belongs in a <gazebo> without a reference",
     ),
     (driven_cart().replace("robotNamespace", "robotNameSpace"), "ignored 6", "did you mean <robotNamespace>?"),
     (driven_cart('<gazebo reference="crat"/>'), "wrong 7", "no link or joint 'crat'; the tag has no effect; did you"),
@@ -80,7 +80,7 @@ def test_all_faults_are_told_at_once_and_all_that_is_sound_is_checked(model: Che
     )
     lines = model(faulty)
     assert sorted(str(error.line) for error in lines.findings.broken) == ["3", "3", "4", "4", "4", "7"]
-    for reason in ("is 'zero'", "'1 1': 2 numbers", "is no direction", "no joint 'slid'", "'a'", "'x'"):
+    for reason in ("is 'zero'", "'1 1': 2 numbers", "is not a direction", "no joint 'slid'", "'a'", "'x'"):
         assert [line for line in lines.of("wrong") if reason in line], reason
     assert lines.about("used 3 link 'cart'/<collision>/<geometry>/<sphere>")
     assert not lines.about("used", "/<limit>")
@@ -112,7 +112,7 @@ def test_soft_limits_without_effect_are_ignored(model: Check) -> None:
 
 
 PARAMETERS = [
-    ("bot:\n\tc: 1\n", "wrong 2", "a tab is no blank in YAML: use spaces"),
+    ("bot:\n\tc: 1\n", "wrong 2", "YAML allows no tabs: use spaces"),
     (CONTROLLERS.replace("    joint:", "   joint:"), "wrong 4", "begin in the same column"),
     (CONTROLLERS.replace("    ", "  "), "wrong 2", "indent what belongs to it"),
     (CONTROLLERS.replace(": ", ":"), "wrong 2", "a blank follows each colon"),
@@ -142,7 +142,7 @@ def test_gains_of_the_hardware_are_read_in_the_namespace_of_the_robot_only(model
 def test_of_a_controller_that_is_there_twice_only_the_last_one_counts(model: Check) -> None:
     again = "  slide_controller: {type: effort_controllers/JointEffortController, joint: slide}\n"
     lines = model(driven_cart(), CONTROLLERS + again)
-    assert lines.of("wrong") == ["wrong 6 slide_controller: is there twice, in line 2 too; the last one counts"]
+    assert lines.of("wrong") == ["wrong 6 slide_controller: duplicate key, also in line 2; the last one counts"]
     assert not lines.about("/pid/")
 
 

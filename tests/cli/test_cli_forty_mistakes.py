@@ -143,7 +143,7 @@ BARE_SLIDER = [
     slip("slidectl controller spawn joint1_position_controller", 1,
          "no controller", "slidectl controller config FILE.yaml"),
     slip("slidectl echo joint_states -n 1", 1, "no topic", "slidectl controller config FILE.yaml"),
-    slip("slidectl controller config tabs.yaml", 2, "tabs.yaml:8", "a tab is no blank in YAML: use spaces"),
+    slip("slidectl controller config tabs.yaml", 2, "tabs.yaml:8", "YAML allows no tabs: use spaces"),
     slip("slidectl controller config blank_name.yaml", 2, "did you mean '/slider/joint1_position_controller'?"),
     slip("slidectl controller config no_blank.yaml", 2, "a blank follows the colon: joint: joint1"),
     slip("slidectl controller config config/slider_contrl.yaml", 2, "no such file", "there is no folder config"),

@@ -132,7 +132,7 @@ def test_load_says_when_there_is_nothing_to_load(world: World) -> None:
 def test_load_warns_of_a_name_that_is_there_twice(world: World) -> None:
     done = world.slidectl("param", "load", "-", "/twice", stdin="a: 1\na: 2\n")
     assert done.returncode == 0
-    assert "stdin:2: a is there twice" in done.stderr
+    assert "stdin:2: a duplicate key" in done.stderr
     assert world.slidectl.ok("param", "get", "/twice/a") == "2\n"
 
 
@@ -221,7 +221,7 @@ def test_a_dump_that_does_not_fit_leaves_what_was_there(world: World, tmp_path: 
         (["set", "/x", "{1: 2}"], 2, "the key 1"),
         (["set", "/x", "a: [1"], 2, "not valid YAML"),
         (["set", "/x", ".inf"], 2, "parameters hold finite numbers"),
-        (["set", "/x", "deg(banana)"], 2, "'deg(banana)' is no angle: expected one number of degrees"),
+        (["set", "/x", "deg(banana)"], 2, "'deg(banana)' is not an angle: expected one number of degrees"),
         (["set", "/bad name", "1"], 2, "is not a legal name"),
         (["set", "/x"], 2, "give a VALUE or -t FILE"),
         (["set", "/x", "-t", "/no/file"], 2, "/no/file: no such file"),

@@ -47,7 +47,7 @@ jsc: {type: joint_state_controller/JointStateController, publish_rate: 50}
 MISSING = (
     "no package 'some_worlds'", "no package 'some_robot'", "no package 'other_robot'", "no package 'some_config'",
     "gone.yaml: no such file", "no package 'some_camera'", "hands.xacro", "no package 'some_meshes'",
-    "'some_hw/FancyHWSim' is no simulated hardware", "no controller type 'effort_controllers/JointPositonController'",
+    "'some_hw/FancyHWSim' is not simulated hardware", "no controller type 'effort_controllers/JointPositonController'",
     "no package 'some_mux'",
 )  # fmt: skip
 

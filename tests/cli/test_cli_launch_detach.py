@@ -114,7 +114,7 @@ def test_a_second_interrupt_on_a_terminal_waits_for_nobody(slidectl: CommandLine
         terminal.says("[slow] cleaning up")
         terminal.press("\x03")
         assert terminal.ended() == 130
-    assert "/slow: does not end; it gets SIGTERM" in terminal.output
+    assert "/slow: does not end; sending SIGTERM" in terminal.output
     nothing_is_left(slidectl.runtime)
 
 

@@ -310,7 +310,7 @@ def test_a_spawner_can_wait_for_a_topic_to_say_true(slider: CommandLine, write: 
 
 def test_a_spawner_goes_on_waiting_for_its_topic_with_a_warning(slider: CommandLine, write: Write) -> None:
     launched = Launched(slider, write(control(f"--timeout 0.2 --wait-for go {BOTH}")))
-    launched.until("nothing true came on /slider/go within 0.2 s; it is waited for")
+    launched.until("no true message on /slider/go within 0.2 s; it goes on waiting")
     slider.ok("pub", "/slider/go", "true")
     launched.up()
     assert set(states(slider).values()) == {"running"}

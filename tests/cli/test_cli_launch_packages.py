@@ -83,7 +83,7 @@ def test_rovers_in_two_namespaces_without_the_nodes_that_there_are_not(ros: Comm
         "node /ekf_localization (robot_localization/ekf_localization_node): no package 'robot_localization'"
         in done.stderr
     )
-    assert "these are not there either:" in done.stderr
+    assert "also missing:" in done.stderr
     assert "node /joy (joy/joy_node): no package 'joy'" in done.stderr
     launched = Launched(ros, "rover_gazebo", "rover_empty_world.launch")
     launched.until("left out:\n")
@@ -130,5 +130,5 @@ def test_a_controller_type_that_is_not_here_is_named_with_those_that_are(ros: Co
     done = ros("launch", str(path), "--strict")
     assert done.returncode == 2
     assert "no controller type 'odd_controllers/OddController'" in done.stderr
-    assert "these are not there either:" in done.stderr
+    assert "also missing:" in done.stderr
     nothing_is_left(ros.runtime)

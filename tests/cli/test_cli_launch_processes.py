@@ -294,8 +294,8 @@ def test_one_that_does_not_end_is_told_so_again_and_then_killed_with_all_it_star
     )  # fmt: skip
     launched.until("[s] up")
     assert launched.interrupt() == 130
-    assert "/s: does not end; it gets SIGTERM" in launched.text
-    assert "/s: does not end; it gets SIGKILL" in launched.text
+    assert "/s: does not end; sending SIGTERM" in launched.text
+    assert "/s: does not end; sending SIGKILL" in launched.text
     nothing_is_left(slidectl.runtime)
 
 
@@ -385,7 +385,7 @@ def test_a_launch_that_has_nothing_to_watch_says_so(daemon: CommandLine, package
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("#!/no/such/python\r\nprint()", r"there is no such program as its first line names, '#!/no/such/python\r'"),
+        ("#!/no/such/python\r\nprint()", r"its first line names a program that does not exist: '#!/no/such/python\r'"),
         ("print()", "a script begins with a line such as #!/usr/bin/env python3"),
     ],
 )

@@ -108,7 +108,7 @@ def test_the_tutorials_slip_is_pointed_out_with_its_line(slidectl: CommandLine, 
     )
     launched = Launched(slidectl, path)
     text = launched.up()
-    mistake = "slip.launch:3: /rsp: /joint_states is remapped to /rrbot/joint_states, which nobody publishes"
+    mistake = "slip.launch:3: /rsp: /joint_states is remapped to /rrbot/joint_states, which has no publisher"
     assert f"{mistake}; did you mean /slider/joint_states?" in text
     assert "/rsp: the simulation publishes the frames of slider at 50 Hz" in text
     assert launched.interrupt() == 130
@@ -192,7 +192,7 @@ def test_options_of_the_daemon_go_before_a_world_file(slidectl: CommandLine, tmp
 
     slidectl.ok("daemon", "start", "--rtf", "max")
     done = slidectl("launch", path, "--detach")
-    assert "moon.world sets speed; what was chosen for the running world stays" in done.stderr
+    assert "moon.world sets speed; what was chosen for the running world is kept" in done.stderr
     assert physics() == (0.0, 0.002, -1.62)
     slidectl.ok("daemon", "restart", "--gravity", "0", "0", "-3", "--timestep", "0.004")
     done = slidectl("launch", path, "--detach")
@@ -447,8 +447,8 @@ def test_what_never_ends_is_refused_with_its_place_by_every_command(slidectl: Co
     for words, reason in (
         (("check", str(model)), "bomb.xacro:"),
         (("spawn", str(model)), "bomb.xacro:"),
-        (("check", text), "text.launch:7: <arg>: value: comes to more than 4096 KiB of text"),
-        (("launch", text), "text.launch:7: <arg>: value: comes to more than 4096 KiB of text"),
+        (("check", text), "text.launch:7: <arg>: value: the launch expands to more than 65536 KiB of text"),
+        (("launch", text), "text.launch:7: <arg>: value: the launch expands to more than 65536 KiB of text"),
         (("check", pipe), "pipe.launch: is a pipe, and only regular files are read"),
         (("launch", pipe), "pipe.launch: is a pipe, and only regular files are read"),
         (("param", "load", "/dev/zero"), "/dev/zero: is a device, and only regular files are read, of at most 64 MiB"),

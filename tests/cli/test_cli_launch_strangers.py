@@ -90,7 +90,7 @@ def test_a_file_that_is_not_there_is_an_error_unless_the_launch_keeps_going(ends
     done = ends("launch", launch, "--detach")
     assert done.returncode == 2
     assert "gone.yaml: no such file" in done.stderr
-    assert "--keep-going leaves out what is not there" in done.stderr
+    assert "--keep-going leaves out what is missing" in done.stderr
     done = ends("launch", launch, "--detach", "--keep-going")
     assert done.returncode == 0
     assert "gone.yaml: no such file" in done.stdout.partition("left out:\n")[2]
@@ -219,7 +219,7 @@ def test_a_link_without_an_inertia_gets_one(ends: CommandLine, tmp_path: Path) -
     launch = written(tmp_path, WORLD, MODEL, SPAWN.format("-model arm"), model=ARM[:begin] + ARM[end:])
     done = ends("launch", launch, "--detach")
     assert done.returncode == 0, done.stderr
-    assert "lacks <inertia>, which is taken for zeros, and these are corrected" in done.stderr
+    assert "lacks <inertia>: zeros are used, and corrected" in done.stderr
 
 
 def test_a_path_may_hold_a_plus(ends: CommandLine, tmp_path: Path) -> None:
@@ -244,7 +244,7 @@ def test_a_plugin_that_is_derived_from_the_control_plugin_is_taken_for_it(ends: 
     launch = written(tmp_path, WORLD, MODEL, SPAWN.format("-model arm"), CONTROL, model=model)
     done = ends("launch", launch, "--detach")
     assert done.returncode == 0, done.stderr
-    assert "libmyarm_gazebo_ros_control.so is taken for libgazebo_ros_control.so" in done.stderr
+    assert "libmyarm_gazebo_ros_control.so is read as libgazebo_ros_control.so" in done.stderr
     assert "/control: jsc, hold running in /arm" in done.stdout
 
 
@@ -260,8 +260,8 @@ def test_interfaces_of_hardware_that_is_not_there_are_left_out_with_it(ends: Com
     launch = written(tmp_path, WORLD, MODEL, SPAWN.format("-model arm"), CONTROL, model=model)
     done = ends("launch", launch, "--detach")
     assert done.returncode == 0, done.stderr
-    assert "their_hw/TheirSim' is no simulated hardware" in done.stderr
-    assert '<transmission name="seen"> is by no interface that the default hardware has; left out' in done.stderr
+    assert "their_hw/TheirSim' is not simulated hardware" in done.stderr
+    assert '<transmission name="seen"> has no interface of the default hardware; left out' in done.stderr
     assert "/control: jsc, hold running in /arm" in done.stdout
 
 

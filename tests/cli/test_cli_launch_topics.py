@@ -100,7 +100,7 @@ def test_a_relay_outlives_a_daemon_that_is_busy_while_it_looks_for_its_topic(
     with world.client() as client:
         os.kill(client.daemon_pid, signal.SIGSTOP)
         try:
-            run.until("it looks for its topics again")
+            run.until("it searches for its topics again")
         finally:
             os.kill(client.daemon_pid, signal.SIGCONT)
         out = client.subscribe("/again", "std_msgs/Float64")

@@ -95,7 +95,7 @@ SESSIONS = [
     Session(
         "rosparam set /g 'deg(180/2)'",
         "",
-        "ERROR: the value 'deg(180/2)' cannot be read: 'deg(180/2)' is no angle:"
+        "ERROR: the value 'deg(180/2)' cannot be read: 'deg(180/2)' is not an angle:"
         " expected one number of degrees; rad(...) takes a sum\n",
         1,
     ),
@@ -291,7 +291,7 @@ def test_the_last_of_two_equal_keys_counts_and_is_pointed_out(shell: tuple[Shell
     bash, folder = shell
     done = bash.run("rosparam load pdup.yaml /dup; rosparam get /dup", cwd=folder)
     assert done.stdout == "a: 2\n\n"
-    assert "pdup.yaml:2: a is there twice" in done.stderr
+    assert "pdup.yaml:2: a duplicate key" in done.stderr
 
 
 def test_a_list_of_names_ends_with_a_line_end_only(shell: tuple[Shell, Path]) -> None:

@@ -203,7 +203,7 @@ def flat(folder: Path) -> Path:
         (pipe, "no such file"),  # what is no file is not even looked at by the parser
         (device, "no such file"),
         (bomb, "the scene has more than 20000 nodes, instances included"),
-        (endless, "nested deeper than 100"),
+        (endless, "the scene has more than 20000 nodes, instances included"),
         (entities, "entities are refused"),
         (flat, "it lies in one plane"),
     ],

@@ -68,7 +68,7 @@ JOINTS = [
     ('<limit lower="-1" upper="1" velocity="1"/>', "lacks the attribute 'effort'"),
     ('<limit lower="-1" upper="1" effort="1"/>', "lacks the attribute 'velocity'"),
     ('<limit effort="-1" velocity="1"/>', "must not be negative"),
-    (LIMIT + '<axis xyz="0 0 0"/>', "no direction"),
+    (LIMIT + '<axis xyz="0 0 0"/>', "not a direction"),
     (LIMIT + '<axis xyz="1 0"/>', "2 numbers, expected 3"),
     (LIMIT + '<origin xyz="a b c"/>', "not a number"),
     (LIMIT + '<dynamics damping="-1"/>', "must not be negative"),
@@ -110,7 +110,7 @@ def test_two_of_one_name_are_refused_with_both_lines(refuse: Refuse, kind: str) 
         "joint": robot(joint("a", parent="x", child="y"), joint("a", parent="x", child="y")),
     }
     error = refuse(twice[kind])
-    assert f"{kind} 'a' is there twice; the other is at bot.urdf:2" in str(error)
+    assert f"duplicate {kind} 'a'; the first is at bot.urdf:2" in str(error)
     assert error.line == 3
 
 

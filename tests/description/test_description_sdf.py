@@ -200,14 +200,14 @@ def test_a_pose_without_angles_is_a_position_as_in_gazebo() -> None:
     found = scene("<pose>1 2 3 1</pose>" + box())
     assert found.models[0].pose == ((1.0, 2.0, 3.0), (0.0, 0.0, 0.0, 1.0))
     (notice,) = found.notices
-    assert "has not all three angles: it is a position without rotation" in notice.text
+    assert "lacks some of its three angles: it is a position without rotation" in notice.text
 
 
 @pytest.mark.parametrize(
     ("inside", "text"),
     [
         ("", "has no <link>"),
-        (box() + box(), "link 'link' is there twice"),
+        (box() + box(), "duplicate link 'link'"),
         (box(size="1 2"), "<size> is 3 numbers"),
         (box(size="1 2 nan"), "not a finite number"),
         (box(more="<pose>1 2</pose>"), "<pose> is 6 numbers, or 3 without its angles"),
@@ -230,7 +230,7 @@ def test_a_pose_without_angles_is_a_position_as_in_gazebo() -> None:
             box("a")
             + "<joint name='j' type='fixed'><parent>world</parent><child>a</child></joint>"
             + "<joint name='k' type='fixed'><parent>world</parent><child>a</child></joint>",
-            "hangs on two joints",
+            "is the child of two joints",
         ),
     ],
 )

@@ -131,7 +131,7 @@ def test_a_dropped_transmission_may_name_any_joint() -> None:
     ("interface", "verdict", "reason"),
     [
         ("EffortJointInterface", "converted", "is read as hardware_interface/EffortJointInterface"),
-        ("hardware_interface::EffortJointInterface", "wrong", "is no interface of simulated joints"),
+        ("hardware_interface::EffortJointInterface", "wrong", "is not an interface of simulated joints"),
         ("hardware_interface/JointStateInterface", "wrong", "known: hardware_interface/EffortJointInterface"),
     ],
 )
@@ -152,7 +152,7 @@ def test_of_several_interfaces_the_first_counts_and_that_is_reported() -> None:
 def test_a_joint_driven_twice_is_reported() -> None:
     infos, (line,) = read(TRANSMISSION + TRANSMISSION.replace("tran1", "tran2"))
     assert len(infos) == 2
-    assert "joint 'slide' is driven by <transmission name=\"tran1\"> already (line 5)" in line
+    assert "joint 'slide' is already driven by <transmission name=\"tran1\"> (line 5)" in line
 
 
 def test_a_transmission_with_two_joints_is_for_no_simulated_hardware() -> None:

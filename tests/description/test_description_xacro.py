@@ -242,8 +242,8 @@ def test_tags_without_their_prefix_are_taken_as_until_kinetic_with_a_notice(writ
     assert [link.name for link in parse(document.xml).links.values()] == ["world", "arm"]
     assert '<property name="kept" value="1"' in document.xml
     assert [str(notice) for notice in document.report] == [
-        f"{path}:2: xacro: <if>, <include>, <unless> without the prefix are taken as <xacro:...>;"
+        f"{path}:2: xacro: <if>, <include>, <unless> without the prefix are read as <xacro:...>;"
         " xacro itself does so only until ROS Kinetic",
-        f"{path.parent / 'parts.xacro'}:1: xacro: <insert_block>, <macro>, <property> without the prefix are taken as"
+        f"{path.parent / 'parts.xacro'}:1: xacro: <insert_block>, <macro>, <property> without the prefix are read as"
         " <xacro:...>; xacro itself does so only until ROS Kinetic",
     ]

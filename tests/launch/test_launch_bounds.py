@@ -14,7 +14,7 @@ from launch_files import Workspace
 from slidectl import description
 from slidectl.description import controllers_file, xacro_adapter
 from slidectl.errors import BadFile
-from slidectl.extensions.launch import substitution, tag
+from slidectl.extensions.launch import tag
 
 XACRO = '<robot name="a" xmlns:xacro="http://www.ros.org/wiki/xacro">{}</robot>'
 
@@ -43,27 +43,21 @@ def test_macros_that_unfold_without_end_are_refused(workspace: Workspace, monkey
 
 
 def test_arguments_that_unfold_without_end_are_refused(workspace: Workspace) -> None:
-    with pytest.raises(BadFile, match=r"test.launch:\d: <arg>: value: comes to more than 4096 KiB of text"):
+    with pytest.raises(
+        BadFile, match=r"test.launch:\d: <arg>: value: the launch expands to more than 65536 KiB of text"
+    ):
         workspace.plan(arguments(12))
     assert len(workspace.plan(arguments(5)).files) == 1
 
 
-def test_the_bounds_of_a_launch_are_those_of_text_of_substitutions_and_of_time(
+def test_the_bounds_of_a_launch_are_those_of_text_and_of_time(
     workspace: Workspace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     workspace.plan(arguments(3))
-    monkeypatch.setattr(substitution, "MOST_TEXT", 900)
-    with pytest.raises(BadFile, match=r"test.launch:3: <arg>: value: comes to more than 0 KiB"):
-        workspace.plan(arguments(3))
-    monkeypatch.undo()
-    monkeypatch.setattr(substitution, "MOST_SUBSTITUTIONS", 9)
-    with pytest.raises(BadFile, match=r"test.launch:2: <arg>: value: comes to more than 9 substitutions"):
-        workspace.plan(arguments(3))
-    monkeypatch.undo()
     monkeypatch.setattr(tag, "MOST_TEXT", 1000)
-    with pytest.raises(BadFile, match=r"test.launch:3: <arg>: the launch comes to more than 0 KiB of text"):
+    with pytest.raises(BadFile, match=r"test.launch:3: <arg>: value: the launch expands to more than 0 KiB of text"):
         workspace.plan(arguments(3))
-    with pytest.raises(BadFile, match=r"test.launch:1: <rosparam>: the launch comes to more than 0 KiB of text"):
+    with pytest.raises(BadFile, match=r"test.launch:1: <rosparam>: the launch expands to more than 0 KiB of text"):
         workspace.values('<arg name="a" value="{}"/><rosparam subst_value="true">x: {}</rosparam>'.format(
             "x" * 50, "$(arg a)" * 30
         ))  # fmt: skip

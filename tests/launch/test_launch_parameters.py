@@ -53,24 +53,27 @@ def test_a_value_is_typed_as_roslaunch_types_it(workspace: Workspace, attributes
     [
         ('<param name="x"/>', "x needs exactly one of value, textfile, binfile, command, and none is there"),
         ('<param name="x" value="1" command="true"/>', "x needs exactly one of .*, not 2 of them"),
-        ('<param name="x" value="a" type="int"/>', "its value is no int"),
-        ('<param name="x" value="a" type="double"/>', "its value is no double"),
-        ('<param name="x" value="nan" type="double"/>', "its value is no double: nan is no finite number"),
-        ('<param name="x" value="1.0e999"/>', "its value is no parameter: inf is no finite number"),
-        ('<param name="x" value="maybe" type="bool"/>', "its value is no bool: 'maybe' is neither true nor false"),
+        ('<param name="x" value="a" type="int"/>', "its value is not of type int"),
+        ('<param name="x" value="a" type="double"/>', "its value is not of type double"),
+        ('<param name="x" value="nan" type="double"/>', "its value is nan, and parameters hold only finite numbers"),
+        ('<param name="x" value="1.0e999"/>', "its value is inf, and parameters hold only finite numbers"),
+        (
+            '<param name="x" value="maybe" type="bool"/>',
+            "its value is not of type bool: 'maybe' is neither true nor false",
+        ),
         ('<param name="x" value="[1" type="yaml"/>', "its value is not YAML"),
-        ('<param name="x" value="" type="yaml"/>', "its value is nothing"),
-        ('<param name="x" value="1" type="complex"/>', "the type 'complex' is none of auto, str"),
+        ('<param name="x" value="" type="yaml"/>', "its value is empty"),
+        ('<param name="x" value="1" type="complex"/>', "unknown type 'complex'; known: auto, str"),
         ('<param name="a b" value="1"/>', "'a b' is not a legal name here"),
         ('<param name="x" command=""/>', "the attribute 'command' is empty"),
         ('<param name="x" command="echo \'a"/>', "command: no closing quotation"),
         ('<rosparam command="delete"/>', "delete needs a param or an ns"),
         ('<rosparam command="dump" param="a"/>', "the attribute 'file' is missing"),
-        ('<rosparam command="lod" file="x"/>', "the command 'lod' is none of load, dump, delete"),
+        ('<rosparam command="lod" file="x"/>', "unknown command 'lod'; known: load, dump, delete"),
         ('<rosparam file="">a: 1</rosparam>', "the attribute 'file' is empty"),
         ('<rosparam command="delete" param="a" file="x"/>', "delete takes no file"),
         ('<rosparam param="/">1</rosparam>', "expected names with values"),
-        ('<param name="/" value="1"/>', "'/' is no name for a value"),
+        ('<param name="/" value="1"/>', "'/' is not a parameter name"),
         ('<rosparam file="/no/such.yaml"/>', "/no/such.yaml: no such file or directory"),
     ],
 )
@@ -84,7 +87,7 @@ def test_yaml_in_the_file_has_the_lines_of_the_file(workspace: Workspace) -> Non
         workspace.values("\n<rosparam>\n  a: 1\n  b:\n</rosparam>")
     plan = workspace.plan("\n<rosparam>\n  a: 1\n  a: 2\n</rosparam>")
     assert plan.parameters()["/a"][0] == 2
-    assert notices(plan)[0].startswith("demo/launch/test.launch:4: a: is there twice")
+    assert notices(plan)[0].startswith("demo/launch/test.launch:4: a: duplicate key")
 
 
 def test_files_give_text_bytes_and_trees(workspace: Workspace) -> None:
@@ -125,7 +128,7 @@ def test_of_a_value_and_names_below_it_the_later_one_counts_and_a_notice_says_so
     plan = workspace.plan(content)
     assert {name: value for name, (value, _) in plan.parameters().items()} == expected
     [notice] = notices(plan)
-    assert "cannot be set beside /a" in notice
+    assert "conflicts with /a" in notice
 
 
 def test_a_mapping_as_one_value_has_room_for_names_below_it(workspace: Workspace) -> None:
@@ -289,7 +292,7 @@ def test_an_argument_of_xacro_without_a_value_leaves_the_default_of_the_model(wo
     for words, link in (("limited:=", "true"), ("'limited := '", "true"), ("'limited := no'", "no")):
         plan = workspace.plan(f"""<param name="x" command="xacro $(find demo)/urdf/limits.xacro {words}"/>""")
         assert f'<link name="{link}"/>' in str(plan.parameters()["/x"][0])
-        told = [notice.text for notice in plan.notices if "has no value: the model's own default counts" in notice.text]
+        told = [notice.text for notice in plan.notices if "has no value: the model's default is used" in notice.text]
         assert bool(told) is (link == "true")
 
 
@@ -347,8 +350,8 @@ def test_a_fault_in_the_model_has_the_models_place_and_an_unused_argument_is_poi
         ('<rosparam command="delete" param="a" file="b"/>', "delete takes no file"),
         ("<rosparam>3</rosparam>", "a list or a single value needs param=NAME"),
         ("<rosparam>[1, 2]</rosparam>", "a list or a single value needs param=NAME"),
-        ('<param name="a" value="0x10" type="int"/>', "its value is no int: '0x10'"),
-        ('<param name="a" value="1,5" type="double"/>', "its value is no double: '1,5'"),
+        ('<param name="a" value="0x10" type="int"/>', "its value is not of type int: '0x10'"),
+        ('<param name="a" value="1,5" type="double"/>', "its value is not of type double: '1,5'"),
     ],
 )
 def test_what_is_wrong_with_a_parameter_is_said_in_the_words_of_the_file(

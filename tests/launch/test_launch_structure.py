@@ -240,7 +240,7 @@ def test_includes_without_an_end_are_refused_however_they_change_their_arguments
             '<include file="$(dirname)/test.launch"><arg name="n" value="$(eval n + 1)"/></include>'
         )
     twice = '<include file="$(dirname)/test.launch"><arg name="n" value="$(eval n + 1)"/></include>'
-    with pytest.raises(BadFile, match="unfolds to more than"):
+    with pytest.raises(BadFile, match="expands to more than"):
         workspace.plan(f'<arg name="n" default="0"/><group if="$(eval n &lt; 40)">{twice}{twice}</group>')
 
 

@@ -227,7 +227,7 @@ def test_lists_that_double_in_each_turn_come_to_an_end(monkeypatch: pytest.Monke
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("$(find $(arg a))", "one substitution stands inside a substitution"),
+        ("$(find $(arg a))", "one substitution is inside a substitution"),
         ("$(arg a", r"'\$\(' is not closed"),
         ("$()", "unknown substitution"),
         ("$(arg)", r"\$\(arg\) takes exactly one name, not 0"),
@@ -235,7 +235,7 @@ def test_lists_that_double_in_each_turn_come_to_an_end(monkeypatch: pytest.Monke
         ("$(env)", r"\$\(env\) takes exactly one name"),
         ("$(optenv)", "needs the name of a variable"),
         ("$(dirname x)", "takes nothing after it"),
-        ("$(optenv NOT_SET (x))", "a bracket stands inside a substitution"),
+        ("$(optenv NOT_SET (x))", "a bracket is inside a substitution"),
         ("$(fnd demo)", "Did you mean 'find'?"),
         ("$(arg aa)", "Did you mean 'a'?"),
         ("x $(eval 1)", "must be the whole value"),

@@ -204,7 +204,7 @@ REFUSED = {
     "evalmid": ('<param name="x" value="a$(eval 1+1)"/>', r"\$\(eval\) must be the whole value"),
     "dupnode": (
         '<node pkg="rviz" type="rviz" name="t"/><node pkg="rviz" type="rviz" name="t"/>',
-        "there is a node /t already, at .*test.launch:1",
+        "duplicate node /t; the first is at .*test.launch:1",
     ),
     "reqresp": (
         '<node pkg="rviz" type="rviz" name="t" required="true" respawn="true"/>',

@@ -87,12 +87,12 @@ def test_what_else_a_world_holds_is_reported_with_its_line(workspace: Workspace)
 @pytest.mark.parametrize(
     ("content", "reason"),
     [
-        ("<gravity>0 0</gravity>", "<gravity> is three finite numbers, not '0 0'"),
-        ("<gravity>0 0 nan</gravity>", "<gravity> is three finite numbers"),
-        ("<physics><max_step_size>0</max_step_size></physics>", "<max_step_size> is a number above 0, not '0'"),
+        ("<gravity>0 0</gravity>", "<gravity> is 3 numbers, not '0 0'"),
+        ("<gravity>0 0 nan</gravity>", "<gravity> is 'nan', which is not a finite number"),
+        ("<physics><max_step_size>0</max_step_size></physics>", "<max_step_size> is 0; it must be above 0"),
         (
             "<physics><real_time_factor>fast</real_time_factor></physics>",
-            "<real_time_factor> is a number above 0",
+            "<real_time_factor> is 'fast', which is not a number",
         ),
     ],
 )
@@ -102,7 +102,7 @@ def test_numbers_that_are_none_are_refused_with_the_place(workspace: Workspace, 
 
 
 def test_a_file_that_is_no_world_is_refused(workspace: Workspace) -> None:
-    with pytest.raises(BadFile, match="this is no world file"):
+    with pytest.raises(BadFile, match="this is not a world file"):
         read_world(workspace.write("w.world", '<robot name="r"/>'))
     with pytest.raises(BadFile, match="no such file"):
         read_world(Path("/no/such.world"))

@@ -195,7 +195,7 @@ def test_a_scan_takes_what_gazebo_takes_a_fraction_of_a_sample_and_a_turn_backwa
     assert scans[-1]["angle_increment"] == pytest.approx(-math.pi / 4)
     assert scans[-1]["ranges"][0] == pytest.approx(1.9, abs=0.01)
     said = " ".join(notice.text for notice in robot.description.report)
-    assert "5.7 is taken as 5" in said
+    assert "5.7 is read as 5" in said
     assert "the scan goes backwards" in said
 
 

@@ -197,7 +197,7 @@ def two(*roles: str, second: float | None = 2.0, interface: str = "Effort") -> s
         (simple(1.0, "").replace(">0.0<", ">zero<"), "<offset> is 'zero', which is not a number"),
         (simple(1e200, limit(1.0, 1e-9)), "its joints would feel more than 1e+09 kg m2 of its rotors"),
         (simple(1.0, limit(-1.0)), "'effort' of <limit> is -1; it must not be negative"),
-        (simple(1.0, "") + simple(1.0, "").replace('"t"', '"u"'), "joint 'j1' is driven by <transmission name=\"t\">"),
+        (simple(1.0, "") + simple(1.0, "").replace('"t"', '"u"'), "joint 'j1' is already driven by <transmission"),
         (transmission(DIFFERENTIAL, joint("j1"), actuator("m1")), "has 2 joints, not 1"),
         (two("", *ROLES[1:]), "the joints need the roles joint1 and joint2, each once; given: joint2, none"),
         (two(*ROLES[:2], ROLES[2], ROLES[2]), "the actuators need the roles actuator1 and actuator2"),

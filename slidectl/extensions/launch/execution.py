@@ -27,15 +27,15 @@ from slidectl.extensions.launch.plan import LaunchPlan, Leaf, Location, Node, Ro
 from slidectl.extensions.launch.task import HOOK_LIMIT_S, Run, StepFailed, Task
 
 # There is no event for a new robot or parameter, so waiting tasks are tried again periodically.
-_LOOK_AGAIN_S = 0.2
-_LOOK_SELDOM_S = 0.5
+_RETRY_S = 0.2
+_RETRY_SELDOM_S = 0.5
 _STATUS_EVERY_S = 1.0
 _FIRST_MOMENT_S = 0.1
 """How long programs are watched before the launch counts as up: broken programs usually end at once."""
 
 
 _LOADING = {"load", "lc", "spawn", "sp"}
-"""The verbs of the script controller_manager that load controllers, and their short forms."""
+"""The commands of the script controller_manager that load controllers, and their short forms."""
 
 
 class DaemonAccess(Protocol):
@@ -58,7 +58,7 @@ class _Waiting:
     task: Task
     reason: str
     until: float
-    told: bool = False
+    reported: bool = False
     waits_on: bool = False
     """True when its time has passed and it waits on, as the real script does: the launch counts as up without it."""
 
@@ -78,16 +78,13 @@ class Execution:
         self._waiting: list[_Waiting] = []
         self._ended: dict[Process, int] = {}
         self._over = False
-        self._found: set[tuple[str, int]] = set()
-        """Name and process session of the robots that were in the world before the launch."""
 
     # --- up -------------------------------------------------------------------------------------------------------
 
     def bring_up(self) -> None:
         """Start everything. Returns when everything runs.
 
-        Raises:
-            BadFile: a value in the files cannot be computed. StepFailed. NoDaemon. Interrupted.
+        Raises BadFile: a value in the files cannot be computed. StepFailed. NoDaemon. Interrupted.
         """
         run = self.run
         settings = WorldSettings()
@@ -98,20 +95,17 @@ class Execution:
         run.resumes = not settings.paused
         with run.interrupts.held():
             self._began_daemon = self.daemon.begin(replace(settings, paused=True) if holds else settings)
-        run.parameters = look_ahead(run.plan, self.tasks, run.packages)  # done while the daemon starts
+        run.parameters = find_missing(run.plan, self.tasks, run.packages)  # done while the daemon starts
         if lines := run.plan.missing.lines():
-            run.console.warn("\n".join(["left out, as it is not there (--strict refuses it):", *lines]))
+            run.console.warn("\n".join(["missing and left out (--strict refuses this):", *lines]))
         client, run.owns_daemon = self.daemon.connect()
         run.connect(client)
         run.watch.listen(client, lambda: None)
-        if run.owns_daemon:
-            run.is_held = holds
-        else:
-            self._found = set(self._robots())
+        run.is_held = holds and run.owns_daemon
         _prepare(run, run.parameters)
         self._start_nodes()
         # Notice programs that have ended meanwhile, and watch those that have just started for a moment.
-        deadline = max((task.started_at + _FIRST_MOMENT_S for task in self._processes()), default=0.0)
+        deadline = max((task.started_at + _FIRST_MOMENT_S for task in self._processes), default=0.0)
         self._turn(0.0)
         while not self._over and (left := deadline - time.monotonic()) > 0:
             self._turn(left)
@@ -122,8 +116,11 @@ class Execution:
     def _start_nodes(self) -> None:
         for task in (task for task in self.tasks if not task.comes_last):
             self._start(task)
-        self._look_again()
-        self._let_go()  # what still waits may wait for what happens in the world
+        self._retry_waiting()
+        if self.run.is_held:  # what still waits may wait for what happens in the world
+            self.run.is_held = False
+            if self.run.resumes:
+                self.run.resume()
         self._wait_for_all()
         for task in (task for task in self.tasks if task.comes_last):
             self._start(task)
@@ -132,13 +129,7 @@ class Execution:
         for entry in self._waiting:
             entry.task.settled(self.run, f"waits for {entry.reason}")
 
-    def _let_go(self) -> None:
-        """End the standstill of a world that was held for its controllers."""
-        if self.run.is_held:
-            self.run.is_held = False
-            if self.run.resumes:
-                self.run.resume()
-
+    @property
     def _processes(self) -> list[Process]:
         return [task for task in self.begun if isinstance(task, Process)]
 
@@ -150,7 +141,7 @@ class Execution:
     @property
     def died(self) -> dict[Process, int]:
         """The programs that have died and do not run now, with their exit codes. Some may be respawned."""
-        return {task: code for task in self._processes() if (code := task.code)}
+        return {task: code for task in self._processes if (code := task.code)}
 
     def _start(self, task: Task) -> None:
         if isinstance(task, Process):
@@ -160,7 +151,7 @@ class Execution:
         if why is not None:
             self._waiting.append(_Waiting(task, why, self.run.client.monotonic() + task.patience_s))
         elif self._waiting:
-            self._look_again()
+            self._retry_waiting()
 
     def _attempt(self, task: Task) -> str | None:
         """Start a task. Returns what it waits for, or None. Raises StepFailed, or NoDaemon, which is not its fault."""
@@ -182,7 +173,7 @@ class Execution:
         task.leave_out(self.run, "the node", error)
         self.run.left_out.append(task)
 
-    def _look_again(self) -> None:
+    def _retry_waiting(self) -> None:
         """Start the waiting tasks that can start now. Update what the others wait for."""
         progress = True
         while progress:
@@ -195,28 +186,28 @@ class Execution:
                     if self.is_up:
                         entry.task.afterwards(self.run)
                 else:
-                    entry.told = entry.told and why == entry.reason
+                    entry.reported = entry.reported and why == entry.reason
                     entry.reason = why
 
     def _wait_for_all(self) -> None:
         while essential := [entry for entry in self._waiting if not entry.task.waits_lightly and not entry.waits_on]:
             for entry in essential:
-                if not entry.told:
-                    entry.told = True
+                if not entry.reported:
+                    entry.reported = True
                     entry.task.settled(self.run, f"waits for {entry.reason}")
+                thing = entry.reason.removeprefix("the ").removeprefix("a ")
                 if self._waits_in_vain(entry):
                     self._waiting.remove(entry)
-                    self._fail(entry.task, Refused(f"there is no {_bare(entry.reason)}"))
+                    self._fail(entry.task, Refused(f"there is no {thing}"))
                 elif self.run.client.monotonic() >= entry.until:
                     if not entry.task.goes_on_waiting(self.run):
-                        limit = f"within {entry.task.patience_s:g} s"
                         self._waiting.remove(entry)
-                        self._fail(entry.task, Refused(f"there was no {_bare(entry.reason)} {limit}"))
+                        self._fail(entry.task, Refused(f"there was no {thing} within {entry.task.patience_s:g} s"))
                     entry.waits_on = True
-            self._turn(_LOOK_AGAIN_S)
+            self._turn(_RETRY_S)
             if self._over:
                 return
-            self._look_again()
+            self._retry_waiting()
 
     def _waits_in_vain(self, entry: _Waiting) -> bool:
         """True when it waits for the robot of a node that was left out, and no other node can spawn that robot."""
@@ -224,7 +215,7 @@ class Execution:
             awaited = entry.task.words.one("-wait")
             return any(isinstance(task, SpawnModel) and task.model == awaited for task in self.run.left_out)
         nodes = [task.node for task in self.tasks if task not in self.run.left_out]
-        could_come = any(isinstance(task, Process) for task in self.begun) or any(map(_spawns, nodes))
+        could_come = bool(self._processes) or any(map(_spawns, nodes))
         return isinstance(entry.task, Spawner) and not could_come and any(map(_spawns, self.run.plan.nodes))
 
     def _check_left(self) -> None:
@@ -248,8 +239,9 @@ class Execution:
     def lacks(self) -> list[str]:
         """What the launch names and does not run, each on one line: what is not there, and windows of ROS."""
         windows = [task for task in self.begun if isinstance(task, LeftOut) and task.is_missed]
-        nodes = ((task.node, task.text_for(self.run)) for task in windows)
-        lines = (f"{node.place}: node {node.full_name} ({node.kind}): {text}" for node, text in nodes)
+        paths = self.run.client.paths
+        why = ((one.node, "; ".join(one.why(paths))) for one in windows)
+        lines = (f"{node.place}: node {node.full_name} ({node.kind}): {text}" for node, text in why)
         return [*self.run.plan.missing.lines(), *lines]
 
     # --- running --------------------------------------------------------------------------------------------------
@@ -257,28 +249,22 @@ class Execution:
     def watch(self) -> None:
         """Watch the launch. Returns when nothing is left to watch, or a required node has finished.
 
-        Raises:
-            Refused: a required node died; or all nodes have ended, some with an error. NoDaemon. Interrupted.
+        Raises Refused: a required node died; or all nodes have ended, some with an error. NoDaemon. Interrupted.
         """
         if self.run.console.is_live:
             self._show_status()
         while not self._over and self.stays:
-            self._turn(_LOOK_SELDOM_S if self._waiting else None)
+            self._turn(_RETRY_SELDOM_S if self._waiting else None)
             if self._waiting:
-                self._look_again()
+                self._retry_waiting()
         self.judge()
 
     def _turn(self, most_s: float | None) -> None:
-        """Handle what has arrived, and wait for more. Raises NoDaemon, Interrupted."""
+        """Pass received messages to the tasks that subscribe to them, and wait. Raises NoDaemon, Interrupted."""
         self.run.interrupts.check()
-        self._take_in()
+        list(self.run.client.events(0.0))
         self.run.watch.turn(most_s)
-        self._take_in()
-
-    def _take_in(self) -> None:
-        """Pass received messages to the tasks that subscribe to them."""
-        for _ in self.run.client.events(0.0):
-            pass
+        list(self.run.client.events(0.0))
 
     @property
     def stays(self) -> bool:
@@ -287,8 +273,8 @@ class Execution:
 
     def _running(self) -> list[Task]:
         waiting = [entry.task for entry in self._waiting]
-        gone = (*self._ended, *self.run.left_out, *waiting)
-        return [task for task in self.begun if task.keeps_running and task not in gone]
+        idle = (*self._ended, *self.run.left_out, *waiting)
+        return [task for task in self.begun if task.keeps_running and task not in idle]
 
     def _is_required(self, task: Task) -> bool:
         if task.family == "notice":  # a viewer that was left out cannot be closed
@@ -306,10 +292,10 @@ class Execution:
     def judge(self) -> None:
         """Raise Refused when a node has ended with an error so far."""
         self._judge_required()
-        died = {task: code for task in self.begun if isinstance(task, Process) and (code := self._ended.get(task))}
+        codes = ((task, self._ended.get(task)) for task in self._processes)
+        died = [f"{task.node.full_name} ({reason(code)})" for task, code in codes if code]
         if died:
-            names = ", ".join(f"{task.node.full_name} ({reason(code)})" for task, code in died.items())
-            raise Refused(f"these nodes died: {names}")
+            raise Refused(f"these nodes died: {', '.join(died)}")
 
     def _judge_required(self) -> None:
         """Raise StepFailed when a required node has died."""
@@ -337,7 +323,7 @@ class Execution:
         run = self.run
         run.console.closing()
         run.failed = run.failed or not self.is_up
-        processes = self._processes()
+        processes = self._processes
         for process in processes:
             process.ending = True
         for task in reversed(self.begun):
@@ -353,23 +339,16 @@ class Execution:
             except SlidectlError as error:
                 run.console.warn(str(error))
 
-    def _robots(self) -> list[tuple[str, int]]:
-        """The robots in the world, each with the session id of the process that spawned it."""
-        return [(robot["name"], robot["process_session"]) for robot in self.run.robots(HOOK_LIMIT_S)]
-
     def _delete_robots_of(self, processes: Sequence[Process]) -> None:
-        """Delete robots that programs of this launch have spawned. A program in a session of its own is not found.
-
-        The id of a session may be reused: so robots that were there before the launch stay.
-        """
+        """Delete robots that programs of this launch have spawned. A program in a session of its own is not found."""
         owners = {number: process for process in processes for number in process.sessions}
         if not owners:
             return
         try:
-            for name, number in self._robots():
-                if number in owners and (name, number) not in self._found:
-                    self.run.call("/gazebo/delete_model", {"model_name": name}, HOOK_LIMIT_S)
-                    owners[number].settled(self.run, f"{name}: deleted")
+            for robot in self.run.robots(HOOK_LIMIT_S):
+                if (process := owners.get(robot["process_session"])) is not None:
+                    self.run.call("/gazebo/delete_model", {"model_name": robot["name"]}, HOOK_LIMIT_S)
+                    process.settled(self.run, f"{robot['name']}: deleted")
         except NoDaemon:
             self._lost_daemon = True
         except SlidectlError as error:
@@ -388,10 +367,8 @@ class Execution:
     def _escalate(self, processes: Sequence[Process]) -> None:
         options = self.run.options
         deadline = time.monotonic()
-        for seconds, number in (
-            (options.sigint_timeout_s, signal.SIGTERM),
-            (options.sigterm_timeout_s, signal.SIGKILL),
-        ):
+        timeouts = ((options.sigint_timeout_s, signal.SIGTERM), (options.sigterm_timeout_s, signal.SIGKILL))
+        for seconds, number in timeouts:
             deadline += seconds
             for process in reversed(processes):
                 process.finish(self.run, deadline, number)
@@ -413,45 +390,28 @@ def _starts_controllers(node: Node) -> bool:
     return node.package == "controller_manager" and loads
 
 
-def _bare(reason: str) -> str:
-    """What a task waits for, without an article."""
-    return reason.removeprefix("the ").removeprefix("a ")
-
-
 # --- before the nodes start ------------------------------------------------------------------------------------------
 
 
-def look_ahead(
+def find_missing(
     plan: LaunchPlan, tasks: Sequence[Task], packages: Packages, run_commands: bool = True
 ) -> Mapping[str, Leaf]:
     """The parameters of a plan. Before, everything missing that the files can tell is noted.
 
-    Raises:
-        NotThere: all that is missing, unless the launch leaves it out. BadFile: a value cannot be computed.
+    Raises NotThere: all that is missing, unless the launch leaves it out. BadFile: a value cannot be computed.
     """
     parameters = plan.parameters(gather=True, run_commands=run_commands)
     for task in tasks:
-        task.look_ahead(plan, packages, parameters)
+        task.find_missing(plan, packages, parameters)
     plan.missing.refuse()
     return parameters
 
 
 def _prepare(run: Run, parameters: Mapping[str, Leaf]) -> None:
-    """Carry out the plan's commands and set its parameters. Raises Refused."""
-    _tell_notices(run)
-    for command in run.plan.commands:
-        _carry_out(run, command)
-    for namespace, place in run.plan.clear:
-        if run.call("/rosapi/has_param", {"name": namespace})["exists"]:
-            _delete(run, namespace, place)
-    _set(run, parameters)
-    if parameters:
-        plural = "" if len(parameters) == 1 else "s"
-        run.console.step("parameters", f"{len(parameters)} parameter{plural} set", count=len(parameters))
+    """Report the notices of the plan, carry out its commands and set its parameters. Raises Refused.
 
-
-def _tell_notices(run: Run) -> None:
-    """Print notices with the verdict "wrong", and count the others; with `-v` print all."""
+    Of the notices those with the verdict "wrong" are printed, with `-v` all of them; the others are counted.
+    """
     quiet = 0
     for notice in bounded(run.plan.notices):
         if notice.verdict == "wrong" or run.console.verbose:
@@ -461,6 +421,21 @@ def _tell_notices(run: Run) -> None:
     if quiet:
         things = "one thing" if quiet == 1 else f"{quiet} things"
         run.console.step("notices", f"{things} in the files without effect, -v shows more", count=quiet)
+    for command in run.plan.commands:
+        _carry_out(run, command)
+    for namespace, place in run.plan.clear:
+        if run.call("/rosapi/has_param", {"name": namespace})["exists"]:
+            _delete(run, namespace, place)
+    # First all requests are sent, then the answers are read.
+    calls = [(name, place, _begin(run, name, value, place)) for name, (value, place) in parameters.items()]
+    for name, place, call in calls:
+        try:
+            run.client.answer(call)
+        except Refused as error:
+            raise Refused(f"{place}: parameter {name}: {error.message}", error.hint) from None
+    if parameters:
+        plural = "" if len(parameters) == 1 else "s"
+        run.console.step("parameters", f"{len(parameters)} parameter{plural} set", count=len(parameters))
 
 
 def _carry_out(run: Run, command: RosparamCommand) -> None:
@@ -490,16 +465,6 @@ def _delete(run: Run, name: str, place: Location) -> None:
         raise Refused(f"{place}: {error.message}", error.hint) from None
 
 
-def _set(run: Run, parameters: Mapping[str, Leaf]) -> None:
-    """Set all parameters: first all requests are sent, then the answers are read."""
-    calls = [(name, place, _begin(run, name, value, place)) for name, (value, place) in parameters.items()]
-    for name, place, call in calls:
-        try:
-            run.client.answer(call)
-        except Refused as error:
-            raise Refused(f"{place}: parameter {name}: {error.message}", error.hint) from None
-
-
 def _begin(run: Run, name: str, value: object, place: Location) -> str:
     """Send the request for a parameter; returns the id of the call. The source note of a robot is sent separately."""
     if isinstance(value, str):
@@ -510,6 +475,6 @@ def _begin(run: Run, name: str, value: object, place: Location) -> str:
         text = json.dumps(value, allow_nan=False)
         return run.client.call_async("/rosapi/set_param", {"name": name, "value": text})
     except ValueError:
-        raise place.error(f"parameter {name}: {value} is no finite number, and parameters hold no others") from None
+        raise place.error(f"parameter {name}: {value} is not finite, and parameters hold only finite numbers") from None
     except UsageError as error:  # the request is longer than a line may be
         raise place.error(f"parameter {name}: {error.message}") from None

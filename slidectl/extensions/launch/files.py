@@ -32,8 +32,7 @@ class LaunchFile:
 def find(words: Sequence[str], packages: Packages) -> list[LaunchFile]:
     """Find the launch files that the words of a command line mean.
 
-    Raises:
-            UsageError, UnknownName, UnknownPackage: no such file. BadFile: a file that cannot be read.
+    Raises UsageError, UnknownName, UnknownPackage: no such file. BadFile: a file that cannot be read.
     """
     if not words:
         raise UsageError("which launch file?", "slidectl launch FILE, or PACKAGE FILE, or the name of a shipped one")
@@ -63,8 +62,7 @@ def _check_joined(words: Sequence[str], packages: Packages) -> None:
 def find_in_package(package: str, file: str, packages: Packages, kind: str = "file") -> Path:
     """Find a file by its name anywhere in a package; `kind` is the word for it in messages.
 
-    Raises:
-        UnknownPackage, UnknownName: no such package or file. UsageError: the package has several of that name.
+    Raises UnknownPackage, UnknownName: no such package or file. UsageError: the package has several of that name.
     """
     path = _in_package(package, file, packages)
     if path is not None:

@@ -55,8 +55,7 @@ def load(
         parse: makes the elements of a file's text; `check` passes one whose elements record what is read.
         missing: collects missing things, which are left out; without it they are errors.
 
-    Raises:
-        BadFile: with file and line. UsageError: an argument that no file declares.
+    Raises BadFile: with file and line. UsageError: an argument that no file declares.
     """
     plan = LaunchPlan(missing=Missing() if missing is None else missing)
     places = (packages or Packages()).starting_at(Path.cwd())
@@ -286,7 +285,7 @@ def _node_tag(tag: Tag) -> None:
     for other in tag.plan.nodes:
         if other.full_name == made.full_name:
             hint = "give one of them another name, or $(anon NAME)"
-            raise tag.error(f"there is a node {made.full_name} already, at {other.place}", hint)
+            raise tag.error(f"duplicate node {made.full_name}; the first is at {other.place}", hint)
     inner = _filled(tag, made.namespace, made.full_name)
     made.remaps, made.environment = inner.remaps, inner.environment
     tag.plan.nodes.append(made)

@@ -18,7 +18,6 @@ from pathlib import Path
 from slidectl import input_files
 from slidectl.description.packages import Packages, UnknownPackage, is_file
 from slidectl.errors import BadFile, NotThere, closest, listing
-from slidectl.extensions.launch.absences import meaning
 from slidectl.extensions.launch.files import below
 from slidectl.extensions.launch.plan import LaunchPlan, Node
 from slidectl.extensions.launch.task import Task
@@ -66,15 +65,14 @@ def tasks(
     Nodes without a counterpart or program, or whose arguments need missing things, are left out and noted as missing.
     With `gather` the caller raises the error, after looking for more.
 
-    Raises:
-        BadFile: a node has invalid arguments. NotThere: something is missing.
+    Raises BadFile: a node has invalid arguments. NotThere: something is missing.
     """
     found = []
     for node in plan.nodes if nodes is None else nodes:
         try:
             found.append(_task(node, plan, packages, has_master))
         except NotThere as error:
-            loss = f"the node {node.full_name} is left out{meaning(node)}"
+            loss = f"the node {node.full_name} is left out{_meaning(node)}"
             plan.missing.note(error, loss, not node.absent, node.required)
         except BadFile:
             plan.missing.refuse()
@@ -130,9 +128,44 @@ def _rviz(node: Node, packages: Packages) -> str | None:
     return program
 
 
+# --- what the absence of a node means to the user ---------------------------------------------------------------------
+
+_UNPAUSES = re.compile(r"un_?pause")
+_POSES = re.compile(r"(^|_)(home|homing|init|initial|initialize|stand|standup|tuck|untuck|pose|posture)(_|\d|$)")
+_MEANINGS = (
+    (re.compile(r"joy|teleop|keyboard|ps[34]_|xbox|spacenav|game_?pad"),
+     "no joystick and no keyboard drives the robot: slidectl teleop does"),
+    (re.compile(r"marker"), "no markers in RViz drive the robot: slidectl teleop does"),
+    (re.compile(r"localization|amcl|ekf|ukf|gmapping|slam|cartographer|map_server|hector_mapping|fake_loc"),
+     "nobody publishes the frame of the map or a filtered odometry"),
+    (re.compile(r"move_base|navigation|planner_server"), "nobody plans a way: slidectl pub and teleop drive"),
+    (re.compile(r"move_group|moveit"), "nobody plans motions: slidectl trajectory moves arms"),
+    (re.compile(r"play_motion"), "no motions are played: slidectl trajectory moves arms"),
+    (re.compile(r"nodelet|image_proc|pointcloud|depth|laserscan|laser_filter"), "nobody processes its sensors' data"),
+    (re.compile(r"diagnostic|aggregator"), "nobody collects diagnostics"),
+)  # fmt: skip
+"""Patterns for `package/type name`, in lower case, and what the absence means; the first one counts."""
+
+
+def _meaning(node: Node) -> str:
+    """`: ` and what the absence of the node means; empty when its name does not tell."""
+    name, kind = node.name.lower(), node.type.lower()
+    if _UNPAUSES.search(kind) or _UNPAUSES.search(name):
+        return ": nobody resumes the world by itself: slidectl sim resume"
+    text = f"{node.package}/{node.type} {node.name}".lower()
+    for pattern, means in _MEANINGS:
+        if pattern.search(text):
+            return f": {means}"
+    if _POSES.search(kind.partition(".")[0]) or _POSES.search(name):
+        return ": nobody sends the start pose: slidectl trajectory moves arms"
+    return ""
+
+
 # --- programs --------------------------------------------------------------------------------------------------------
 
 _FILES = {"rospy": ("rospy/__init__.py", "rospy.py"), "roscpp": ("libroscpp.so",)}
+_IMPORTS_ROSPY = re.compile(rb"^(import\s+([\w., ]+,\s*)?|from\s+)rospy\b", re.MULTILINE)
+"""An import in a `try` does not count, as it is optional."""
 _MOST_BYTES = 1 << 26
 _LIKELY = ("scripts", "nodes", "bin", "src", "")
 
@@ -144,8 +177,7 @@ class NeedsRos(NotThere):
 def find(node: Node, packages: Packages) -> Path:
     """Find the executable of a node.
 
-    Raises:
-            NotThere: no such package, no such program in it, or the program is not executable. NeedsRos.
+    Raises NotThere: no such package, no such program in it, or the program is not executable. NeedsRos.
     """
     try:
         folders = packages.candidates(node.package) or [packages.find(node.package)]
@@ -228,25 +260,8 @@ def _ros_library(program: Path) -> str:
         return ""
     if content.startswith(b"\x7fELF"):
         return "roscpp" if b"libroscpp.so" in content else ""
-    if b"rospy" not in content or (program.suffix != ".py" and b"python" not in content.partition(b"\n")[0]):
-        return ""
-    return "rospy" if _imports_rospy(content) else ""
-
-
-def _imports_rospy(script: bytes) -> bool:
-    """True when a script imports rospy at its start. An import in a `try` does not count, as it is optional."""
-    import ast
-
-    try:
-        statements = ast.parse(script).body
-    except (SyntaxError, ValueError, RecursionError, MemoryError):  # usually a script for Python 2
-        return re.search(rb"^(import|from)\s+rospy\b", script, re.MULTILINE) is not None
-    for statement in statements:
-        names = [alias.name for alias in statement.names] if isinstance(statement, ast.Import) else []
-        names += [statement.module or ""] if isinstance(statement, ast.ImportFrom) and not statement.level else []
-        if any(name.partition(".")[0] == "rospy" for name in names):
-            return True
-    return False
+    is_script = program.suffix == ".py" or b"python" in content.partition(b"\n")[0]
+    return "rospy" if is_script and _IMPORTS_ROSPY.search(content) else ""
 
 
 def _library_folders(program: Path, environment: Mapping[str, str]) -> Iterator[Path]:

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from slidectl import paths
-from slidectl.description.missing import passed_on, read_notes
+from slidectl.description.missing import read_notes, to_environment
 from slidectl.description.models import read_file, xacro_words
 from slidectl.description.packages import is_file, shown
 from slidectl.description.robot import Notice
@@ -50,14 +50,14 @@ def param(tag: Tag, private: str | None = None) -> None:
         return
     setting.name = tag.within(private or tag.scope.namespace, name.lstrip("~/") if private else name)
     if setting.name == "/":
-        raise tag.error("'/' is no name for a value")
+        raise tag.error("'/' is not a parameter name")
     tag.plan.settings.append(setting)
 
 
 def _setting(tag: Tag, name: str) -> Setting:
     kind = (tag.element.get("type") or "auto").strip().lower()  # no substitution here
     if kind not in TYPES:
-        raise tag.error(f"the type {kind!r} is none of {', '.join(TYPES)}")
+        raise tag.error(f"unknown type {kind!r}; known: {', '.join(TYPES)}")
     given = [source for source in SOURCES if tag.element.get(source) is not None]
     if len(given) != 1:
         found = f"not {len(given)} of them" if given else f"and none is there{tag.mistake(SOURCES)}"
@@ -85,12 +85,11 @@ def _converted(tag: Tag, text: str, kind: str) -> Any:
     except BadFile as error:
         raise tag.error(f"its value is {error.reason}") from None
     except ValueError as error:
-        raise tag.error(f"its value is no {'parameter' if kind == 'auto' else kind}: {error}") from None
+        raise tag.error(f"its value is not of type {kind}: {error}") from None
     if isinstance(value, float) and not math.isfinite(value) and kind != "yaml":
-        reason = f"{value} is no finite number, and parameters hold no others"
-        raise tag.error(f"its value is no {'parameter' if kind == 'auto' else kind}: {reason}")
+        raise tag.error(f"its value is {value}, and parameters hold only finite numbers")
     if value is None:
-        raise tag.error("its value is nothing, which no parameter can be")
+        raise tag.error("its value is empty, and a parameter needs one")
     return value
 
 
@@ -116,21 +115,18 @@ def _value(text: str, kind: str, file: str) -> Any:
 
 def _bytes(tag: Tag, path: str) -> bytes:
     try:
-        content = read_file(Path(path))
+        return read_file(Path(path))
     except NotThere as error:
         raise tag.no_file(f"{path}: {error.reason}", error.hint, Path(path)) from None
     except BadFile as error:
         raise tag.error(f"{path}: {error.reason}") from None
-    if len(content) > MOST_BYTES:
-        raise tag.error(f"{path}: is larger than {MOST_BYTES >> 20} MiB")
-    return content
 
 
 def _text(tag: Tag, path: str) -> str:
     try:
         return _bytes(tag, path).decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")
     except UnicodeDecodeError as error:
-        raise tag.error(f"{path} is no text: {error.reason} at byte {error.start}") from None
+        raise tag.error(f"{path} is not text: {error.reason} at byte {error.start}") from None
 
 
 # --- command ---------------------------------------------------------------------------------------------------------
@@ -191,7 +187,7 @@ def _run(tag: Tag, command: list[str]) -> str:
     try:
         return output.decode("utf-8")
     except UnicodeDecodeError:
-        raise tag.error("the command's output is no text", hint) from None
+        raise tag.error("the command's output is not text", hint) from None
 
 
 def _environment(tag: Tag, notes: str) -> dict[str, str]:
@@ -201,7 +197,7 @@ def _environment(tag: Tag, notes: str) -> dict[str, str]:
     """
     folder = str(paths.share("launch") / "counterparts" / "xacro")
     path = os.pathsep.join([folder, os.environ.get("PATH", os.defpath)])
-    return {**os.environ, "PATH": path, "SLIDECTL_PYTHON": sys.executable, **passed_on(tag.plan.missing, notes)}
+    return {**os.environ, "PATH": path, "SLIDECTL_PYTHON": sys.executable, **to_environment(tag.plan.missing, notes)}
 
 
 def _before_xacro(command: list[str]) -> int | None:
@@ -221,7 +217,7 @@ def _xacro_arguments(tag: Tag, command: list[str]) -> tuple[Path, dict[str, str]
     except UsageError as error:
         raise tag.error(error.message, error.hint) from None
     if empty := [word for word in command if word.strip().endswith(":=")]:
-        tag.notice("ignored", f"{', '.join(empty)} has no value: the model's own default counts, as with xacro itself")
+        tag.notice("ignored", f"{', '.join(empty)} has no value: the model's default is used, as by xacro itself")
     files = []
     for word in others:
         if not word.startswith("-"):
@@ -244,7 +240,7 @@ def rosparam(tag: Tag, private: str | None = None) -> None:
     tag.knows(["command", "file", "param", "ns", "subst_value"])
     verb = tag.get("command") or "load"
     if verb not in VERBS:
-        raise tag.error(f"the command {verb!r} is none of {', '.join(VERBS)}")
+        raise tag.error(f"unknown command {verb!r}; known: {', '.join(VERBS)}")
     namespace = private or tag.scope.namespace
     for part in (tag.get("ns"), tag.get("param")):
         namespace = tag.within(namespace, part) if part else namespace
@@ -265,7 +261,7 @@ def _load(tag: Tag, name: str) -> None:
     if file == "":
         raise tag.error("the attribute 'file' is empty", "leave it out when the parameters are in the tag itself")
     if file and tag.element.text.strip():
-        tag.notice("wrong", "has a file and a text: the text has no effect")
+        tag.notice("wrong", "has a file and a text: the text is ignored")
     substitution = tag.scope.substitution if tag.flag("subst_value") else None
 
     def compute() -> Any:

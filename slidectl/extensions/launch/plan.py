@@ -12,7 +12,7 @@ from typing import Any
 
 from slidectl import names
 from slidectl.description.missing import Missing
-from slidectl.description.robot import Notice
+from slidectl.description.robot import Notice, Verdict
 from slidectl.errors import BadFile, NoFileThere, NotThere
 
 Leaf = tuple[Any, "Location"]
@@ -174,9 +174,9 @@ class LaunchPlan:
     missing: Missing = field(default_factory=Missing)
     """The missing things that the files name."""
 
-    def notice(self, verdict: str, place: Location, subject: str, text: str) -> None:
-        """Add a notice about the files; `verdict` is `ignored`, `converted` or `wrong`."""
-        self.notices.append(Notice(verdict, subject, text, place.file, place.line))  # type: ignore[arg-type]
+    def notice(self, verdict: Verdict, place: Location, subject: str, text: str) -> None:
+        """Add a notice about the files."""
+        self.notices.append(Notice(verdict, subject, text, place.file, place.line))
 
     def parameters(self, gather: bool = False, run_commands: bool = True) -> dict[str, Leaf]:
         """All parameters by full name, with value and place; a later setting of a name overrides an earlier one.
@@ -185,8 +185,7 @@ class LaunchPlan:
         earlier one, with a notice. Settings that need a missing file are left out and noted; with `gather` the caller
         raises the error, after looking for more. Without `run_commands` settings that run a program are left out.
 
-        Raises:
-            BadFile: a value cannot be computed.
+        Raises BadFile: a value cannot be computed.
         """
         found: dict[str, Leaf] = {}
         for setting in self.settings:
@@ -204,17 +203,14 @@ class LaunchPlan:
         for name, over in _conflicts(found):
             gone, last = found.pop(name, None), found[over]
             if gone is not None:
-                self.notice(
-                    "wrong", gone[1], name, f"cannot be set beside {over}, which is set at {last[1]} and counts"
-                )
+                self.notice("wrong", gone[1], name, f"conflicts with {over}, which is set at {last[1]} and replaces it")
         return found
 
 
 def leaves(name: str, value: Any, place: Location) -> Iterator[tuple[str, Any]]:
     """Full names and values below a name; a key with a leading slash is a full name. Lists are values.
 
-    Raises:
-        BadFile: a key that cannot be a name.
+    Raises BadFile: a key that cannot be a name.
     """
     if not isinstance(value, dict):
         if value is not None:

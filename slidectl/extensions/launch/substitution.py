@@ -29,10 +29,8 @@ from slidectl.description.packages import Packages, UnknownPackage, is_file
 from slidectl.errors import SlidectlError, closest, listing
 
 COMMANDS = ("find", "env", "optenv", "dirname", "anon", "arg")
-MOST_TEXT = 4 * 2**20
-"""Against: arguments that repeat each other. The most characters that all substitutions of one text may insert."""
-MOST_SUBSTITUTIONS = 10_000
-"""The most substitutions in one text."""
+_MOST_RESULT = 4 * 2**20
+"""The most bytes of the result of an `$(eval ...)`."""
 LIMITS = Limits(cpu_s=5, wall_s=20, new_bytes=256 << 20)
 """Of an `$(eval ...)`, which runs in a process of its own.
 
@@ -112,6 +110,8 @@ class Substitution:
     """The names that `anon` has made in this file so far."""
     absent: dict[str, UnknownPackage]
     """Collects the missing packages."""
+    count: Callable[[str], None]
+    """Called with each text that is inserted; raises SubstitutionError when all texts are too long."""
 
     def resolve(self, text: str) -> str:
         """The text with all substitutions made. Raises SubstitutionError."""
@@ -123,22 +123,19 @@ class Substitution:
 
     def _pass(self, text: str, finds: bool) -> str:
         """Substitute only `find`, or everything but `find`."""
-        count = size = 0
 
-        def put_in(match: re.Match[str]) -> str:
-            nonlocal count, size
-            command, words = _taken_apart(match, text)
+        def replacement(match: re.Match[str]) -> str:
+            command, words = _split(match, text)
             if finds is not (command == "find"):
                 return match[0]
-            found = self._found(_one(command, words), match[3]) if finds else self._command(command, words) + match[3]
-            count += 1
-            size += len(found)
-            if count > MOST_SUBSTITUTIONS or size > MOST_TEXT:
-                what = f"{MOST_TEXT >> 10} KiB of text" if count <= MOST_SUBSTITUTIONS else f"{count - 1} substitutions"
-                raise SubstitutionError(f"comes to more than {what}", "do arguments repeat each other many times over?")
-            return found
+            if finds:
+                inserted = self._package_path(_one(command, words), match[3])
+            else:
+                inserted = self._command(command, words) + match[3]
+            self.count(inserted)
+            return inserted
 
-        return _SUBSTITUTION.sub(put_in, text)
+        return _SUBSTITUTION.sub(replacement, text)
 
     def _command(self, command: str, words: list[str]) -> str:
         if command == "optenv":
@@ -152,7 +149,7 @@ class Substitution:
         read = {"env": self._variable, "anon": self._anonymous, "arg": self._argument}[command]
         return read(_one(command, words))
 
-    def _found(self, package: str, path: str) -> str:
+    def _package_path(self, package: str, path: str) -> str:
         """The package's folder joined with the path after it, with or without a slash between.
 
         For an executable of an installed package it is `PREFIX/lib/PACKAGE` instead of `PREFIX/share/PACKAGE`.
@@ -219,6 +216,7 @@ class Substitution:
         self.anonymous_names.update(anonymous_names)
         for package in absent:
             self._folder_of(package)
+        self.count(value)
         return value
 
 
@@ -230,8 +228,7 @@ def evaluate(text: str, names: Mapping[str, Any], state: Callable[[], Any] = lam
     Returns:
         The value as text, and what `state` returns after it in that process, by way of JSON.
 
-    Raises:
-        EvalError: with the reason, but without the place. SubstitutionError: a function of `names` raised it.
+    Raises EvalError: with the reason, but without the place. SubstitutionError: a function of `names` raised it.
     """
     if "__" in text:
         raise EvalError("may not contain double underscores")
@@ -252,7 +249,7 @@ def evaluate(text: str, names: Mapping[str, Any], state: Callable[[], Any] = lam
         return json.dumps([value, error, state()]).encode()
 
     try:
-        value, error, after = json.loads(confined.run(work, LIMITS, MOST_TEXT))
+        value, error, after = json.loads(confined.run(work, LIMITS, _MOST_RESULT))
     except confined.EndedError as error:
         raise EvalError(f"cannot be computed: {error}") from None
     except OSError as error:
@@ -319,18 +316,18 @@ def _of_names(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
     return checked
 
 
-def _taken_apart(match: re.Match[str], text: str) -> tuple[str, list[str]]:
+def _split(match: re.Match[str], text: str) -> tuple[str, list[str]]:
     """Split a substitution into its command and words. Raises SubstitutionError."""
     inside = match[1]
     if not match[2]:
         raise SubstitutionError(f"'$(' is not closed in {plain(text)!r}")
     if "$" in inside or "(" in inside:
         what = "one substitution" if "$" in inside else "a bracket"
-        hint = "write it with $(eval ...), for example $(eval find(arg('package')) + '/urdf')"
-        raise SubstitutionError(f"{what} stands inside a substitution in {plain(text)!r}", hint)
+        hint = "use $(eval ...), for example $(eval find(arg('package')) + '/urdf')"
+        raise SubstitutionError(f"{what} is inside a substitution in {plain(text)!r}", hint)
     command, *words = [word for word in inside.split(" ") if word] or [""]
     if command == "eval":
-        raise SubstitutionError("$(eval) must be the whole value", "put what stands beside it into the expression")
+        raise SubstitutionError("$(eval) must be the whole value", "put the rest of the value into the expression")
     if command not in COMMANDS:
         near = closest(command, [*COMMANDS, "eval"])
         suggestion = f" Did you mean {near!r}?" if near else ""

@@ -19,6 +19,7 @@ from slidectl import names
 from slidectl.description import xml_tree
 from slidectl.description.packages import Packages, UnknownPackage
 from slidectl.description.report import did_you_mean
+from slidectl.description.robot import Verdict
 from slidectl.description.xml_tree import Element
 from slidectl.errors import BadFile, NoFileThere, NotThere, closest
 from slidectl.extensions.launch.plan import LaunchPlan, Location, Remap, Setting
@@ -60,16 +61,16 @@ class Launch:
         """Count a tag. Raises BadFile when there are too many."""
         self._tags += 1
         if self._tags > MOST_TAGS:
-            raise tag.error(f"unfolds to more than {MOST_TAGS} tags", "does a file include itself?")
+            raise tag.error(f"expands to more than {MOST_TAGS} tags", "does a file include itself?")
         if time.process_time() - self._began_s > MOST_SECONDS:
             raise tag.error(f"the launch takes more than {MOST_SECONDS:g} s to read", "does a file include itself?")
 
-    def count_text(self, tag: Tag, text: str) -> None:
-        """Count substituted text. Raises BadFile when it is too much."""
+    def count_text(self, text: str) -> None:
+        """Count substituted text. Raises SubstitutionError when it is too much."""
         self._text += len(text)
         if self._text > MOST_TEXT:
             hint = "do arguments repeat each other many times over?"
-            raise tag.error(f"the launch comes to more than {MOST_TEXT >> 10} KiB of text", hint)
+            raise SubstitutionError(f"the launch expands to more than {MOST_TEXT >> 10} KiB of text", hint)
 
 
 @dataclass
@@ -110,9 +111,10 @@ class Scope:
     @property
     def substitution(self) -> Substitution:
         """The substitutions at this point: arguments that are declared later are not known."""
-        folder, arguments = str(self.file.parent), dict(self.arguments)
-        environment = {**DEFAULTS, **os.environ}
-        return Substitution(self.packages, environment, arguments, folder, self.anonymous_names, self.launch.absent)
+        return Substitution(
+            self.packages, {**DEFAULTS, **os.environ}, dict(self.arguments), str(self.file.parent),
+            self.anonymous_names, self.launch.absent, self.launch.count_text,
+        )  # fmt: skip
 
     def group(self, namespace: str) -> Scope:
         """A copy of the scope for a group in the same file."""
@@ -185,7 +187,6 @@ class Tag:
             found = substitution.resolve(text)
         except SubstitutionError as error:
             raise self.error(f"{where}{error.message}", error.hint) from None
-        self.scope.launch.count_text(self, found)
         for package in () if keep_absent else absent_packages(found):
             raise self.absence_of(package)
         return found
@@ -224,8 +225,7 @@ class Tag:
     def words(self, attribute: str, keep_absent: bool = False) -> list[str]:
         """Split the attribute like a POSIX shell, without expansions; `keep_absent` is as in `raw`.
 
-        Raises:
-                BadFile: a quotation is not closed.
+        Raises BadFile: a quotation is not closed.
         """
         try:
             return [plain(word) for word in shlex.split(self.raw(attribute, keep_absent) or "")]
@@ -298,7 +298,7 @@ class Tag:
                 hint = did_you_mean(element.tag, known, "<{}>")
                 tag.notice("wrong", f"is unknown in <{self.name}> and has no effect{hint}")
 
-    def notice(self, verdict: str, text: str) -> None:
+    def notice(self, verdict: Verdict, text: str) -> None:
         """Add a notice about the tag."""
         self.plan.notice(verdict, self.place, self.element.title, text)
 

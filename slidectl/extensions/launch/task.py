@@ -169,14 +169,13 @@ class Task:
         """A description of what it will do, for `--dry-run`."""
         return f"run {self.node.kind}"
 
-    def look_ahead(self, plan: LaunchPlan, packages: Packages, parameters: Mapping[str, Leaf]) -> None:
+    def find_missing(self, plan: LaunchPlan, packages: Packages, parameters: Mapping[str, Leaf]) -> None:
         """Note missing things that it needs in `plan.missing`, as far as files tell. Nothing is started."""
 
     def start(self, run: Run) -> str | None:
         """Do it. Returns None when it is done or runs, else what it waits for: then it is called again.
 
-        Raises:
-                SlidectlError: it failed, and the launch ends.
+        Raises SlidectlError: it failed, and the launch ends.
         """
         raise NotImplementedError
 
@@ -250,8 +249,7 @@ def number(node: Node, what: str, text: str) -> float:
 def parse(node: Node, known: Mapping[str, int]) -> Words:
     """Parse the words of a node. `known` maps each option, with its dashes, to its count of values.
 
-    Raises:
-        BadFile: an unknown option, or values missing.
+    Raises BadFile: an unknown option, or values missing.
     """
     import argparse
 

@@ -23,7 +23,7 @@ from slidectl.cli.context import Context
 from slidectl.cli.spawn import package_lookup, tell_own_packages
 from slidectl.cli.window_programs import ALONE
 from slidectl.errors import BadFile, Refused, SlidectlError, UsageError, closest
-from slidectl.extensions.launch.commands.launch import LaunchDaemon, ros_master
+from slidectl.extensions.launch.commands.launch import LaunchDaemon, RunningDaemon, ros_master
 from slidectl.extensions.launch.commands.launch_text import Terminal
 from slidectl.extensions.launch.node_kinds import COUNTERPARTS, has_counterpart, tasks
 from slidectl.extensions.launch.nodes.controller_nodes import ManagerScript, is_command
@@ -35,8 +35,7 @@ from slidectl.typed_values import read
 from slidectl.writing import reason, write_whole
 
 if TYPE_CHECKING:
-    from slidectl.client import Client
-    from slidectl.extensions.launch.nodes.gazebo import WorldSettings
+    pass
 
 _USAGE = """rosrun [--prefix cmd] [--debug] PACKAGE EXECUTABLE [ARGS]
   rosrun will locate PACKAGE and try to find an executable named EXECUTABLE in it,
@@ -157,22 +156,6 @@ class _OneNode(Terminal):
         super().warn(text.removeprefix("rosrun: "))
 
 
-class _Running:
-    """Access to a daemon that runs already."""
-
-    def __init__(self, context: Context) -> None:
-        self.context = context
-
-    def begin(self, settings: WorldSettings) -> bool:  # noqa: ARG002
-        return False
-
-    def connect(self) -> tuple[Client, bool]:
-        return self.context.client, False
-
-    def stop(self) -> None:
-        """Do nothing: the daemon is not ours."""
-
-
 def _plan(ctx: Context, package: str, kind: str, words: Sequence[str]) -> LaunchPlan:
     """A plan with one node and its private parameters (`_name:=value`). `__name` and `__ns` set the node's name."""
     given = {match["name"]: match["value"] for word in words if (match := _ASSIGNMENT.match(word))}
@@ -206,12 +189,12 @@ def _run_node(ctx: Context, package: str, kind: str, words: Sequence[str]) -> No
     for task in made:
         if task.family == "notice":  # a launch goes on without such a node; here it is the only one
             assert isinstance(task, LeftOut)
-            raise Refused(f"{package}/{kind} cannot be run here", task.why(ctx.paths))
+            raise Refused(f"{package}/{kind} cannot be run here", "\n".join(task.why(ctx.paths)))
         if isinstance(task, ManagerScript):
             task.goes_on = True  # the script goes on after a failure where a launch ends
     # A Gazebo node starts a daemon; every other node needs one that runs.
     is_world = package == "gazebo_ros" and kind in ("gazebo", "gzserver", "debug", "perf")
-    daemon = LaunchDaemon(ctx, child=True, wait=False) if is_world else _Running(ctx)
+    daemon = LaunchDaemon(ctx, child=True, wait=False) if is_world else RunningDaemon(ctx)
     with Interrupts() as interrupts:
         folder = str(ctx.paths.folder / "launch")
         environment = {"ROS_MASTER_URI": master} if master else {}
@@ -247,7 +230,7 @@ def _plain(error: SlidectlError) -> SlidectlError:
 def _xacro(ctx: Context, argv: Sequence[str]) -> None:
     """Print the expanded model, or write it into the file of `-o`. Raises as `description.load`, mostly BadFile."""
     from slidectl import description
-    from slidectl.description.missing import taken_over, write_notes
+    from slidectl.description.missing import from_environment, write_notes
     from slidectl.description.models import xacro_words
 
     parser = Parser(
@@ -261,7 +244,7 @@ def _xacro(ctx: Context, argv: Sequence[str]) -> None:
     if len(models) != 1:
         raise UsageError(f"xacro takes one file, not {len(models)}", parser.get_usage().strip())
     lookup = package_lookup(())
-    missing = taken_over()  # in a command of a launch file, whose launch decides what is left out
+    missing = from_environment()  # in a command of a launch file, whose launch decides what is left out
     try:
         document = description.load(models[0], arguments, lookup, missing=missing)
     finally:

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 START_LIMIT_S = 30.0
 STOP_LIMIT_S = 10.0
 WAIT_LIMIT_S = 60.0
-_LOOK_EVERY_S = 0.05
+_POLL_S = 0.05
 _LISTINGS = ("nodes", "files", "dump_params", "ros_args", "args_of", "find_node", "dry_run")
 
 
@@ -59,7 +59,7 @@ def _step_effects(parameters: Mapping[str, Any], has_daemon: bool) -> StepEffect
     try:
         plan, lookup, _ = load_plan(parameters["words"], parameters["packages"], parameters)
         tasks = node_kinds.tasks(plan, lookup, gather=True)
-        execution.look_ahead(plan, tasks, lookup, run_commands=False)
+        execution.find_missing(plan, tasks, lookup, run_commands=False)
     except SlidectlError as refusal:
         return StepEffects(may_add_controllers=True, refusal=refusal)
     programs = [task for task in tasks if isinstance(task, Process)]
@@ -90,19 +90,21 @@ def _step_effects(parameters: Mapping[str, Any], has_daemon: bool) -> StepEffect
 @click.option("--detach", is_flag=True, help="Return when everything runs, and leave it running.")
 @click.option("--view", is_flag=True, help="Open the page in a browser, until the launch ends; as gui:=true does.")
 @click.option("--wait", is_flag=True, help="Wait for a daemon instead of starting one (60 s, or --timeout).")
-@click.option("--package", "packages", multiple=True, metavar="NAME=PATH", help="Where a package is; may repeat.")
-@click.option("--keep-going", is_flag=True, help="Leave out files that are not there and nodes that fail, too.")
+@click.option(
+    "--package", "packages", multiple=True, metavar="NAME=PATH", help="The folder of a package; may be repeated."
+)
+@click.option("--keep-going", is_flag=True, help="Also leave out missing files and nodes that fail.")
 @click.option(
     "--strict",
     is_flag=True,
-    help="Refuse what is not there, and impossible masses, inertias and shapes, instead of going on.",
+    help="Refuse missing things, and impossible masses, inertias and shapes, instead of going on.",
 )
-@click.option("--skip-unknown", is_flag=True, help="With --strict: leave out nodes that cannot be had all the same.")
+@click.option("--skip-unknown", is_flag=True, help="With --strict: leave out missing nodes all the same.")
 @click.option("--no-commands", is_flag=True, help="Refuse <param command=...> that is not xacro.")
 @click.option("--screen", "output_of_all", flag_value="screen", help="Show the output of all nodes.")
 @click.option("--log", "output_of_all", flag_value="log", help="Write the output of all nodes into logs.")
 @click.option("--required", is_flag=True, help="The launch ends when any process of it ends.")
-@click.option("--pid", "pid_file", metavar="FILE", help="Write the process id into a file; removed at the end.")
+@click.option("--pid", "pid_file", metavar="FILE", help="Write the process id to a file, and remove it at the end.")
 @click.option("--sigint-timeout", type=float, default=15.0, callback=positive_seconds, metavar="S",
               help="How long a process may take to end on SIGINT, s of wall time (15).")  # fmt: skip
 @click.option("--sigterm-timeout", type=float, default=2.0, callback=positive_seconds, metavar="S",
@@ -111,40 +113,39 @@ def _step_effects(parameters: Mapping[str, Any], has_daemon: bool) -> StepEffect
 def launch(ctx: Context, /, words: tuple[str, ...], packages: tuple[str, ...], **given: Any) -> None:
     """Run a launch file as roslaunch does.
 
-    Starts a daemon when none runs, and then stops it at the end; Ctrl-C ends the nodes in reverse order, and so do
-    SIGTERM and SIGHUP, with exit code 0. A step that fails ends the launch with 1 and names its file and line; a
-    broken file is 2. Packages, programs and controllers that are not there are left out, as roslaunch does with
-    nodes: one list at the start, and again when everything else runs. It exits with 1 when no robot or none of its
-    controllers came up. A required node, and a file that is read, must be there. --strict refuses all that is not
-    there before anything starts. gui:=true opens the page of 'slidectl view' where the file asks for a window of
-    Gazebo, RViz or rqt then; --view does with any file. Robots that a launch that fails has spawned, itself or by its
-    programs, go again. NAME is a launch file that is shipped; - is standard input. JSON keys: event, text, and those
-    of the event.
+    Starts a daemon when none runs, and stops it at the end. Ctrl-C, SIGTERM and SIGHUP end the nodes in reverse order,
+    the latter two with exit code 0. A failed step ends the launch with exit code 1 and names its file and line; a
+    broken file ends it with 2. Missing packages, programs and controllers are left out, as roslaunch does with nodes,
+    and listed at the start, and again when everything else runs. It exits with 1 when no robot, or none of its
+    controllers, came up. A required node, and a file that is read, must exist. --strict refuses everything that is
+    missing before anything starts. gui:=true opens the page of 'slidectl view' if the file then asks for a window of
+    Gazebo, RViz or rqt; --view does with any file. Robots that a failed launch has spawned, itself or by its programs,
+    are deleted. NAME is a shipped launch file; - is standard input. JSON keys: event, text, and those of the event.
     """
     from slidectl import open_page
     from slidectl.daemon import lifecycle
     from slidectl.extensions.launch import execution, node_kinds
     from slidectl.extensions.launch.commands import launch_text
 
-    asked = ["--" + name.replace("_of", "").replace("_", "-") for name in _LISTINGS if given[name]]
-    if len(asked) > 1:
-        raise UsageError(f"{' and '.join(asked)} exclude each other")
+    listings = ["--" + name.replace("_of", "").replace("_", "-") for name in _LISTINGS if given[name]]
+    if len(listings) > 1:
+        raise UsageError(f"{' and '.join(listings)} exclude each other")
     plan, lookup, title = load_plan(words, packages, given)
-    if launch_text.tell_plan(ctx, plan, given):
+    if launch_text.print_plan(ctx, plan, given):
         return
     master = ros_master(ctx)
     plan.missing.world_decides = ctx.up is not None or given["wait"] or lifecycle.running(ctx.paths) is not None
     tasks = node_kinds.tasks(plan, lookup, gather=True, has_master=bool(master))
     opens_page = given["view"] or wants_window(words, tasks)
     if opens_page:
-        from slidectl.extensions.launch.nodes.page_process import OpenPage
+        from slidectl.extensions.launch.nodes.programs import OpenPage
 
         tasks.append(OpenPage(plan, "--view" if given["view"] else "gui:=true"))
     if given["dry_run"] or plan.missing:  # find everything that is missing before a daemon is started
-        execution.look_ahead(plan, tasks, lookup, run_commands=False)
+        execution.find_missing(plan, tasks, lookup, run_commands=False)
     tell_own_packages(ctx, lookup)
     if given["dry_run"] or given["args_of"]:
-        launch_text.tell_tasks(ctx, plan, tasks, given["args_of"])
+        launch_text.print_tasks(ctx, plan, tasks, given["args_of"])
         return
     if opens_page and not open_page.has_page():
         raise Refused("the page needs the library viser", f"install it: {install_command('view')}")
@@ -158,8 +159,8 @@ def wants_window(words: Sequence[str], tasks: Sequence[Task]) -> bool:
     """
     from slidectl.extensions.launch.nodes.left_out import Viewer, Window
 
-    said = [word.partition(":=")[2].strip().lower() for word in words if word.startswith("gui:=")]
-    return said[-1:] in (["true"], ["1"]) and any(isinstance(task, Viewer | Window) for task in tasks)
+    values = [word.partition(":=")[2].strip().lower() for word in words if word.startswith("gui:=")]
+    return values[-1:] in (["true"], ["1"]) and any(isinstance(task, Viewer | Window) for task in tasks)
 
 
 def ros_master(ctx: Context) -> str:
@@ -217,9 +218,9 @@ class LaunchDaemon:
 
         paths = self.context.paths
         runs_already = lifecycle.running(paths) is not None
-        asked = {name: getattr(settings, name) for name in ("timestep", "gravity", "ground")} | {"rtf": settings.speed}
-        said = {name: value for name, value in asked.items() if value is not None}
-        options = DaemonOptions(**said, paused=settings.paused, child=self.child)
+        named = {name: getattr(settings, name) for name in ("timestep", "gravity", "ground")} | {"rtf": settings.speed}
+        given = {name: value for name, value in named.items() if value is not None}
+        options = DaemonOptions(**given, paused=settings.paused, child=self.child)
         self._beginning = lifecycle.DaemonStart(paths, options)
         return not runs_already
 
@@ -248,7 +249,7 @@ class LaunchDaemon:
         while lifecycle.running(paths) is None:
             if time.monotonic() >= deadline:
                 raise TimedOut(f"no daemon within {limit:g} s", "start it with: " + to_type(paths, "daemon start"))
-            select.select([], [], [], _LOOK_EVERY_S)
+            select.select([], [], [], _POLL_S)
         # A daemon holds the lock before it answers; `start` waits for the answer.
         lifecycle.start(paths, timeout=max(1.0, deadline - time.monotonic()))
 
@@ -319,7 +320,7 @@ def _drive(ctx: Context, execution: Execution, title: str, detach: bool, backgro
     try:
         with execution.run.interrupts.raised():
             execution.bring_up()
-            _tell_running(execution, title, detach, background)
+            _report_running(execution, title, detach, background)
             if ctx.up is not None:
                 ctx.up()
             if background is not None:
@@ -328,7 +329,10 @@ def _drive(ctx: Context, execution: Execution, title: str, detach: bool, backgro
             if not leave:
                 execution.watch()
     except Interrupted as interrupted:
-        _interrupted(interrupted.number, execution.is_up)
+        if interrupted.number == signal.SIGINT:
+            raise KeyboardInterrupt from None  # exit code 130
+        if not execution.is_up:
+            raise Refused(f"ended by {signal.Signals(interrupted.number).name} before everything ran") from None
         execution.judge()
     except KeyboardInterrupt:  # this ends a scenario, which fails when a node has failed
         execution.judge()
@@ -342,15 +346,7 @@ def _drive(ctx: Context, execution: Execution, title: str, detach: bool, backgro
                 execution.run.interrupts.ignore()  # a further interrupt must not cut off the last messages
 
 
-def _interrupted(number: int, was_up: bool) -> None:
-    """Raise KeyboardInterrupt for Ctrl-C (exit code 130), and Refused for SIGTERM or SIGHUP before everything ran."""
-    if number == signal.SIGINT:
-        raise KeyboardInterrupt
-    if not was_up:
-        raise Refused(f"ended by {signal.Signals(number).name} before everything ran")
-
-
-def _tell_running(execution: Execution, title: str, detach: bool, background: Background | None) -> None:
+def _report_running(execution: Execution, title: str, detach: bool, background: Background | None) -> None:
     from slidectl.extensions.launch.nodes.programs import reason
 
     run = execution.run

@@ -28,7 +28,6 @@ class Terminal:
         both = output.is_terminal(sys.stdout) and output.is_terminal(sys.stderr)
         self.is_live = both and context.format == "text" and not context.quiet
         self._status = ""
-        self._unheard = False
         self._closing = False
 
     def step(self, event: str, text: str, **details: Any) -> None:
@@ -55,9 +54,7 @@ class Terminal:
         self.status("")
 
     def _say(self, action: Callable[[], None]) -> None:
-        """Print above the status line. The first failed write (closed pipe or terminal, full disk) ends the launch."""
-        if self._unheard:
-            return
+        """Print above the status line. A failed write (closed pipe or terminal, full disk) ends the launch."""
         try:
             if self._status:
                 self._draw("")
@@ -65,7 +62,6 @@ class Terminal:
             if self._status:
                 self._draw(paint(self._status, "cyan"))
         except (output.ClosedPipe, Refused, OSError) as error:
-            self._unheard = True
             if self._closing:  # the end of a launch needs no reader
                 return
             if isinstance(error, BrokenPipeError):
@@ -80,7 +76,7 @@ class Terminal:
 # --- a plan ----------------------------------------------------------------------------------------------------------
 
 
-def tell_plan(ctx: Context, plan: LaunchPlan, given: dict[str, Any]) -> bool:
+def print_plan(ctx: Context, plan: LaunchPlan, given: dict[str, Any]) -> bool:
     """Print the requested listing if it needs only the files; else return False."""
     if given["nodes"]:
         ctx.emit_names([node.full_name for node in plan.nodes], "node", "no nodes")
@@ -99,30 +95,30 @@ def tell_plan(ctx: Context, plan: LaunchPlan, given: dict[str, Any]) -> bool:
             output.write(as_yaml(plan))
         else:
             ctx.emit(_parameters(plan))
-        _tell_notices(ctx, plan)
+        _print_notices(ctx, plan)
     else:
         return False
     plan.missing.refuse()
     return True
 
 
-def tell_tasks(ctx: Context, plan: LaunchPlan, tasks: Sequence[Task], node_name: str | None) -> None:
+def print_tasks(ctx: Context, plan: LaunchPlan, tasks: Sequence[Task], node_name: str | None) -> None:
     """Print the steps of a launch, or the command line of one node."""
     if node_name:
         node = find_node(plan, node_name)
         task = next((task for task in tasks if task.node is node), None)
         if task is None:
-            raise Refused(f"{node.place}: node {node.full_name} is left out: it is not there")
+            raise Refused(f"{node.place}: node {node.full_name} is missing and left out")
         ctx.emit({"node": node.full_name, "command": command_line(task)}, command_line(task))
         return
     for kind, text, place in _steps(plan, tasks):
         ctx.emit({"step": kind, "text": text, "file": place.file, "line": place.line}, f"{place}: {text}")
-    _tell_notices(ctx, plan)
+    _print_notices(ctx, plan)
     if lines := plan.missing.lines():
         ctx.warn("\n".join(["left out:", *lines]))
 
 
-def _tell_notices(ctx: Context, plan: LaunchPlan) -> None:
+def _print_notices(ctx: Context, plan: LaunchPlan) -> None:
     for notice in bounded(plan.notices):
         if notice.verdict == "wrong" or ctx.verbose:
             ctx.warn(str(notice))
@@ -173,8 +169,7 @@ def command_line(task: Task) -> str:
 def _steps(plan: LaunchPlan, tasks: Sequence[Task]) -> Iterator[tuple[str, str, Location]]:
     """Yield the steps of a launch in order: kind, text and place. It runs no programs.
 
-    Raises:
-        BadFile: the value of a parameter cannot be determined.
+    Raises BadFile: the value of a parameter cannot be determined.
     """
     for command in plan.commands:
         into = f" into {command.file}" if command.file else ""

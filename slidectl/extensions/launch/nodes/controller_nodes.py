@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -61,8 +62,7 @@ class _ControllerTask(Task):
     def configured(self, run: Run, manager: Manager, controllers: Sequence[str]) -> list[str]:
         """The controllers that have parameters. The others are left out, as the scripts do, each with an error line.
 
-        Raises:
-            UnknownName: one has none, in a launch that leaves nothing out.
+        Raises UnknownName: one has none, in a launch that leaves nothing out.
         """
         known = manager.configured()
         found = []
@@ -98,7 +98,7 @@ class Spawner(_ControllerTask):
         self._absent: set[str] = set()
         """The controllers with missing types."""
 
-    def look_ahead(self, plan: LaunchPlan, packages: Packages, parameters: Mapping[str, Leaf]) -> None:  # noqa: ARG002
+    def find_missing(self, plan: LaunchPlan, packages: Packages, parameters: Mapping[str, Leaf]) -> None:  # noqa: ARG002
         # The import of the controllers takes time, and most launches have no spawner.
         from slidectl.control import registry, ros2_names
 
@@ -122,7 +122,7 @@ class Spawner(_ControllerTask):
         return f"{verb} {', '.join(self.words.rest)} in {self.namespace}"
 
     def act(self, run: Run, manager: Manager) -> str | None:
-        if self.topic is not None and not self._is_open(run):
+        if self.topic is not None and not self._is_true(run, self.topic):
             return f"true on {self.topic}"
         wanted = [name for name in self._controllers(run) if name not in self._absent]
         controllers = self.configured(run, manager, wanted)
@@ -163,13 +163,13 @@ class Spawner(_ControllerTask):
     def goes_on_waiting(self, run: Run) -> bool:
         """True while it waits for its topic: like the real spawner it then waits on, with a warning."""
         if self._subscription is not None:
-            self.warn(run, f"nothing true came on {self.topic} within {self.patience_s:g} s; it is waited for")
+            self.warn(run, f"no true message on {self.topic} within {self.patience_s:g} s; it goes on waiting")
         return self._subscription is not None
 
-    def _is_open(self, run: Run) -> bool:
+    def _is_true(self, run: Run, topic: str) -> bool:
         """True when the latest message on the topic of --wait-for is true."""
         if self._subscription is None:
-            self._subscription = run.client.subscribe(self.topic or "", "std_msgs/Bool")
+            self._subscription = run.client.subscribe(topic, "std_msgs/Bool")
         last = False
         while len(self._subscription):
             last = bool(self._subscription.get(0.0)["data"])
@@ -199,9 +199,9 @@ class Spawner(_ControllerTask):
         running = [name for name in self.loaded if self.has_started or states.get(name) == "running"]
         if running:
             _try(run, manager.switch, (), running)
-        gone = [name for name in reversed(self.loaded) if _try(run, manager.unload, name)]
+        unloaded = [name for name in reversed(self.loaded) if _try(run, manager.unload, name)]
         self.loaded.clear()
-        self.settled(run, f"{', '.join(gone) or 'nothing'} stopped and unloaded", controllers=gone)
+        self.settled(run, f"{', '.join(unloaded) or 'nothing'} stopped and unloaded", controllers=unloaded)
 
 
 class Unspawner(_ControllerTask):
@@ -221,12 +221,12 @@ class Unspawner(_ControllerTask):
         return f"keep {', '.join(self.controllers)} stopped in {self.namespace}"
 
     def act(self, run: Run, manager: Manager) -> str | None:
-        stopped = self._look(manager)
-        run.watch.later(_AGAIN_S, lambda: self._look_again(run))
+        stopped = self._stop_running(manager)
+        run.watch.later(_AGAIN_S, lambda: self._stop_again(run))
         self.settled(run, f"stopped {', '.join(stopped) or 'nothing: none of them runs'}", controllers=stopped)
         return None
 
-    def _look(self, manager: Manager) -> list[str]:
+    def _stop_running(self, manager: Manager) -> list[str]:
         states = manager.states()
         running = [name for name in self.controllers if states.get(name) == "running"]
         if running:
@@ -234,11 +234,11 @@ class Unspawner(_ControllerTask):
             self.inhibited += [name for name in running if name not in self.inhibited]
         return running
 
-    def _look_again(self, run: Run) -> None:
-        run.watch.later(_AGAIN_S, lambda: self._look_again(run))
+    def _stop_again(self, run: Run) -> None:
+        run.watch.later(_AGAIN_S, lambda: self._stop_again(run))
         manager = self.manager(run, HOOK_LIMIT_S)
         try:
-            stopped = self._look(manager) if manager.is_there() else []
+            stopped = self._stop_running(manager) if manager.is_there() else []
         except NoDaemon:
             raise
         except SlidectlError as error:
@@ -274,7 +274,7 @@ _VERBS: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 """Maps a command to its steps; each step is done for all controllers before the next."""
 
-_Operation = tuple[Callable[[], None], str, str]
+_Operation = tuple[Callable[[], object], str, str]
 """One call of the script, and its output after success and after failure."""
 
 
@@ -359,13 +359,13 @@ class ManagerScript(_ControllerTask):
 
 def _operation(manager: Manager, verb: str, name: str) -> _Operation:
     if verb == "load":
-        return lambda: manager.load(name), f"Loaded {name!r}", f"Error when loading {name!r}"
+        return partial(manager.load, name), f"Loaded {name!r}", f"Error when loading {name!r}"
     if verb == "unload":
-        return lambda: manager.unload(name), f"Unloaded {name!r} successfully", f"Error when unloading {name!r}"
+        return partial(manager.unload, name), f"Unloaded {name!r} successfully", f"Error when unloading {name!r}"
     start, stop = ([name], []) if verb == "start" else ([], [name])
     failed = f"Error when starting {start} and stopping {stop}"
     done = f"{'Started' if start else 'Stopped'} {[name]} successfully"
-    return lambda: manager.switch(start, stop), done, failed
+    return partial(manager.switch, start, stop), done, failed
 
 
 class GroupScript(_ControllerTask):
@@ -411,5 +411,5 @@ class GroupScript(_ControllerTask):
         if groups is None:
             raise Refused(f"the parameter {self._parameter} is not set", "it maps groups to lists of controllers")
         if not isinstance(groups, dict) or not all(isinstance(members, list) for members in groups.values()):
-            raise Refused(f"the parameter {self._parameter} is no mapping of groups to lists of controllers")
+            raise Refused(f"the parameter {self._parameter} is not a mapping of groups to lists of controllers")
         return {str(group): [str(name) for name in members] for group, members in groups.items()}

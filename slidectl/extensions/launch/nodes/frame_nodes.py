@@ -49,8 +49,7 @@ class RobotStatePublisher(Task):
     def start(self, run: Run) -> str | None:
         robots = run.controlled_robots()
         robot = self._by_namespace(robots)
-        coming = [task for task in _spawns(run) if task not in run.left_out]
-        awaited = [task.model for task in coming if task.model not in run.spawned]
+        awaited = [task.model for task in _spawns(run) if task not in run.left_out and task.model not in run.spawned]
         if robot is None and awaited:  # any of them may be the node's robot
             return f"the robot {awaited[0]}"
         if not robots:
@@ -58,7 +57,7 @@ class RobotStatePublisher(Task):
         robot = robot or self._meant(run, robots)
         if robot is None:
             known = ", ".join(robot["namespace"] for robot in robots)
-            self.warn(run, f"which robot is meant is not clear (there are {known}); all have their frames anyway")
+            self.warn(run, f"the robot is ambiguous (there are {known}); all have their frames anyway")
         else:
             self._set_up(run, robot)
         return None
@@ -69,7 +68,7 @@ class RobotStatePublisher(Task):
             run.call("/rosapi/delete_param", {"name": names.join(place, "enabled")})
         for parameter in HONOURED:
             full = names.join(self.node.full_name, parameter)
-            own = _found(run, full) if parameter in SEARCHED else full
+            own = _find_parameter(run, full) if parameter in SEARCHED else full
             value = None if own is None else run.parameter(own)
             if value is not None and names.join(place, parameter) != own:
                 run.set_parameter(names.join(place, parameter), value)
@@ -98,7 +97,7 @@ class RobotStatePublisher(Task):
         if found is not None:
             return found
         by_name = {robot["name"]: robot for robot in robots}
-        description = _found(run, self.node.resolve("robot_description"))
+        description = _find_parameter(run, self.node.resolve("robot_description"))
         spawns = [task for task in _spawns(run) if task.parameter == description and task.model in by_name]
         beside = [task for task in spawns if task.node.namespace == self.node.namespace]
         for fitting in (spawns, beside):
@@ -117,7 +116,7 @@ class RobotStatePublisher(Task):
         others = [task for task in run.tasks if isinstance(task, RobotStatePublisher) and task is not self]
         taken = [robot["name"] for task in others if (robot := task._surely_meant(run, robots)) is not None]
         left = [robot for robot in robots if robot["name"] not in taken]
-        description = _found(run, self.node.resolve("robot_description"))
+        description = _find_parameter(run, self.node.resolve("robot_description"))
         wanted = None if description is None else run.parameter(description)
         for robot in left if wanted is not None else ():
             if run.parameter(names.join(robot["namespace"], "robot_description")) == wanted:
@@ -139,8 +138,8 @@ class RobotStatePublisher(Task):
         if (remap := self.node.remap_of("joint_states")) is not None:
             place, what = remap.place, f"{remap.source} is remapped to"
         run.console.warn(
-            f"{place}: {self.node.full_name}: {what} {self._topic}, which nobody publishes{suggestion}"
-            " (frames are right all the same: the simulation reads the joints themselves)"
+            f"{place}: {self.node.full_name}: {what} {self._topic}, which has no publisher{suggestion}"
+            " (the frames are right: the simulation reads the joints themselves)"
         )
 
     def stop(self, run: Run) -> None:
@@ -154,16 +153,14 @@ def _spawns(run: Run) -> list[SpawnModel]:
     return [task for task in run.tasks if isinstance(task, SpawnModel) and not task.is_sdf]
 
 
-def _found(run: Run, name: str) -> str | None:
+def _find_parameter(run: Run, name: str) -> str | None:
     """The full name of a parameter in its namespace or the nearest one above; None when it is not set."""
     namespace, last = names.parent(name), name.rpartition("/")[2]
-    while True:
-        full = names.join(namespace, last)
-        if run.parameter(full) is not None:
-            return full
+    while run.parameter(full := names.join(namespace, last)) is None:
         if namespace == "/":
             return None
         namespace = names.parent(namespace)
+    return full
 
 
 # --- static_transform_publisher --------------------------------------------------------------------------------------

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -17,9 +16,10 @@ from typing import Any
 from slidectl import paths
 from slidectl.client import spawning
 from slidectl.description import sdf, xml_tree
+from slidectl.description.element_values import text_numbers
 from slidectl.description.models import read_file
 from slidectl.description.packages import Packages, is_file, shown
-from slidectl.description.robot import Notice
+from slidectl.description.robot import Notice, Verdict
 from slidectl.description.xml_tree import Element
 from slidectl.errors import BadFile, NotThere
 from slidectl.extensions.launch.plan import LaunchPlan, Leaf, Node
@@ -50,8 +50,8 @@ class WorldSettings:
 
     def over(self, others: WorldSettings) -> WorldSettings:
         """These settings, completed by `others`."""
-        said = {name: value for name, value in vars(self).items() if value is not None}
-        return replace(others, **{**said, "paused": self.paused or others.paused})
+        own = {name: value for name, value in vars(self).items() if value is not None}
+        return replace(others, **{**own, "paused": self.paused or others.paused})
 
 
 class Gazebo(Task):
@@ -65,7 +65,7 @@ class Gazebo(Task):
         self.paused = words.has("-u") or words.has("--pause")
         self.world: WorldFile | None = None
         self.scene: sdf.Scene | None = None
-        """The models of the world file; set by `look_ahead`."""
+        """The models of the world file; set by `find_missing`."""
         for option in words.given:
             if option not in _QUIET:
                 plan.notice("ignored", node.place, node.full_name, f"Gazebo's option {option} has no effect")
@@ -99,7 +99,7 @@ class Gazebo(Task):
         asked = replace(self.world.settings if self.world else WorldSettings(), paused=self.paused)
         return asked.over(others)
 
-    def look_ahead(self, plan: LaunchPlan, packages: Packages, parameters: Mapping[str, Leaf]) -> None:  # noqa: ARG002
+    def find_missing(self, plan: LaunchPlan, packages: Packages, parameters: Mapping[str, Leaf]) -> None:  # noqa: ARG002
         """Read the models of the world; models with missing files are left out."""
         if self.world is not None and self.scene is None:
             self.scene = sdf.read(self.path, packages, plan.missing)
@@ -147,7 +147,7 @@ class Gazebo(Task):
             run.call("/gazebo/pause_physics")
         chosen = run.call("/slidectl/status")["chosen"]
         if kept := [name for name in chosen if getattr(asked, name) is not None]:
-            self.warn(run, f"{file} sets {' and '.join(kept)}; what was chosen for the running world stays")
+            self.warn(run, f"{file} sets {' and '.join(kept)}; what was chosen for the running world is kept")
             asked = WorldSettings(**{**vars(asked), **dict.fromkeys(kept)})
         if asked.timestep is None and asked.gravity is None and asked.speed is None:
             return
@@ -202,15 +202,15 @@ class WorldFile:
     def set(self, **settings: Any) -> None:
         self.settings = replace(self.settings, **settings)
 
-    def say(self, verdict: str, element: Element, text: str) -> None:
-        self.notices.append(Notice(verdict, element.title, text, element.file, element.line))  # type: ignore[arg-type]
+    def say(self, verdict: Verdict, element: Element, text: str) -> None:
+        self.notices.append(Notice(verdict, element.title, text, element.file, element.line))
 
 
 def read_world(path: Path) -> WorldFile:
     """Read a world file. Raises BadFile: missing, not XML, without a world, or with malformed numbers."""
     found = parse_world(read_file(path), shown(path))
     if found is None:
-        raise BadFile("this is no world file: it has no <sdf> with a <world> inside", shown(path))
+        raise BadFile("this is not a world file: it has no <sdf> with a <world> inside", shown(path))
     return found
 
 
@@ -222,15 +222,15 @@ def parse_world(text: bytes, file: str) -> WorldFile | None:
         return None
     found = WorldFile(root.file)
     for element in worlds[0].children:
-        _take(element, found)
+        _read_tag(element, found)
     return found
 
 
-def _take(element: Element, found: WorldFile) -> None:
+def _read_tag(element: Element, found: WorldFile) -> None:
     if element.tag == "gravity":
         found.set(gravity=_vector(element))
     elif element.tag == "physics":
-        _take_physics(element, found)
+        _read_physics(element, found)
     elif element.tag in ("model", "include"):  # sdf.py reads these, except the ground
         if sdf.is_ground(element):
             found.set(ground=True)
@@ -243,16 +243,16 @@ def _take(element: Element, found: WorldFile) -> None:
         found.say("ignored", element, "has no effect: there is nothing like it here")
 
 
-def _take_physics(physics: Element, found: WorldFile) -> None:
+def _read_physics(physics: Element, found: WorldFile) -> None:
     factor: float | None = None
     rate: float | None = None
     for element in physics.children:
         if element.tag == "max_step_size":
-            found.set(timestep=_numbers(element, "a number above 0", above=0.0)[0])
+            found.set(timestep=_number(element, above=0.0))
         elif element.tag == "real_time_factor":
-            factor = _numbers(element, "a number above 0", above=0.0)[0]
+            factor = _number(element, above=0.0)
         elif element.tag == "real_time_update_rate":
-            rate = _numbers(element, "a number")[0]
+            rate = _number(element)
         elif element.tag == "gravity":
             found.set(gravity=_vector(element))
         else:
@@ -262,20 +262,18 @@ def _take_physics(physics: Element, found: WorldFile) -> None:
         speed = math.inf if rate <= 0 else rate * (found.settings.timestep or 0.001)
     found.set(speed=speed)
     if factor is not None and speed is not None and not math.isclose(speed, factor, rel_tol=1e-6):
-        text = f"real_time_update_rate goes before real_time_factor, as in Gazebo: the factor is {speed:g}"
+        text = f"real_time_update_rate overrides real_time_factor, as in Gazebo: the factor is {speed:g}"
         found.say("converted", physics, text)
 
 
-def _numbers(element: Element, expected: str, count: int = 1, above: float = -math.inf) -> list[float]:
-    """Read `count` finite numbers above a bound. Raises BadFile."""
-    numbers: list[float] = []
-    with suppress(ValueError):
-        numbers = [float(word) for word in element.first_text.split()]
-    if len(numbers) != count or not all(above < number < math.inf for number in numbers):
-        raise element.error(f"<{element.tag}> is {expected}, not {element.first_text!r}")
-    return numbers
+def _number(element: Element, above: float = -math.inf) -> float:
+    """Read a finite number above a bound. Raises BadFile."""
+    [value] = text_numbers(element, 1, f"<{element.tag}>")
+    if value <= above:
+        raise element.error(f"<{element.tag}> is {value:g}; it must be above {above:g}")
+    return value
 
 
 def _vector(element: Element) -> Vector:
-    x, y, z = _numbers(element, "three finite numbers", 3)
+    x, y, z = text_numbers(element, 3, f"<{element.tag}>")
     return x, y, z

@@ -24,26 +24,22 @@ class LeftOut(Task):
 
     @property
     def text(self) -> str:
-        return "left out: " + self.why().replace("\n", "; ")
+        return f"left out: {'; '.join(self.why())}"
 
-    def why(self, paths: InstancePaths | None = None) -> str:
-        """Why there is no such node, and what serves in its place with the daemon of `paths`; of one or more lines."""
+    def why(self, paths: InstancePaths | None = None) -> list[str]:
+        """Why there is no such node, and what serves in its place with the daemon of `paths`, in lines."""
         raise NotImplementedError
 
-    def text_for(self, run: Run) -> str:
-        """`why` on one line, with the daemon of the run."""
-        return self.why(run.client.paths).replace("\n", "; ")
-
     def start(self, run: Run) -> str | None:
-        self.warn(run, f"left out: {self.text_for(run)}")
+        self.warn(run, f"left out: {'; '.join(self.why(run.client.paths))}")
         return None
 
 
 class Viewer(LeftOut):
     """A window of rviz or rqt; leaving it out is a warning, unless the page is open in its place."""
 
-    def why(self, paths: InstancePaths | None = None) -> str:
-        return "\n".join(open_page.instead_of_window(self.node.package, self.node.words, paths))
+    def why(self, paths: InstancePaths | None = None) -> list[str]:
+        return open_page.instead_of_window(self.node.package, self.node.words, paths)
 
     def start(self, run: Run) -> str | None:
         if run.has_page:
@@ -60,16 +56,13 @@ class Window(LeftOut):
 
     @property
     def text(self) -> str:
-        return self.why().replace("\n", "; ")
+        return "; ".join(self.why())
 
-    def why(self, paths: InstancePaths | None = None) -> str:
-        return "\n".join(open_page.instead_of_window(self.node.package, (), paths))
+    def why(self, paths: InstancePaths | None = None) -> list[str]:
+        return open_page.instead_of_window(self.node.package, (), paths)
 
     def start(self, run: Run) -> str | None:
-        if run.has_page:
-            self.settled(run, _SERVED)
-            return None
-        self.settled(run, self.text_for(run))
+        self.settled(run, _SERVED if run.has_page else "; ".join(self.why(run.client.paths)))
         return None
 
 
@@ -82,13 +75,14 @@ class JointStatePublisher(LeftOut):
         self._has_robot = any(other.type in ("spawn_model", "spawn_model.py") for other in plan.nodes)
         self.is_missed = not self._has_robot
 
-    def why(self, paths: InstancePaths | None = None) -> str:  # noqa: ARG002
+    def why(self, paths: InstancePaths | None = None) -> list[str]:  # noqa: ARG002
         if self._has_robot:
-            return (
-                "the joints of a simulated robot are where the world has them, and its joint_state_controller says so"
-            )
+            return [
+                "the joints of a simulated robot are where the world has them",
+                "its joint_state_controller publishes them",
+            ]
         none = ", and this launch spawns none" if self._is_launched else ""
-        return (
-            f"joints are those of a robot in the world here{none};"
-            " spawn it (slidectl spawn MODEL) with a joint_state_controller, and move it with slidectl pub"
-        )
+        return [
+            f"joints are those of a robot in the world here{none}",
+            "spawn it (slidectl spawn MODEL) with a joint_state_controller, and move it with slidectl pub",
+        ]

@@ -1,7 +1,7 @@
 """Programs as nodes: started as by roslaunch, their output shown, watched, respawned.
 
 They are ended with SIGINT, later SIGTERM, then SIGKILL; each signal goes to the program and everything it has started.
-`rostopic`, `rosservice` and `rosparam` are commands of slidectl.
+`rostopic`, `rosservice` and `rosparam` are commands of slidectl, and so is the page in a browser.
 """
 
 from __future__ import annotations
@@ -20,8 +20,9 @@ from typing import ClassVar
 
 from slidectl import input_files
 from slidectl.errors import Refused
-from slidectl.extensions.launch.plan import LaunchPlan, Node
+from slidectl.extensions.launch.plan import LaunchPlan, Location, Node
 from slidectl.extensions.launch.task import Run, Task
+from slidectl.open_page import address_of
 from slidectl.paths import with_package
 from slidectl.supervision import Child
 
@@ -34,7 +35,7 @@ _LONGEST_BACK_OFF_S = 30.0
 _LONGEST_FIRST_LINE = 256
 _STOP_WAIT_S = 0.5
 """How long `stop` waits for the end of one process before the next one is stopped."""
-_LOOK_S = 0.1
+_POLL_S = 0.1
 """The polling interval while waiting for a program's end, so that another Ctrl-C is noticed."""
 
 
@@ -191,7 +192,7 @@ class Process(Task):
         """Wait until the deadline on the monotonic clock. If the process still runs, warn and send the signal."""
         _until(run, lambda: not self.is_alive, deadline_s - time.monotonic())
         if self.is_alive and self.child is not None:
-            self.warn(run, f"does not end; it gets {signal.Signals(number).name}")
+            self.warn(run, f"does not end; sending {signal.Signals(number).name}")
             self.child.signal(number)
 
     def release(self) -> None:
@@ -209,7 +210,7 @@ def _why(error: OSError, program: str) -> str:
         first = file.readline(_LONGEST_FIRST_LINE).rstrip(b"\n").decode("utf-8", "backslashreplace")
     if not first.startswith("#!"):
         return f"{error.strerror}; a script begins with a line such as #!/usr/bin/env python3"
-    return f"{error.strerror}: there is no such program as its first line names, {first!r}"
+    return f"{error.strerror}: its first line names a program that does not exist: {first!r}"
 
 
 def reason(code: int) -> str:
@@ -221,7 +222,7 @@ def _until(run: Run, condition: Callable[[], bool], seconds: float) -> None:
     """Run the event loop until the condition holds or the time is over, or a second signal arrives."""
     deadline = time.monotonic() + seconds
     while not condition() and (left := deadline - time.monotonic()) > 0 and len(run.interrupts.received) < 2:
-        run.watch.turn(min(left, _LOOK_S))
+        run.watch.turn(min(left, _POLL_S))
 
 
 _HOW_OFTEN = re.compile(r"-1|--once|-r.*|--rate(=.*)?|-f.*|--file(=.*)?", re.DOTALL)
@@ -253,6 +254,44 @@ class ToolProcess(Process):
     @property
     def text(self) -> str:
         return f"run {' '.join([self.node.type, *self.node.words])}"
+
+    def _environment(self, run: Run) -> dict[str, str]:
+        return with_package(super()._environment(run))
+
+
+class OpenPage(Process):
+    """`slidectl view` for `--view` and `gui:=true`. When the page is open already, its address is shown."""
+
+    def __init__(self, plan: LaunchPlan, why: str) -> None:
+        node = Node("slidectl", "view", "page", "/", Location(why, None), output="screen")
+        super().__init__(node, plan, [sys.executable, "-P", "-m", "slidectl", "--quiet", "view"])
+        self._is_open_already = False
+
+    @property
+    def text(self) -> str:
+        return "open the page: slidectl view"
+
+    @property
+    def keeps_running(self) -> bool:  # type: ignore[override]
+        return not self._is_open_already
+
+    def start(self, run: Run) -> str | None:
+        address = address_of(run.client.paths)
+        if self.child is None and address is None:
+            self._begin(run)
+        elif self.child is None:
+            self._is_open_already = True
+            self.settled(run, f"the page is open already: {address}", url=address)
+            return None
+        elif not self.is_alive:
+            return None
+        elif address is not None:
+            self.settled(run, f"the page is open: {address}", url=address)
+            return None
+        return "the page"
+
+    def _to_run(self, log: Path) -> list[str]:  # noqa: ARG002 - it has no log
+        return list(self.executable)
 
     def _environment(self, run: Run) -> dict[str, str]:
         return with_package(super()._environment(run))

@@ -11,8 +11,8 @@ from slidectl import description, names, rotations
 from slidectl.client import spawning
 from slidectl.description import sdf, source_note
 from slidectl.description.packages import Packages, is_file, shown
-from slidectl.description.parser import is_put_inside
-from slidectl.description.report import needs_telling
+from slidectl.description.parser import is_moved_inside
+from slidectl.description.report import is_important
 from slidectl.errors import BadFile, NotThere, Refused, UnknownName, listing
 from slidectl.extensions.launch.plan import LaunchPlan, Leaf, Node
 from slidectl.extensions.launch.task import HOOK_LIMIT_S, SPAWN_LIMIT_S, Run, Task, Words, number, parse
@@ -52,7 +52,7 @@ class SpawnModel(Task):
                 raise self.error(f"{option}: {reason}", "describe the robot in URDF or xacro")
         self.is_sdf = words.has("-sdf")
         if words.has("-database") and not self.is_sdf:
-            raise self.error("-database NAME is model://NAME, which is SDF", "give it -sdf instead of -urdf")
+            raise self.error("-database NAME is model://NAME, which is SDF", "use -sdf instead of -urdf")
         if sum(words.has(option) for option in ("-file", "-param", "-database")) != 1:
             raise self.error("takes one of -param NAME and -file FILE, or with -sdf -database NAME")
         if words.rest:
@@ -62,15 +62,15 @@ class SpawnModel(Task):
         if words.one("-gazebo_namespace", "/gazebo").strip("/") != "gazebo":
             text = f"-gazebo_namespace {words.one('-gazebo_namespace')} has no effect: there is one world, in /gazebo"
             plan.notice("converted", node.place, node.full_name, text)
-        self.asked_name = words.one("-model")
-        self.model = names.legal_robot(self.asked_name)
+        self.given_name = words.one("-model")
+        self.model = names.legal_robot(self.given_name)
         self.pose = _pose(words)
         self.scene: sdf.Scene | None = None
-        """The scene of an SDF model; set by `look_ahead`."""
+        """The scene of an SDF model; set by `find_missing`."""
         self.parts: list[str] = []
         """The names in the world: several if links of an SDF model are not connected by joints."""
         self.joints = {
-            joint.removeprefix(f"{self.asked_name}::"): number(node, f"-J {joint}", value)
+            joint.removeprefix(f"{self.given_name}::"): number(node, f"-J {joint}", value)
             for joint, value in words.given.get("-J", [])
         }
         """Initial joint positions, in rad or m, by joint name without the model's name."""
@@ -81,7 +81,7 @@ class SpawnModel(Task):
         return next((value for name, value in self.joints.items() if name.rpartition("::")[2] == joint), 0.0)
 
     @property
-    def asked_namespace(self) -> str | None:
+    def given_namespace(self) -> str | None:
         """The namespace in `-robot_namespace`, from the root: Gazebo does not know the groups of launch files."""
         asked = self.words.one("-robot_namespace")
         return names.join("/", asked).rstrip("/") or "/" if asked else None
@@ -92,12 +92,12 @@ class SpawnModel(Task):
         If its plugin sets none, spawn_model sets the node's own; without that it is the model's name. Which one the
         launch file expects is seen from the nodes that use a controller manager. Without controllers it is the node's.
         """
-        if self.asked_namespace is not None:
-            return self.asked_namespace
+        if self.given_namespace is not None:
+            return self.given_namespace
         is_open = robot.plugin is not None and robot.plugin.robot_namespace is None
         is_free = robot.plugin is None and not robot.transmissions and bool(robot.drives or robot.sensors)
         managers = {task.manager_namespace for task in tasks}
-        own = names.legal_namespace(self.asked_name)
+        own = names.legal_namespace(self.given_name)
         is_spoken_to = self.node.namespace in managers and own not in managers
         if is_free or (is_open and is_spoken_to):
             return self.node.namespace
@@ -119,9 +119,9 @@ class SpawnModel(Task):
         """The full name of the parameter with the description; None if it is in a file."""
         return self.node.resolve(self.words.one("-param")) if self.words.has("-param") else None
 
-    def look_ahead(self, plan: LaunchPlan, packages: Packages, parameters: Mapping[str, Leaf]) -> None:
+    def find_missing(self, plan: LaunchPlan, packages: Packages, parameters: Mapping[str, Leaf]) -> None:
         if self.words.has("-database"):
-            self._look_at_scene(None, packages, plan)
+            self._read_scene(None, packages, plan)
             return
         source: Any = Path(self.words.one("-file"))
         if self.parameter is not None:
@@ -133,12 +133,12 @@ class SpawnModel(Task):
         if not isinstance(source, Path) and not (isinstance(source, str) and _is_xml(source)):
             return
         if self.is_sdf:
-            self._look_at_scene(source, packages, plan)
+            self._read_scene(source, packages, plan)
             return
         with suppress(BadFile):  # reported at the spawn
             description.load(source, {}, self._packages(packages), missing=plan.missing)
 
-    def _look_at_scene(self, source: Path | str | None, packages: Packages, plan: LaunchPlan) -> None:
+    def _read_scene(self, source: Path | str | None, packages: Packages, plan: LaunchPlan) -> None:
         try:
             self.scene = self._scene(source, packages, plan)
         except NotThere as error:
@@ -176,7 +176,7 @@ class SpawnModel(Task):
         plan.joints = self.joints
         spawn = spawning.Spawn(run.client, plan, lambda text: self.warn(run, text), SPAWN_LIMIT_S, self._fit)
         self.parts = spawn.names
-        if remark := names.remark_on_robot(self.asked_name):
+        if remark := names.remark_on_robot(self.given_name):
             self.warn(run, remark)
         there = run.call("/slidectl/status")["robots"]
         added = [name for name in self.parts if name not in there]
@@ -188,15 +188,13 @@ class SpawnModel(Task):
             raise
         if self.words.has("-unpause"):
             run.resume()
-        self._tell(run)
+        self._report(run)
         return None
 
     def _scene_plan(self, run: Run) -> spawning.SpawnPlan:
         """The plan of the parts of the model; their poses in the file are relative to the requested pose."""
-        source: Path | str | None = None
-        if self.words.has("-file"):
-            source = self._file()
-        elif self.parameter is not None:
+        source: Path | str | None = self._file() if self.words.has("-file") else None
+        if self.parameter is not None:
             source = self._text(run)[0]
         scene = self._scene(source, run.packages, run.plan)
         if not scene.models and not scene.has_ground:
@@ -249,7 +247,7 @@ class SpawnModel(Task):
             hint = f"descriptions there are: {', '.join(there) or 'none'}"
             raise Refused(f"the parameter {name} is not set to a robot's description", hint)
         if not _is_xml(xml):
-            raise Refused(f"the parameter {name} holds no XML")
+            raise Refused(f"the parameter {name} is not XML")
         return xml, own is not None
 
     def _spawn(self, run: Run, spawn: spawning.Spawn) -> None:
@@ -282,16 +280,16 @@ class SpawnModel(Task):
                 remarks.append(f"-J {name} {asked:.10g} is beyond its limits, {bounds}: it starts at {position:.10g}")
         return positions, remarks
 
-    def _tell(self, run: Run) -> None:
+    def _report(self, run: Run) -> None:
         """Report the namespace and joints, important notices in full, and the number of others unless `-v`."""
         [robot] = run.call("/slidectl/list_robots", {"name": self.model})["robots"]
         put = [joint.rpartition("::")[2] for joint in self.joints]
         ignored = 0
         for notice in robot["report"]:
             where = f"{notice['file']}:{notice['line']}" if notice["line"] else notice["file"]
-            if is_put_inside(notice["subject"], notice["text"], put):
+            if is_moved_inside(notice["subject"], notice["text"], put):
                 continue
-            if needs_telling(notice["verdict"], notice["subject"]) or run.console.verbose:
+            if is_important(notice["verdict"], notice["subject"]) or run.console.verbose:
                 run.console.warn(f"{where}: {notice['verdict']}: {notice['subject']}: {notice['text']}")
             elif notice["verdict"] == "ignored":
                 ignored += 1

@@ -25,7 +25,7 @@ Take = Callable[[str, Message], None]
 It must not call services: waiting for an answer reads further messages, which would change their order.
 """
 
-_LOOK_AGAIN_S = 0.2
+_RETRY_S = 0.2
 _WITHOUT_EFFECT = ("lazy", "wall_clock")
 NONE = "__none"
 """The selection with which a mux passes no messages."""
@@ -43,8 +43,8 @@ class TopicTool(Task):
         super().__init__(node, plan)
         self._run: Run | None = None
         self._inputs: dict[str, tuple[str | None, Take]] = {}
-        self._heard: dict[str, Subscription] = {}
-        self._is_looking = False
+        self._subscriptions: dict[str, Subscription] = {}
+        self._is_search_due = False
         """True when the next search for topics is scheduled."""
         self._has_latched = False
         self._has_warned = False
@@ -60,7 +60,7 @@ class TopicTool(Task):
             if run.parameter(names.join(self.node.full_name, name)):
                 self.warn(run, f"the parameter {name} has no effect")
         self.begin(run)
-        self._look_again()
+        self._search()
         run.watch.listen(self.client, self._read)
         self.settled(run, self.text)
         return None
@@ -78,46 +78,43 @@ class TopicTool(Task):
     def ignore(self, topic: str) -> None:
         """Unsubscribe the topic."""
         self._inputs.pop(topic, None)
-        if topic in self._heard:
-            self._heard.pop(topic).close()
+        if topic in self._subscriptions:
+            self._subscriptions.pop(topic).close()
 
     def pass_on(self, type_name: str, came: Message) -> None:
         """Publish a message. Once a latched message was received, the output is latched too."""
         self._has_latched = self._has_latched or came.get("latch", False)
         self.client.publish(self.output, came["msg"], type_name, self._has_latched)
 
-    def look_later(self, run: Run, seconds: float) -> None:
+    def search_later(self, run: Run, seconds: float) -> None:
         """Schedule the next search for missing topics, unless one is scheduled."""
-        if not self._is_looking:
-            self._is_looking = True
-            run.watch.later(seconds, self._look_again)
+        if not self._is_search_due:
+            self._is_search_due = True
+            run.watch.later(seconds, self._search)
 
-    def _look_again(self) -> None:
-        self._is_looking = False
+    def _search(self) -> None:
+        """Subscribe to the wanted topics that exist now, and schedule the next search if some do not."""
+        self._is_search_due = False
         if self._run is None:
             return
         try:
             self._subscribe_new()
         except TimedOut as error:
-            self.warn(self._run, f"{error.message}; it looks for its topics again")
+            self.warn(self._run, f"{error.message}; it searches for its topics again")
         self._read()
-        if len(self._heard) < len(self._inputs):
-            self.look_later(self._run, _LOOK_AGAIN_S)
+        if len(self._subscriptions) < len(self._inputs):
+            self.search_later(self._run, _RETRY_S)
 
     def _subscribe_new(self) -> None:
-        """Subscribe to the wanted topics that exist now."""
-        wanted = {topic: given for topic, (given, _) in self._inputs.items() if topic not in self._heard}
+        wanted = {topic: given for topic, (given, _) in self._inputs.items() if topic not in self._subscriptions}
         there = self.client.topics() if wanted else {}
         for topic, given in wanted.items():
             if (type_name := given or there.get(topic)) is None:
                 continue
-            subscription = self.client.subscribe(topic, type_name, take=partial(self._take_in, topic, type_name))
-            if topic in self._inputs:
-                self._heard[topic] = subscription
-            else:  # a service was called meanwhile
-                subscription.close()
+            take = partial(self._receive, topic, type_name)
+            self._subscriptions[topic] = self.client.subscribe(topic, type_name, take=take)
 
-    def _take_in(self, topic: str, type_name: str, came: Message) -> None:
+    def _receive(self, topic: str, type_name: str, came: Message) -> None:
         if topic in self._inputs:
             self._inputs[topic][1](type_name, came)
 
@@ -154,11 +151,15 @@ class Relay(TopicTool):
 
     @property
     def text(self) -> str:
-        return f"passes {self.input} on to {self.output}{', so nothing is to do' if self.is_idle else ''}"
+        return f"passes {self.input} on to {self.output}{', so there is nothing to do' if self.is_idle else ''}"
 
     def begin(self, run: Run) -> None:  # noqa: ARG002
         if not self.is_idle:
-            self.listen(self.input, self.pass_on)
+            self.listen(self.input, self.receive)
+
+    def receive(self, type_name: str, came: Message) -> None:
+        """Pass a message on."""
+        self.pass_on(type_name, came)
 
 
 class Throttle(Relay):
@@ -189,11 +190,7 @@ class Throttle(Relay):
         what = f"bytes in {self._window_s:g} s" if self._window_s else "a second"
         return f"{super().text}, at most {self._rate:g} {what}"
 
-    def begin(self, run: Run) -> None:  # noqa: ARG002
-        if not self.is_idle:
-            self.listen(self.input, self._take)
-
-    def _take(self, type_name: str, came: Message) -> None:
+    def receive(self, type_name: str, came: Message) -> None:
         header = came["msg"].get("header")
         stamped_s = _seconds(header["stamp"]) if isinstance(header, dict) and "stamp" in header else 0.0
         now_s = stamped_s or _seconds(came["time"])
@@ -243,9 +240,9 @@ class Mux(TopicTool):
             kind = f"topic_tools/Mux{name.capitalize()}"
             self.client.advertise_service(self.node.resolve(f"mux/{name}"), kind, handler)
         self.listen(self.selected, self.pass_on)
-        self._tell()
+        self._publish_selection()
 
-    def _tell(self) -> None:
+    def _publish_selection(self) -> None:
         topic = self.node.resolve("mux/selected")
         self.client.publish(topic, {"data": self.selected}, "std_msgs/String", latch=True)
 
@@ -257,15 +254,15 @@ class Mux(TopicTool):
         self.selected = wanted
         if wanted != NONE:
             self.listen(wanted, self.pass_on)
-        self._tell()
+        self._publish_selection()
         assert self._run is not None
-        self.look_later(self._run, 0.0)
+        self.search_later(self._run, 0.0)
         return {"prev_topic": before}
 
     def _add(self, request: Message) -> Message:
         topic = self.node.resolve(request["topic"])
         if topic in self.topics or request["topic"] == NONE:
-            raise Refused(f"{self.node.full_name} has the input {request['topic']} already")
+            raise Refused(f"{self.node.full_name} already has the input {request['topic']}")
         self.topics.append(names.check_absolute(topic, "topic"))
         return {}
 
@@ -287,11 +284,10 @@ class Mux(TopicTool):
 
 
 class Source(NamedTuple):
-    """An entry of twist_mux's `topics` or `locks`."""
+    """An entry of twist_mux's `topics` or `locks`. With `timeout_s` 0 a message is valid forever."""
 
     topic: str
     timeout_s: float
-    """0: a message is valid forever."""
     priority: int
 
 
@@ -322,9 +318,9 @@ class TwistMux(TopicTool):
             place = names.join(self.node.full_name, "topics")
             self.warn(run, f"{place} names no topic, a list of {{name, topic, timeout, priority}}: nothing drives")
         for source in self._sources:
-            self.listen(source.topic, partial(self._take_command, source), "geometry_msgs/Twist")
+            self.listen(source.topic, partial(self._receive_command, source), "geometry_msgs/Twist")
         for lock in self._locks:
-            self.listen(lock.topic, partial(self._take_lock, lock), "std_msgs/Bool")
+            self.listen(lock.topic, partial(self._receive_lock, lock), "std_msgs/Bool")
         self.client.advertise(self.output, "geometry_msgs/Twist")
 
     def _read_sources(self, run: Run, kind: str) -> list[Source]:
@@ -336,27 +332,26 @@ class TwistMux(TopicTool):
 
     def _source(self, entry: Any, place: str) -> Source:
         try:
-            topic, timeout_s, priority = entry["topic"], float(entry["timeout"]), int(entry["priority"])
-            if not isinstance(topic, str):
-                raise TypeError
-        except (KeyError, TypeError, ValueError, OverflowError):
+            source = Source(self.node.resolve(entry["topic"]), float(entry["timeout"]), int(entry["priority"]))
+        except (KeyError, TypeError, ValueError, AttributeError):
             message = f"{place}: an entry has name, topic, timeout (s) and priority, not {entry!r}"
             raise Refused(message) from None
-        if not timeout_s >= 0.0 or not 0 <= priority <= 255:
-            raise Refused(f"{place}: {topic} has timeout {timeout_s:g} s and priority {priority}; 0 up, and 0 to 255")
-        return Source(self.node.resolve(topic), timeout_s, priority)
+        if not source.timeout_s >= 0.0 or not 0 <= source.priority <= 255:
+            numbers = f"timeout {source.timeout_s:g} s and priority {source.priority}"
+            raise Refused(f"{place}: {source.topic} has {numbers}; allowed: 0 s or more, and 0 to 255")
+        return source
 
-    def _take_command(self, source: Source, type_name: str, came: Message) -> None:
+    def _receive_command(self, source: Source, type_name: str, came: Message) -> None:
         self._note_time(source, came)
         if self._has_priority(source):
             self.client.publish(self.output, came["msg"], type_name)
 
-    def _take_lock(self, lock: Source, _: str, came: Message) -> None:
+    def _receive_lock(self, lock: Source, _: str, came: Message) -> None:
         self._note_time(lock, came)
         self._locked[lock.topic] = came["msg"]["data"]
 
     def _note_time(self, source: Source, came: Message) -> None:
-        """Record the time of a message. If time went back, all earlier messages are forgotten."""
+        """Record the time of a message. When time jumps back, drop all earlier messages."""
         now_s = _seconds(came["time"])
         if now_s < self._now_s:
             self._came_s.clear()
@@ -366,12 +361,9 @@ class TwistMux(TopicTool):
     def _has_priority(self, source: Source) -> bool:
         """True when the source drives now. A lock is locked after its time-out, and before its first message."""
         locked = [one.priority for one in self._locks if self._locked.get(one.topic) or self._is_silent(one)]
-        least, best = max(locked, default=0), None
-        for one in self._sources:
-            speaks = not self._is_silent(one) and one.priority >= least
-            if speaks and one.priority > (best.priority if best else 0):
-                best = one
-        return best == source
+        least = max(1, *locked) if locked else 1
+        speaking = [one for one in self._sources if one.priority >= least and not self._is_silent(one)]
+        return bool(speaking) and max(speaking, key=lambda one: one.priority) == source
 
     def _is_silent(self, source: Source) -> bool:
         return source.timeout_s > 0.0 and self._now_s - self._came_s.get(source.topic, 0.0) > source.timeout_s
