@@ -26,6 +26,7 @@ from slidectl.msgs.schema import Schema, from_typedefs, nanoseconds
 if TYPE_CHECKING:
     from slidectl.client import Client
     from slidectl.extensions.recording.recording_files import Recording
+    from slidectl.msgs.typed import ResolveResponseMsg
 
 _TURNING = {"position": "rad", "velocity": "rad/s", "effort": "N·m"}
 JOINT_UNITS = {
@@ -309,7 +310,7 @@ def live(
 
 
 def _of_topic(
-    client: Client, found: dict[str, Any], duration: float, set_point: str, timeout: float | None
+    client: Client, found: ResolveResponseMsg, duration: float, set_point: str, timeout: float | None
 ) -> JointOrFieldTrace:
     """The trace of a topic's field; `found` is the response of slidectl/Resolve."""
     samples = _Samples(found["name"], from_typedefs(found["typedefs"]), found["field"], set_point)

@@ -412,15 +412,15 @@ def list_daemons(ctx: Context) -> None:
         state = status["trouble"] or ("paused" if status["paused"] else "running") if status else ""
         since = one.since and datetime.fromtimestamp(one.since).astimezone().isoformat(timespec="seconds")
         gateways = [{"kind": found.kind, "pid": found.pid, "address": found.address} for found in find_all(one.paths)]
-        row = {
+        row: dict[str, Any] = {
             "instance": one.paths.name,
             "socket": one.paths.socket_text,
             "pid": one.pid,
             "answers": bool(status),
-            "time": status.get("time"),
+            "time": status["time"] if status else None,
             "since": since,
             "state": state or f"does not answer: {one.trouble}",
-            "robots": status.get("robots", []),
+            "robots": status["robots"] if status else [],
             "gateways": gateways,
         }
         if ctx.format == "text":

@@ -11,7 +11,7 @@ import math
 import os
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import suppress
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 from slidectl import names, paths
 from slidectl.errors import NoDaemon, Refused, SlidectlError, TimedOut, UnknownName, Unused
@@ -19,6 +19,9 @@ from slidectl.operating_system import peer
 from slidectl.wire.json_lines import BadLine, LineBuffer, decode
 from slidectl.wire.messages import SYNCHRONIZE, Message, reasons_of, resolved, values_of
 from slidectl.wire.peers import ClientPeer, Inbox, check_daemon_user, nobody_answers, went_away
+
+if TYPE_CHECKING:
+    from slidectl.msgs.typed import ResolveResponseMsg
 
 AsyncHandler = Callable[[Message], Awaitable[Message]]
 
@@ -368,10 +371,11 @@ class AsyncClient:
 
     async def resolve(
         self, kind: str, name: str, *, namespace: str = "/", role: str = "", with_field: bool = False
-    ) -> Message:
+    ) -> ResolveResponseMsg:
         """The full name of a short one, as `Client.resolve`. Raises UnknownName, AmbiguousName, Unused."""
         request = {"kind": kind, "name": name, "namespace": namespace, "role": role, "with_field": with_field}
-        return resolved(await self._call("/slidectl/resolve", request, None))
+        response: ResolveResponseMsg = resolved(await self._call("/slidectl/resolve", request, None))
+        return response
 
     # --- what arrives -------------------------------------------------------------------------------------------
 

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from slidectl.description.missing import Missing
     from slidectl.description.robot import Robot
     from slidectl.description.sdf import Scene, SdfModel
+    from slidectl.msgs.typed import RobotInfoMsg
 
 Tree = dict[str, Any]
 Message = dict[str, Any]
@@ -237,7 +238,7 @@ class Spawn:
         plan: SpawnPlan,
         warn: Callable[[str], None] = lambda _text: None,
         limit_s: float = LIMIT_S,
-        fit: Callable[[Message], tuple[Mapping[str, float], list[str]]] | None = None,
+        fit: Callable[[RobotInfoMsg], tuple[Mapping[str, float], list[str]]] | None = None,
     ) -> None:
         self.client = client
         self.plan = plan
@@ -330,9 +331,9 @@ class Spawn:
                 with suppress(NoDaemon):
                     self.client.call("/gazebo/unpause_physics")
 
-    def robot(self) -> Message:
+    def robot(self) -> RobotInfoMsg:
         """The first model as it is in the world (slidectl/RobotInfo)."""
-        return dict(self.client.call("/slidectl/list_robots", {"name": self.names[0]})["robots"][0])
+        return self.client.call("/slidectl/list_robots", {"name": self.names[0]})["robots"][0]
 
     def ask_to_load(self, manager: Manager) -> dict[str, str]:
         """Send the requests to load the controllers, for `bring_up`. The robot is new, so none is loaded yet."""

@@ -7,13 +7,16 @@ import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from slidectl import names
 from slidectl.client.connection import GraphClient
 from slidectl.client.manager import Manager
 from slidectl.errors import NoDaemon, Refused, UsageError
 from slidectl.wire.messages import Message
+
+if TYPE_CHECKING:
+    from slidectl.msgs.typed import RobotInfoMsg, SnapshotInfoMsg
 
 
 class WorldClient(GraphClient):
@@ -29,7 +32,7 @@ class WorldClient(GraphClient):
         joints: Mapping[str, float] | None = None,
         transmissions: str | None = None,
         **xacro_arguments: str,
-    ) -> Message:
+    ) -> RobotInfoMsg:
         """Spawn a robot, or all models of a file, as `slidectl spawn` does.
 
         Returns slidectl/RobotInfo; for a world, that of the first model.
@@ -83,9 +86,9 @@ class WorldClient(GraphClient):
         if not answer["success"]:
             raise Refused(f"cannot delete {full}: {answer['status_message']}")
 
-    def robots(self) -> list[Message]:
+    def robots(self) -> list[RobotInfoMsg]:
         """The robots (slidectl/RobotInfo), by name: `name`, `namespace`, `pose`, `links`, `joints`, `controllers`."""
-        return sorted(self.call("/slidectl/list_robots")["robots"], key=lambda robot: str(robot["name"]))
+        return sorted(self.call("/slidectl/list_robots")["robots"], key=lambda robot: robot["name"])
 
     def add_fault(
         self,
@@ -180,9 +183,9 @@ class WorldClient(GraphClient):
         """
         return float(self.call("/slidectl/load", {"name": name or "", "file": _absolute(file)})["time"])
 
-    def snapshots(self) -> list[Message]:
+    def snapshots(self) -> list[SnapshotInfoMsg]:
         """The daemon's snapshots (slidectl/SnapshotInfo), oldest first."""
-        return list(self.call("/slidectl/snapshots")["snapshots"])
+        return self.call("/slidectl/snapshots")["snapshots"]
 
     @contextmanager
     def lockstep(self, period: float = 0.0, timeout: float = 5.0) -> Iterator[LockStep]:
@@ -247,7 +250,7 @@ class WorldClient(GraphClient):
         return json.loads(answer["last"])
 
 
-def _with_options(fault: Message) -> Message:
+def _with_options(fault: Mapping[str, Any]) -> Message:
     return {**fault, "options": json.loads(fault["options"])}
 
 

@@ -5,13 +5,16 @@ from __future__ import annotations
 import os
 import stat
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from slidectl import paths
 from slidectl.client import Client
 from slidectl.daemon import lifecycle
 from slidectl.errors import SlidectlError
+
+if TYPE_CHECKING:
+    from slidectl.msgs.typed import StatusResponseMsg
 
 _AT_A_TIME = 32
 """Daemons that are asked at the same time: one that does not answer takes the whole wait of its thread."""
@@ -26,8 +29,8 @@ class ListedDaemon:
     """None when the process is in another pid namespace."""
     since: float | None
     """When it started, in s of the wall clock since 1970."""
-    status: dict[str, Any] = field(default_factory=dict)
-    """The answer of /slidectl/status; empty when it did not answer."""
+    status: StatusResponseMsg | None = None
+    """None when it did not answer."""
     trouble: str = ""
     """Why it did not answer."""
 
@@ -55,7 +58,7 @@ def _asked(place: paths.InstancePaths, pid: int, timeout_s: float) -> ListedDaem
         since = os.lstat(place.lock).st_mtime
     except OSError:  # it ends right now
         since = None
-    status: dict[str, Any] = {}
+    status: StatusResponseMsg | None = None
     trouble = ""
     try:
         with Client(socket=place.socket_text, timeout=timeout_s) as client:

@@ -368,7 +368,7 @@ class Execution:
         try:
             for name, number in self._robots():
                 if number in owners and (name, number) not in self._found:
-                    self.run.call("/gazebo/delete_model", {"model_name": name}, HOOK_LIMIT_S)
+                    self.run.call("/gazebo/delete_model", {"model_name": name}, timeout=HOOK_LIMIT_S)
                     owners[number].settled(self.run, f"{name}: deleted")
         except NoDaemon:
             self._lost_daemon = True

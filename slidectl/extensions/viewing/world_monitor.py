@@ -18,6 +18,7 @@ from slidectl.msgs.schema import nanoseconds
 
 if TYPE_CHECKING:
     from slidectl.client import Client
+    from slidectl.msgs.typed import ControllerStateMsg
 
 Record = dict[str, Any]
 
@@ -149,7 +150,7 @@ class FollowedTopic:
         return 0.0 if self._looks > 2 and self._meter.is_silent(now_ns) else self._meter.rate
 
 
-def _controller(space: str, listed: Record) -> Record:
+def _controller(space: str, listed: ControllerStateMsg) -> Record:
     claims = dict.fromkeys(joint for claim in listed["claimed_resources"] for joint in claim["resources"])
     name = names.join(space, listed["name"])
     return {"manager": space, "name": name, "state": listed["state"], "type": listed["type"], "claims": list(claims)}

@@ -165,7 +165,7 @@ class Gazebo(Task):
         if run.owns_daemon:
             return
         for name in reversed(run.spawned):
-            if run.call("/gazebo/delete_model", {"model_name": name}, HOOK_LIMIT_S)["success"]:
+            if run.call("/gazebo/delete_model", {"model_name": name}, timeout=HOOK_LIMIT_S)["success"]:
                 self.settled(run, f"{name}: deleted")
         run.spawned.clear()
 

@@ -306,7 +306,7 @@ class SpawnModel(Task):
             return
         for name in reversed(self.parts):
             run.spawned.remove(name)
-            if run.call("/gazebo/delete_model", {"model_name": name}, HOOK_LIMIT_S)["success"]:
+            if run.call("/gazebo/delete_model", {"model_name": name}, timeout=HOOK_LIMIT_S)["success"]:
                 self.settled(run, f"{name}: deleted")
 
 
