@@ -153,7 +153,7 @@ def spawn(
             raise unknown
         _leave_out(missing, unknown.name, unknown)
         plan.controllers.remove(unknown.name)
-    warnings = spawn.put()
+    warnings = spawn.apply()
     manager = ctx.manager(plan.namespace)
     loads = spawn.ask_to_load(manager)
     robot = spawn.robot()  # in the same round trip
@@ -344,7 +344,7 @@ def _spawn_scene(
     plan = spawning.scene_plan(scene.named(name), spawning.pose(at, "--at"), fixed=fixed, strict=strict)
     spawn = spawning.Spawn(ctx.client, plan, ctx.warn, ctx.wait_limit(spawning.LIMIT_S))
     spawn.check()
-    warnings = spawn.put()
+    warnings = spawn.apply()
     present = {robot["name"]: robot for robot in robots.all_robots(ctx)}
     spawned = [present[model] for model in spawn.names]
     _tell_notices(ctx, [vars(notice) for notice in scene.notices])

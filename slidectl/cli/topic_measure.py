@@ -81,7 +81,7 @@ class IntervalMeter(Meter):
     def take(self, event: Event) -> None:
         if self._keep(event.message):
             super().take(event)
-            self._window.take(self._time_ns(event))
+            self._window.add(self._time_ns(event))
 
     def _figures(self) -> Record:
         """`rate` in Hz (None when all messages came at one time), and statistics of the intervals in s."""

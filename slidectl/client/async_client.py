@@ -115,7 +115,7 @@ class AsyncClient:
             self._transport.close()
             self._end()
         for inbox in [one for inboxes in self._peer.inboxes.values() for one in inboxes]:
-            inbox.tell_dropped()
+            inbox.warn_of_dropped()
 
     async def __aenter__(self) -> Self:
         return await self.connect()
@@ -385,7 +385,7 @@ class AsyncClient:
             self.on_line(line)
             return
         message = decode(line)
-        answered = self._peer.take(message)
+        answered = self._peer.receive(message)
         if message.get("op") == "status" and message.get("level") == "error":
             self._pass_on_refusal(message)
         if answered is not None and (waiting := self._waiting.get(answered)) is not None and not waiting.done():
@@ -437,8 +437,8 @@ class AsyncSubscription(Inbox):
         self._client = client
         self._arrived = asyncio.Event()
 
-    def put(self, published: Message) -> None:
-        super().put(published)
+    def add(self, published: Message) -> None:
+        super().add(published)
         self._arrived.set()
 
     def wake(self) -> None:
@@ -471,7 +471,7 @@ class AsyncSubscription(Inbox):
     def close(self) -> None:
         """Unsubscribe. Messages in the queue can still be read. Warns of dropped messages."""
         self._client.end_subscription(self)
-        self.tell_dropped()
+        self.warn_of_dropped()
 
     async def __aenter__(self) -> Self:
         return self

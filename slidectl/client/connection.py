@@ -319,7 +319,7 @@ class GraphClient:
     def events(self, timeout: float = math.inf) -> Iterator[Message]:
         """Every object that arrives, as received. Ends when nothing arrives for `timeout` seconds."""
         while (message := self._link.receive(self.monotonic() + timeout)) is not None:
-            self._take(message)
+            self._receive(message)
             yield message
 
     def wait_until(self, condition: Callable[[], bool], timeout: float | None, failure: str) -> None:
@@ -335,11 +335,11 @@ class GraphClient:
             message = link.receive(deadline)
             if message is None:
                 return False
-            self._take(message)
+            self._receive(message)
         return True
 
-    def _take(self, message: Message) -> None:
-        self._peer.take(message)
+    def _receive(self, message: Message) -> None:
+        self._peer.receive(message)
         self._link.last_status = self._peer.last_status
 
     def _timed_out(self, failure: str, seconds: float) -> TimedOut:
@@ -396,7 +396,7 @@ class GraphClient:
         """Close the connection without waiting. Its advertisements and subscriptions end. Warns of dropped messages."""
         self._link.close()
         for inbox in [one for inboxes in self._peer.inboxes.values() for one in inboxes]:
-            inbox.tell_dropped()
+            inbox.warn_of_dropped()
 
     def __enter__(self) -> Self:
         return self
@@ -448,7 +448,7 @@ class Subscription(Inbox):
     def close(self) -> None:
         """Unsubscribe. Messages in the queue can still be read. Warns of dropped messages."""
         self._client.unsubscribe(self)
-        self.tell_dropped()
+        self.warn_of_dropped()
 
     def __enter__(self) -> Self:
         return self

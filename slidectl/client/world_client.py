@@ -74,7 +74,7 @@ class WorldClient(GraphClient):
         spawn.check()
         for unknown in spawn.unknown_controllers():
             raise unknown
-        spawn.put()
+        spawn.apply()
         manager = Manager(self, plan.namespace)
         spawn.bring_up(manager, spawn.ask_to_load(manager))
         return spawn.robot()

@@ -179,10 +179,10 @@ class Daemon:
         signal.set_wakeup_fd(write_end, warn_on_full_buffer=False)
         for number in (signal.SIGTERM, signal.SIGINT, *([signal.SIGHUP] if self._start.foreground else [])):
             signal.signal(number, lambda *_: None)
-        self._loop.watch(self._signals, READ, self._take_signal)
+        self._loop.watch(self._signals, READ, self._read_signals)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGTERM, signal.SIGINT))
 
-    def _take_signal(self, _: int) -> None:
+    def _read_signals(self, _: int) -> None:
         for number in os.read(self._signals, 64):
             if number != signal.SIGALRM:  # that of TimeLimit, which has its own handler
                 self._stopping = f"stopped by {signal.Signals(number).name}"

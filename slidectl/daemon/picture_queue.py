@@ -52,9 +52,9 @@ class PictureQueue:
                 pending.reject(error)
                 continue
             self._current = pending
-            self._loop.watch(self._descriptor, READ, self._take)
+            self._loop.watch(self._descriptor, READ, self._receive)
 
-    def _take(self, _: int) -> None:
+    def _receive(self, _: int) -> None:
         pending = self._current
         assert pending is not None
         try:

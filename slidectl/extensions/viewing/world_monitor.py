@@ -137,7 +137,7 @@ class FollowedTopic:
     def _take(self, published: Record) -> None:
         self.message = published["msg"]
         count = self.message["header"]["seq"] if self._is_counted else None
-        self._meter.take(nanoseconds(published["time"]), count)
+        self._meter.add(nanoseconds(published["time"]), count)
         self._looks = 0
 
     def rate(self, now_ns: int) -> float | None:

@@ -256,7 +256,7 @@ class SpawnModel(Task):
         if self.is_sdf:
             spawn.check()
         try:
-            warnings = spawn.put()
+            warnings = spawn.apply()
         except spawning.SpawnRefused as refused:
             if self.is_sdf:
                 raise
