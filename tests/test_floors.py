@@ -34,7 +34,6 @@ SAME_FLOOR = {
     ("client", "description"),
     ("viewing", "gateways"),
     ("supervision", "client"),
-    ("open_page", "client"),
     ("open_page", "processes"),
     ("journal", "daemon"),
     ("control", "description"),

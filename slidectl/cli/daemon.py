@@ -402,7 +402,7 @@ def list_daemons(ctx: Context) -> None:
     JSON keys: instance, socket, pid, answers, time (s, simulated), since (date and time), state (running, paused,
     stopped by an error, or why it does not answer), robots, gateways (objects with kind, pid, address).
     """
-    from slidectl.daemon.instances import running_daemons
+    from slidectl.daemon.lifecycle import running_daemons
     from slidectl.extensions.gateways.process import find_all
     from slidectl.paths import is_named_by_instance
 

@@ -15,8 +15,7 @@ from typing import Any
 
 import slidectl
 from slidectl.control.node_handle import Message
-from slidectl.daemon import host_wrappers
-from slidectl.daemon.daemon_host import DaemonHost
+from slidectl.daemon.daemon_host import DaemonHost, wrapped
 from slidectl.daemon.instance_files import InstanceFiles, InstanceInUse
 from slidectl.daemon.options import Start
 from slidectl.daemon.pacing import Pacer
@@ -60,7 +59,7 @@ class Daemon:
         self._most_kept_objects = 0
         options = start.options
         self._loop = EventLoop()
-        self._host = host_wrappers.wrapped(DaemonHost(self._loop, log, self._unexpected), options)
+        self._host = wrapped(DaemonHost(self._loop, log, self._unexpected), options)
         self.simulation = self._host.simulation or self._new_simulation()
         self.simulation.driven = True
         self.simulation.engine.may_load = False

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from slidectl import names
 from slidectl.client import Subscription
-from slidectl.client.action_client import Action
-from slidectl.client.trajectory_goals import desired_positions, goal_to, hold, trajectory_controllers
+from slidectl.client.action_client import Action, desired_positions, goal_to, hold, trajectory_controllers
 from slidectl.extensions.viewing.page.joints_panel import bounds, placed, step_of
 from slidectl.extensions.viewing.page.page import PADDING, Page, Panel, WorldState, html_table
 
