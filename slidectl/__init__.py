@@ -11,6 +11,10 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
 
+    from slidectl.client.async_client import AsyncClient
+    from slidectl.client.client import Client
+    from slidectl.simulation.simulation import Simulation
+
 __version__ = "0.1.0"
 __all__ = ["AsyncClient", "Client", "Simulation", "__version__"]
 

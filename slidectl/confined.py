@@ -16,7 +16,7 @@ import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, NoReturn
+from typing import Any, BinaryIO
 
 from slidectl.operating_system import LINUX, end_with, limit_new_memory
 
@@ -55,7 +55,7 @@ class EndedError(Exception):
     """A process ended without a result. The text is a clause that tells why."""
 
 
-def fork() -> int:
+def _fork() -> int:
     """`os.fork`, without Python's warning of threads: the child may use nothing that another thread holds a lock of."""
     if LINUX:
         importlib.import_module("ctypes")  # once here, and not in each child, where end_with needs it
@@ -64,7 +64,7 @@ def fork() -> int:
         return os.fork()
 
 
-def confine(limits: Limits, writing: int, parent: int) -> None:
+def _confine(limits: Limits, writing: int, parent: int) -> None:
     """Restrict this process, a fork of `parent`: limits, and no inherited descriptor but `writing` and the first three.
 
     It ends with its parent, also when that is killed.
@@ -83,6 +83,47 @@ def confine(limits: Limits, writing: int, parent: int) -> None:
     signal.alarm(limits.wall_s)
 
 
+def start(work: Callable[[BinaryIO], object], limits: Limits, only_reads: bool = False) -> tuple[int, int]:
+    """Call `work` with a pipe in a forked process. `work` must not raise.
+
+    Args:
+        only_reads: the process can only read files, and has the standard streams on /dev/null.
+
+    Returns:
+        The process id, and the descriptor of the pipe's other end.
+
+    Raises:
+        OSError: no process can be started.
+    """
+    parent = os.getpid()
+    reading, writing = os.pipe()
+    try:
+        pid = _fork()
+    except OSError:
+        os.close(reading)
+        os.close(writing)
+        raise
+    if pid:
+        os.close(writing)
+        return pid, reading
+    code = 1
+    try:
+        while writing < 3:  # the parent has closed a standard stream, and its number was free
+            writing = os.dup(writing)
+        _confine(limits, writing, parent)
+        gc.freeze()  # a collection that looks at the parent's objects would copy all their memory
+        if only_reads:
+            nowhere = os.open(os.devnull, os.O_RDWR)
+            for stream in range(3):
+                os.dup2(nowhere, stream)
+            _only_read()
+        with open(writing, "wb") as pipe:
+            work(pipe)
+        code = 0
+    finally:
+        os._exit(code)  # it never returns into the code of its parent
+
+
 def run(work: Callable[[], bytes], limits: Limits, most_bytes: int) -> bytes:
     """Call `work` in a forked process that may only read files, and return its result, of at most `most_bytes`.
 
@@ -91,17 +132,7 @@ def run(work: Callable[[], bytes], limits: Limits, most_bytes: int) -> bytes:
     Raises:
         EndedError: the process ended early, by a limit for example. OSError: no process can be started.
     """
-    parent = os.getpid()
-    reading, writing = os.pipe()
-    try:
-        pid = fork()
-    except OSError:
-        os.close(reading)
-        os.close(writing)
-        raise
-    if pid == 0:
-        _work(work, limits, writing, parent)
-    os.close(writing)
+    pid, reading = start(lambda pipe: pipe.write(work()), limits, only_reads=True)
     result = bytearray()
     try:
         # Against: code that has taken the process over, and sends without end.
@@ -128,25 +159,6 @@ def _wait(pid: int, limits: Limits) -> int:
         return 0
     is_killed = os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGKILL
     return signal.SIGXCPU if is_killed and usage.ru_utime + usage.ru_stime >= limits.cpu_s else status
-
-
-def _work(work: Callable[[], bytes], limits: Limits, writing: int, parent: int) -> NoReturn:
-    """Run the process. It never returns into the code of its parent."""
-    code = 1
-    try:
-        while writing < 3:  # the parent has closed a standard stream, and its number was free
-            writing = os.dup(writing)
-        confine(limits, writing, parent)
-        gc.freeze()  # a collection that looks at the parent's objects would copy all their memory
-        nowhere = os.open(os.devnull, os.O_RDWR)
-        for stream in range(3):
-            os.dup2(nowhere, stream)
-        _only_read()
-        with open(writing, "wb") as pipe:
-            pipe.write(work())
-        code = 0
-    finally:
-        os._exit(code)
 
 
 def _only_read() -> None:

@@ -142,7 +142,7 @@ def peer(connection: socket.socket) -> tuple[int, int | None]:
     return pid or 0, uid
 
 
-def tells_owners_of_connections() -> bool:
+def knows_owners_of_connections() -> bool:
     """True where the kernel tells the user of a TCP connection of this machine: see local_peers.py."""
     return LINUX
 
@@ -415,7 +415,7 @@ def memory_file(name: str) -> tuple[BinaryIO, str]:
     return cast(BinaryIO, kept), kept.name
 
 
-def take_room(descriptor: int, size: int) -> None:
+def reserve_space(descriptor: int, size: int) -> None:
     """Take room on the disk for the first `size` bytes of a file. Raises OSError: the disk is full.
 
     Elsewhere than on Linux the room is only compared with what is free.

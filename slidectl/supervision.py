@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import os
 import sched
-import select
 import signal
 import subprocess
 import time
@@ -28,7 +27,6 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _CHUNK = 65536
 """Bytes per read: the capacity of a pipe."""
 _LONGEST_LINE = 65536
-_LOOK_FOR_SIGNALS_S = 0.1
 _LOOK_EVERY_S = 0.01
 """In a scenario: simulated seconds between two polls of descriptors."""
 
@@ -43,51 +41,6 @@ class Interrupted(BaseException):
         self.number = number
 
 
-class _Wakeup:
-    """A pipe that is readable from the moment of a signal.
-
-    A signal that comes between two instructions of the interpreter, just before a system call that waits, is handled
-    after that call: it would be lost for as long as the call waits. A wait that watches this pipe as well ends at once.
-    """
-
-    def __init__(self) -> None:
-        self.descriptor = -1
-        """Readable after a signal; -1 outside of the main thread, which alone handles signals."""
-        self._write_end = self._previous = -1
-
-    def begin(self) -> None:
-        """Raises ValueError: this is not the main thread."""
-        read_end, write_end = os.pipe()
-        os.set_blocking(read_end, False)
-        os.set_blocking(write_end, False)
-        try:
-            self._previous = signal.set_wakeup_fd(write_end, warn_on_full_buffer=False)
-        except ValueError:
-            os.close(read_end)
-            os.close(write_end)
-            raise
-        self.descriptor, self._write_end = read_end, write_end
-
-    def drain(self) -> bytes:
-        """The numbers of the signals since the last call."""
-        try:
-            return os.read(self.descriptor, _CHUNK)
-        except BlockingIOError:
-            return b""
-
-    def end(self) -> None:
-        """Close the pipe. What came in the meantime is readable in the pipe that was there before."""
-        if self.descriptor < 0:
-            return
-        signal.set_wakeup_fd(self._previous, warn_on_full_buffer=False)
-        if (numbers := self.drain()) and self._previous >= 0:
-            with suppress(OSError):
-                os.write(self._previous, numbers)
-        os.close(self.descriptor)
-        os.close(self._write_end)
-        self.descriptor = -1
-
-
 class Interrupts:
     """Handles SIGNALS while it is entered: their numbers are recorded in `received`, which an event loop checks.
 
@@ -98,7 +51,10 @@ class Interrupts:
         self.received: list[int] = []
         self._raises = False
         self._previous: dict[int, Any] = {}
-        self._wakeup = _Wakeup()
+        self._pipe: tuple[int, ...] = ()
+        """Readable after a signal. A signal just before a system call that waits is handled after that call: a wait
+        that watches this pipe as well ends at once. Empty outside of the main thread, which alone handles signals."""
+        self._previous_pipe = -1
 
     def __enter__(self) -> Interrupts:
         # `nohup` makes programs ignore SIGHUP; this is kept.
@@ -106,12 +62,19 @@ class Interrupts:
         with suppress(ValueError):  # not in the main thread: signals cannot be handled, the caller ends it
             for number in SIGNALS:
                 if number not in ignored:
-                    self._previous[number] = signal.signal(number, self._take)
-            self._wakeup.begin()
+                    self._previous[number] = signal.signal(number, self._receive)
+            self._pipe = os.pipe()
+            for end in self._pipe:
+                os.set_blocking(end, False)
+            self._previous_pipe = signal.set_wakeup_fd(self._pipe[1], warn_on_full_buffer=False)
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._wakeup.end()
+        if self._pipe:
+            signal.set_wakeup_fd(self._previous_pipe, warn_on_full_buffer=False)
+        for end in self._pipe:
+            os.close(end)
+        self._pipe = ()
         for number, handler in self._previous.items():
             signal.signal(number, handler)
 
@@ -142,10 +105,10 @@ class Interrupts:
         """Let a signal end a wait of the loop, also one that comes after the loop looked and before it waits."""
 
         def drain(_: int) -> None:
-            self._wakeup.drain()
+            os.read(self._pipe[0], _CHUNK)
 
-        if self._wakeup.descriptor >= 0:
-            loop.watch(self._wakeup.descriptor, READ, drain)
+        if self._pipe:
+            loop.watch(self._pipe[0], READ, drain)
 
     def ignore(self) -> None:
         """Ignore signals from now on, also after `__exit__`: the process is about to end."""
@@ -153,7 +116,7 @@ class Interrupts:
             signal.signal(number, signal.SIG_IGN)
         self._previous.clear()
 
-    def _take(self, number: int, _frame: FrameType | None) -> None:
+    def _receive(self, number: int, _frame: FrameType | None) -> None:
         self.received.append(number)
         if len(self.received) == 1:  # what the first one ends is not cut short by a second
             self.check()
@@ -254,10 +217,10 @@ class Child:
         }
         for name, descriptor in self._pipes.items():
             os.set_blocking(descriptor, False)
-            loop.watch(descriptor, READ, lambda _, name=name: self._take(name))  # type: ignore[misc]
+            loop.watch(descriptor, READ, lambda _, name=name: self._read(name))  # type: ignore[misc]
         loop.watch(self._end.fileno(), READ, lambda _: self._ended())
 
-    def _take(self, name: str, is_last: bool = False) -> None:
+    def _read(self, name: str, is_last: bool = False) -> None:
         """Read one chunk and pass on its lines; with `is_last` also a line without an end."""
         try:
             data: bytes | None = os.read(self._pipes[name], _CHUNK)
@@ -276,7 +239,7 @@ class Child:
         """Handle the end. On Linux the process stays a zombie until `release`, so that its group's id is not reused."""
         code = self._end.code()
         for name in list(self._pipes):  # its own output; output of its children may come later
-            self._take(name, is_last=True)
+            self._read(name, is_last=True)
         # The descriptor is watched up to here: if a signal interrupts this method, the end is noticed again.
         self.code = code
         self._loop.forget(self._end.fileno())
@@ -303,75 +266,17 @@ def run(arguments: Sequence[str], environment: Mapping[str, str], most_bytes: in
     Raises:
         OSError, ValueError: it cannot be started. OverflowError: its output has more than `most_bytes`.
     """
-    with _woken_by_signals() as wakeup, _signals_deferred() as handle_deferred:
-        process = subprocess.Popen(
-            arguments, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, env=environment, start_new_session=True
-        )
+    process = subprocess.Popen(
+        arguments, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, env=environment, start_new_session=True
+    )
+    with process:  # waits for it, and closes its pipes
         try:
-            handle_deferred()  # not earlier: an exception inside `Popen`, or behind it, would lose the new process
             assert process.stdout is not None
-            output = _read(process.stdout.fileno(), most_bytes + 1, wakeup)
+            output = process.stdout.read(most_bytes + 1)
             if len(output) > most_bytes:
                 raise OverflowError(f"more than {most_bytes >> 20} MiB")
-            while True:  # a wait without a limit would not notice a signal that comes just before it
-                with suppress(subprocess.TimeoutExpired):
-                    return process.wait(_LOOK_FOR_SIGNALS_S), output
+            return process.wait(), output
         except BaseException:
             with suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGKILL)
             raise
-        finally:
-            with process:  # waits for it, and closes its pipes
-                pass
-
-
-def _read(descriptor: int, most_bytes: int, wakeup: _Wakeup) -> bytes:
-    """Read up to the end, or this many bytes. A signal is handled at once."""
-    output = bytearray()
-    waiting = select.poll()
-    waiting.register(descriptor, select.POLLIN)
-    if wakeup.descriptor >= 0:
-        waiting.register(wakeup.descriptor, select.POLLIN)
-    while len(output) < most_bytes:
-        ready = [fd for fd, _ in waiting.poll()]
-        if wakeup.descriptor in ready:
-            wakeup.drain()  # its handler was called when `poll` returned
-        if descriptor in ready:
-            piece = os.read(descriptor, min(_CHUNK, most_bytes - len(output)))
-            if not piece:
-                break
-            output += piece
-    return bytes(output)
-
-
-@contextmanager
-def _woken_by_signals() -> Iterator[_Wakeup]:
-    wakeup = _Wakeup()
-    with suppress(ValueError):  # not in the main thread, which alone handles signals
-        wakeup.begin()
-    try:
-        yield wakeup
-    finally:
-        wakeup.end()
-
-
-@contextmanager
-def _signals_deferred() -> Iterator[Action]:
-    """Keep signals for later: the function that is yielded, and the end of the block, let their handlers have them."""
-    received: list[int] = []
-    handlers: dict[int, Any] = {}
-    with suppress(ValueError):  # not in the main thread, which alone handles signals
-        for handled in [number for number in SIGNALS if callable(signal.getsignal(number))]:
-            handlers[handled] = signal.signal(handled, lambda number, _frame: received.append(number))
-    deferred = dict(handlers)
-
-    def handle() -> None:
-        while deferred:
-            signal.signal(*deferred.popitem())
-        while received:
-            handlers[number := received.pop(0)](number, None)
-
-    try:
-        yield handle
-    finally:
-        handle()

@@ -26,6 +26,7 @@ from slidectl.msgs.schema import Schema, from_typedefs, nanoseconds
 if TYPE_CHECKING:
     from slidectl.client import Client
     from slidectl.extensions.recording.recording_files import Recording
+    from slidectl.msgs.typed import ResolveResponseMsg
 
 _TURNING = {"position": "rad", "velocity": "rad/s", "effort": "N·m"}
 JOINT_UNITS = {
@@ -85,20 +86,20 @@ class JointOrFieldTrace:
         """
         if name not in MEASURES:
             raise UnknownName("measure", name, list(MEASURES))
-        _, _, kind, take = MEASURES[name]
+        _, _, kind, compute = MEASURES[name]
         if kind == "step":
             if set_point is None and self.set_points is not None and len(self.set_points):
                 set_point = float(self.set_points[-1])
             more = {"band": band} if name == "settling" else {}
-            return take(self.times, self.values, set_point, start, **more)
+            return compute(self.times, self.values, set_point, start, **more)
         if kind == "error":
             wanted = self.set_points if set_point is None else set_point
             if wanted is None:
                 raise NoMeasure("an error needs what the value was to be: a set point")
-            return take(self.times, self.values, wanted)
+            return compute(self.times, self.values, wanted)
         if kind == "joint" and self.efforts is None:
             raise NoMeasure(f"{self.name} has no effort: that is measured of a joint")
-        return take(self)
+        return compute(self)
 
     def holds(self, condition: str, wanted: float, tolerance: float = 0.0) -> tuple[bool, Measured]:
         """Check that every value is `near` (within the tolerance), `above` or `below` a number, or `equals` it.
@@ -139,7 +140,7 @@ class Measure(NamedTuple):
     unit: str
     kind: str
     """What it is measured from: `step`, `error`, `joint`, or `values`."""
-    take: Callable[..., Measured]
+    compute: Callable[..., Measured]
     """The function. For a step or an error it takes times, values and more; else the trace."""
 
 
@@ -237,9 +238,9 @@ class _Samples:
         self._paths = [select(schema.fields, schema.root, each) for each in paths]
         self.rows: list[list[float]] = []
 
-    def take(self, time_ns: int, message: Any) -> None:
+    def add(self, time_ns: int, message: Any) -> None:
         """Add a message. Raises UsageError: no number. NoElement: the array is too short."""
-        self.rows.append([time_ns / _SECOND, *(number(path.take(message)) for path in self._paths)])
+        self.rows.append([time_ns / _SECOND, *(number(path.read(message)) for path in self._paths)])
 
     def trace(self) -> JointOrFieldTrace:
         rows = np.array(self.rows, dtype=np.float64).reshape(len(self.rows), 1 + len(self._paths))
@@ -309,16 +310,16 @@ def live(
 
 
 def _of_topic(
-    client: Client, found: dict[str, Any], duration: float, set_point: str, timeout: float | None
+    client: Client, found: ResolveResponseMsg, duration: float, set_point: str, timeout: float | None
 ) -> JointOrFieldTrace:
     """The trace of a topic's field; `found` is the response of slidectl/Resolve."""
     samples = _Samples(found["name"], from_typedefs(found["typedefs"]), found["field"], set_point)
 
-    def take(published: dict[str, Any]) -> None:
-        samples.take(nanoseconds(published["time"]), published["msg"])
+    def add(published: dict[str, Any]) -> None:
+        samples.add(nanoseconds(published["time"]), published["msg"])
 
     sleep = client.call_async("/slidectl/sleep", {"duration": duration}) if duration else ""
-    with client.subscribe(found["name"], queue_length=_LONGEST_QUEUE, take=take) as subscription:
+    with client.subscribe(found["name"], queue_length=_LONGEST_QUEUE, take=add) as subscription:
         if duration:
             client.answer(sleep, timeout=timeout)
         else:
@@ -361,7 +362,7 @@ def recorded(
             raise
         samples = _Samples(topic, recording.schema(topic), field, set_point)
         for time_ns, message in _messages(recording, topic):
-            samples.take(time_ns, message)
+            samples.add(time_ns, message)
         trace = samples.trace()
     end_ns = recording.summary().end_ns
     return trace if not last or end_ns is None else trace.since(end_ns / _SECOND - last)

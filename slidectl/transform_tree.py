@@ -109,7 +109,7 @@ class Frames:
         one, other = one.removeprefix("/"), other.removeprefix("/")
         return one in known and other in known and self.way_up(one)[-1] == self.way_up(other)[-1]
 
-    def look_up(self, reference: str, target: str) -> View:
+    def transform(self, reference: str, target: str) -> View:
         """The pose of `target` in `reference`.
 
         Raises:

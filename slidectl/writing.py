@@ -16,7 +16,7 @@ from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple, NoReturn, cast
 
 from slidectl.errors import Refused
-from slidectl.operating_system import take_room
+from slidectl.operating_system import reserve_space
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -247,7 +247,7 @@ def _overwrite(target: str, content: BinaryIO) -> None:
             before = os.fstat(file.fileno()).st_size
             try:
                 if size:
-                    take_room(file.fileno(), size)
+                    reserve_space(file.fileno(), size)
             except OSError as error:
                 os.ftruncate(file.fileno(), before)
                 error.filename = target

@@ -26,7 +26,7 @@ def read(name: str) -> str:
     return (ROOT / name).read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("script", ["command_reference.py", "controller_reference.py"])
+@pytest.mark.parametrize("script", ["command_reference.py", "controller_reference.py", "typed_messages.py"])
 def test_a_reference_is_what_the_program_says(script: str) -> None:
     done = subprocess.run([sys.executable, f"scripts/{script}", "--check"], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

@@ -36,7 +36,6 @@ SAME_FLOOR = {
     ("client", "description"),
     ("viewing", "gateways"),
     ("supervision", "client"),
-    ("open_page", "client"),
     ("open_page", "processes"),
     ("journal", "daemon"),
     ("control", "description"),
@@ -267,7 +266,7 @@ def test_what_linux_alone_has_is_used_in_one_module() -> None:
     """And in local_peers.py, which asks there whether it may: elsewhere whose a connection is cannot be told."""
     used = {str(path.relative_to(PACKAGE)): linux_only(path.read_text(encoding="utf-8")) for path in modules()}
     assert {name for name, found in used.items() if found} == {"operating_system.py", "local_peers.py"}, used
-    assert used["local_peers.py"] == {"socket.AF_NETLINK", "/proc/"}
+    assert used["local_peers.py"] == {"/proc/"}
 
 
 def test_the_search_for_what_linux_alone_has_finds_it() -> None:

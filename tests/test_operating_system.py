@@ -181,9 +181,9 @@ def test_a_file_in_memory_is_opened_by_a_child(ways: ModuleType) -> None:
 
 def test_room_on_the_disk_is_there_or_refused(ways: ModuleType, tmp_path: Path) -> None:
     with open(tmp_path / "file", "wb") as file:
-        ways.take_room(file.fileno(), 1000)
+        ways.reserve_space(file.fileno(), 1000)
         with pytest.raises(OSError) as caught:  # noqa: PT011 - the number tells it
-            ways.take_room(file.fileno(), 1 << 60)
+            ways.reserve_space(file.fileno(), 1 << 60)
     assert caught.value.errno in (errno.ENOSPC, errno.EFBIG)
 
 
@@ -194,7 +194,7 @@ def test_memory_is_told_and_bounded_where_it_can_be(ways: ModuleType) -> None:
     assert (resource.getrlimit(resource.RLIMIT_AS) == before) == (not ways.LINUX)
     resource.setrlimit(resource.RLIMIT_AS, before)
     assert ways.usable_cores() >= 1
-    assert ways.tells_owners_of_connections() == ways.LINUX
+    assert ways.knows_owners_of_connections() == ways.LINUX
     ways.set_timer_slack(ways.set_timer_slack(1))
 
 

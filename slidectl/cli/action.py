@@ -246,9 +246,9 @@ def _tell(ctx: Context, chosen: Action, goal_id: str, ended: ActionResult, reaso
 
 def _motion_after(ctx: Context, chosen: Action, ended: ActionResult, code: int) -> str | None:
     """What the joints do after a tolerance has aborted a goal; None for other ends."""
-    from slidectl.client.trajectory_goals import TOLERANCE_CODES, TYPE
+    from slidectl.client.action_client import TOLERANCE_CODES, TRAJECTORY_TYPE
 
-    if ended.state != "aborted" or chosen.type != TYPE or code not in TOLERANCE_CODES:
+    if ended.state != "aborted" or chosen.type != TRAJECTORY_TYPE or code not in TOLERANCE_CODES:
         return None
     controller = names.parent(chosen.name)
     parameter = f"{controller}/stop_on_abort"

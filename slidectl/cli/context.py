@@ -16,6 +16,7 @@ from slidectl.errors import UsageError
 if TYPE_CHECKING:
     from slidectl.client import Client
     from slidectl.client.manager import Manager
+    from slidectl.msgs.typed import Call, ResolveResponseMsg
     from slidectl.paths import InstancePaths
 
 DEFAULT_TIMEOUT_S = 10.0
@@ -108,9 +109,10 @@ class Context:
         while (left := deadline - client.monotonic()) > 0:
             next(client.events(left), None)
 
-    def call(self, service: str, request: dict[str, Any] | None = None, timeout: float | None = None) -> dict[str, Any]:
-        """Call a service. Raises Refused, TimedOut or NoDaemon as Client.call does."""
-        return self.client.call(service, request, timeout=timeout)
+    @property
+    def call(self) -> Call:
+        """`Client.call` of the daemon's client."""
+        return self.client.call
 
     def manager(self, namespace: str) -> Manager:
         """The controller manager of a namespace; its warnings go to stderr."""
@@ -129,7 +131,7 @@ class Context:
         service, key = _LISTS[kind]
         return sorted(self.call(service)[key])
 
-    def resolve(self, kind: str, name: str, role: str = "", with_field: bool = False) -> dict[str, Any]:
+    def resolve(self, kind: str, name: str, role: str = "", with_field: bool = False) -> ResolveResponseMsg:
         """The response of /slidectl/resolve for a name from the user. Raises as Client.resolve does."""
         return self.client.resolve(kind, name, namespace=self.namespace, role=role, with_field=with_field)
 

@@ -173,8 +173,7 @@ def list_controllers(ctx: Context, manager: str | None, with_unloaded: bool) -> 
 
 
 def _rows(manager: Manager, with_unloaded: bool) -> list[dict[str, Any]]:
-    keys = ("name", "state", "type", "claimed_resources")
-    loaded = [{"manager": manager.namespace, **{key: one[key] for key in keys}} for one in manager.controllers()]
+    loaded: list[dict[str, Any]] = [{"manager": manager.namespace, **one} for one in manager.controllers()]
     if not with_unloaded:
         return loaded
     missing = sorted(set(manager.configured()) - {one["name"] for one in loaded})

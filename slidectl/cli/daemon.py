@@ -402,7 +402,7 @@ def list_daemons(ctx: Context) -> None:
     JSON keys: instance, socket, pid, answers, time (s, simulated), since (date and time), state (running, paused,
     stopped by an error, or why it does not answer), robots, gateways (objects with kind, pid, address).
     """
-    from slidectl.daemon.instances import running_daemons
+    from slidectl.daemon.lifecycle import running_daemons
     from slidectl.extensions.gateways.process import find_all
     from slidectl.paths import is_named_by_instance
 
@@ -412,15 +412,15 @@ def list_daemons(ctx: Context) -> None:
         state = status["trouble"] or ("paused" if status["paused"] else "running") if status else ""
         since = one.since and datetime.fromtimestamp(one.since).astimezone().isoformat(timespec="seconds")
         gateways = [{"kind": found.kind, "pid": found.pid, "address": found.address} for found in find_all(one.paths)]
-        row = {
+        row: dict[str, Any] = {
             "instance": one.paths.name,
             "socket": one.paths.socket_text,
             "pid": one.pid,
             "answers": bool(status),
-            "time": status.get("time"),
+            "time": status["time"] if status else None,
             "since": since,
             "state": state or f"does not answer: {one.trouble}",
-            "robots": status.get("robots", []),
+            "robots": status["robots"] if status else [],
             "gateways": gateways,
         }
         if ctx.format == "text":

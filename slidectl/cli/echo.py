@@ -153,14 +153,14 @@ def writer(ctx: Context, schema: Schema, field: str, look: MessageFormat) -> Wri
         return _csv_writer(ctx, schema, selection, look)
     if look.form == "json":
         return lambda event: output.write(
-            output.as_json(_pruned(schema, selection.type, selection.depth, selection.take(event.message), look))
+            output.as_json(_pruned(schema, selection.type, selection.depth, selection.read(event.message), look))
         )
     form = YamlForm(schema, look.width, look.arrays, look.strings)
     text = form.printer(selection.type, selection.depth, full=look.from_bag)
 
     def write(event: Event) -> None:
         form.offset_ns = event.time_ns if look.offset else 0
-        output.write(f"{_CLEAR if look.clear else ''}{text(selection.take(event.message))}\n---\n")
+        output.write(f"{_CLEAR if look.clear else ''}{text(selection.read(event.message))}\n---\n")
 
     return write
 
@@ -186,7 +186,7 @@ def _csv_writer(ctx: Context, schema: Schema, selection: Selection, look: Messag
         nonlocal header
         form.offset_ns = event.time_ns if look.offset else 0
         time_ns = nanoseconds(event.message["header"]["stamp"]) if stamped else event.time_ns
-        row = form.row(selection.take(event.message), selection.type, selection.depth, time_ns)
+        row = form.row(selection.read(event.message), selection.type, selection.depth, time_ns)
         if row.header != header:
             if header:
                 ctx.warn("an array has changed its length, so the columns have changed: a new header line follows")

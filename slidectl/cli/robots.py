@@ -5,8 +5,8 @@ Other commands use its functions to find a robot by name, and to print its repor
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -16,7 +16,8 @@ from slidectl.cli.context import Context
 from slidectl.errors import Refused, UnknownName, closest
 from slidectl.names import is_under, join
 
-Robot = dict[str, Any]
+if TYPE_CHECKING:
+    from slidectl.msgs.typed import RobotInfoMsg
 
 _NONE = "no robots in the world; spawn one: slidectl spawn slider"
 _JOINT_COLUMNS = (
@@ -24,12 +25,12 @@ _JOINT_COLUMNS = (
 )  # fmt: skip
 
 
-def all_robots(ctx: Context) -> list[Robot]:
+def all_robots(ctx: Context) -> list[RobotInfoMsg]:
     """Every robot (slidectl/RobotInfo), by name."""
     return sorted(ctx.call("/slidectl/list_robots", {"name": ""})["robots"], key=lambda robot: str(robot["name"]))
 
 
-def find(robots: Sequence[Robot], name: str) -> Robot:
+def find(robots: Sequence[RobotInfoMsg], name: str) -> RobotInfoMsg:
     """The robot of that name, or of that namespace (`/left`). Raises UnknownName."""
     for robot in robots:
         if name == robot["name"] or (name.startswith("/") and name == robot["namespace"]):
@@ -54,7 +55,7 @@ def robots(ctx: Context, name: str | None) -> None:
     if name is None:
         rows = [record(robot, with_report=False) for robot in found]
         if ctx.format in ("text", "csv"):
-            rows = [{**row, "joints": moving(row)} for row in rows]
+            rows = [{**row, "joints": moving(robot)} for row, robot in zip(rows, found, strict=True)]
         ctx.emit_rows(rows, ["name", "namespace", "kind", "fixed", "joints", "controllers"], empty=_NONE)
         return
     one = record(found[0])
@@ -64,7 +65,7 @@ def robots(ctx: Context, name: str | None) -> None:
         ctx.emit(one, robot_text(one, ctx.verbose > 0) if ctx.format == "text" else None)
 
 
-def record(robot: Robot, with_report: bool = True) -> Robot:
+def record(robot: RobotInfoMsg, with_report: bool = True) -> dict[str, Any]:
     """A slidectl/RobotInfo with the documented JSON keys."""
     joints = [{**joint, "interface": joint["hardware_interface"]} for joint in robot["joints"]]
     shown = {**robot, "joints": [{key: joint[key] for key in _JOINT_COLUMNS} for joint in joints]}
@@ -78,13 +79,13 @@ def warn_stopped(ctx: Context, stopped: Sequence[str]) -> None:
         ctx.warn(f"emergency stop is on: {', '.join(stopped)}; slidectl estop release ends it")
 
 
-def moving(robot: Robot) -> list[str]:
+def moving(robot: RobotInfoMsg) -> list[str]:
     """The names of the robot's joints, without the fixed ones."""
     return [joint["name"] for joint in robot["joints"] if joint["type"] != "fixed"]
 
 
-def robot_text(robot: Robot, with_report: bool) -> str:
-    """The text of one robot."""
+def robot_text(robot: Mapping[str, Any], with_report: bool) -> str:
+    """The text of one robot; takes what `record` returns."""
     head = {
         "name": robot["name"],
         "namespace": robot["namespace"],
@@ -109,13 +110,13 @@ def robot_text(robot: Robot, with_report: bool) -> str:
     return "\n\n".join(parts)
 
 
-def notice_text(notice: dict[str, Any]) -> str:
+def notice_text(notice: Mapping[str, Any]) -> str:
     """`file:line: verdict: subject: text`."""
     where = f"{notice['file']}:{notice['line']}" if notice["line"] else notice["file"]
     return f"{where}: {notice['verdict']}: {notice['subject']}: {notice['text']}"
 
 
-def summary(name: str, notices: Sequence[dict[str, Any]]) -> str:
+def summary(name: str, notices: Sequence[Mapping[str, Any]]) -> str:
     """One line with the counts of the notices and the command that lists them."""
     titles = {"wrong": "wrong", "ignored": "without effect", "converted": "converted"}
     counts = {verdict: sum(notice["verdict"] == verdict for notice in notices) for verdict in titles}
@@ -174,7 +175,7 @@ def estop(ctx: Context, words: tuple[str, ...], namespaces: tuple[str, ...]) -> 
         ctx.done(record, f"{robot['name']}: {'emergency stop' if stop else 'released'}{already}")
 
 
-def _below(present: Sequence[Robot], namespace: str) -> list[Robot]:
+def _below(present: Sequence[RobotInfoMsg], namespace: str) -> list[RobotInfoMsg]:
     """The robots in a namespace. Raises UnknownName when all robots are outside it."""
     found = [robot for robot in present if is_under(robot["namespace"], namespace)]
     if present and not found:

@@ -173,7 +173,7 @@ def call_service(ctx: Context, full: str, request: dict[str, Any]) -> tuple[dict
 
     Raises as Client.call; TimedOut after a minute.
     """
-    response = ctx.call(full, request, ctx.wait_limit(CALL_TIMEOUT_S))
+    response = ctx.call(full, request, timeout=ctx.wait_limit(CALL_TIMEOUT_S))
     verdict = next((f"{field}: false" for field in ("ok", "success") if response.get(field) is False), None)
     texts = [response.get(field) for field in ("message", "status_message")]
     result = response.get("result")

@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Mapping
 from contextlib import suppress
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -15,6 +15,9 @@ from slidectl.cli.commands import group, wait_for_world_s
 from slidectl.cli.context import Context
 from slidectl.command_steps import CommandStep, StepEffects
 from slidectl.errors import Refused, TimedOut, UsageError
+
+if TYPE_CHECKING:
+    from slidectl.msgs.typed import StatusResponseMsg
 
 _STEPS = r"\d+"
 _SECONDS = r"(?i)(?P<number>\d+\.?\d*|\.\d+)(e[-+]?\d+)?\s*(?P<unit>s|ms)"
@@ -38,9 +41,10 @@ def status(ctx: Context) -> None:
     ctx.emit(answer, status_text(answer))
 
 
-def status_text(answer: dict[str, Any]) -> str:
+def status_text(answer: StatusResponseMsg) -> str:
     """The answer of /slidectl/status as text."""
-    cycles = [f"{_micro(answer[f'cycle_{name}'])} {name}" for name in ("mean", "p99", "worst")]
+    times = (("mean", answer["cycle_mean"]), ("p99", answer["cycle_p99"]), ("worst", answer["cycle_worst"]))
+    cycles = [f"{_micro(time)} {name}" for name, time in times]
     late = f"{_micro(answer['lateness_p50'])} p50, {_micro(answer['lateness_p99'])} p99"
     journal_ended = f", which has ended: {answer['journal_trouble']}" if answer["journal_trouble"] else ""
     lines = {
@@ -66,7 +70,7 @@ def status_text(answer: dict[str, Any]) -> str:
     return "\n".join(f"{key + ':':<12} {text}" for key, text in lines.items() if text)
 
 
-def camera_rates(answer: dict[str, Any]) -> list[str]:
+def camera_rates(answer: StatusResponseMsg) -> list[str]:
     """For each camera that draws pictures, its topic and rate, from the answer of /slidectl/status."""
     rates = zip(answer["cameras"], answer["cameras_asked"], answer["cameras_reached"], strict=True)
     return [f"{topic}: {asked:.3g} Hz asked, {reached:.3g} reached" for topic, asked, reached in rates]
@@ -158,11 +162,12 @@ def step(ctx: Context, amount: str | None, until: str | None) -> None:
         seconds = request["seconds"] or request["cycles"] * 1e-3
     limit = ctx.wait_limit(wait_for_world_s(seconds))
     try:
-        answer = _demand(ctx.call("/slidectl/step", request, limit))
+        answer = ctx.call("/slidectl/step", request, timeout=limit)
     except TimedOut:
         raise TimedOut(
             f"the steps are not done within {limit:g} s", "the rest is given up; allow more with --timeout"
         ) from None
+    _demand(answer)
     record = {"time": answer["time"], "cycles": answer["cycles"]}
     ctx.done(record, f"time {answer['time']:.6g} s after {answer['cycles']} cycles")
 
@@ -188,10 +193,9 @@ def parse_amount(text: str) -> dict[str, Any]:
     return {"cycles": int(text), "seconds": 0.0}
 
 
-def _demand(answer: dict[str, Any]) -> dict[str, Any]:
+def _demand(answer: Mapping[str, Any]) -> None:
     if not answer["success"]:
         raise Refused(answer["message"] or "refused without a reason")
-    return answer
 
 
 # --- snapshots --------------------------------------------------------------------------------------------------------

@@ -17,7 +17,6 @@ from slidectl.cli import completion, output, robots
 from slidectl.cli.commands import Variadic, command, looks_like_number
 from slidectl.cli.context import Context
 from slidectl.cli.controller import read_parameters
-from slidectl.cli.robots import Robot
 from slidectl.client import spawning
 from slidectl.command_steps import CommandStep, StepEffects
 from slidectl.errors import BadFile, NotThere, Refused, SlidectlError, UsageError
@@ -26,6 +25,7 @@ if TYPE_CHECKING:
     from slidectl.description import Document, Packages
     from slidectl.description.missing import Missing
     from slidectl.description.sdf import Scene
+    from slidectl.msgs.typed import RobotInfoMsg
 
 
 def _check_words(
@@ -153,7 +153,7 @@ def spawn(
             raise unknown
         _leave_out(missing, unknown.name, unknown)
         plan.controllers.remove(unknown.name)
-    warnings = spawn.put()
+    warnings = spawn.apply()
     manager = ctx.manager(plan.namespace)
     loads = spawn.ask_to_load(manager)
     robot = spawn.robot()  # in the same round trip
@@ -344,11 +344,11 @@ def _spawn_scene(
     plan = spawning.scene_plan(scene.named(name), spawning.pose(at, "--at"), fixed=fixed, strict=strict)
     spawn = spawning.Spawn(ctx.client, plan, ctx.warn, ctx.wait_limit(spawning.LIMIT_S))
     spawn.check()
-    warnings = spawn.put()
+    warnings = spawn.apply()
     present = {robot["name"]: robot for robot in robots.all_robots(ctx)}
     spawned = [present[model] for model in spawn.names]
-    told = [vars(notice) for notice in scene.notices] + [notice for robot in spawned for notice in robot["report"]]
-    _tell_notices(ctx, told)
+    _tell_notices(ctx, [vars(notice) for notice in scene.notices])
+    _tell_notices(ctx, [notice for robot in spawned for notice in robot["report"]])
     for warning in warnings:
         ctx.warn(warning)
     for robot in spawned:
@@ -364,7 +364,7 @@ def _leave_out(missing: Missing, controller: str, error: SlidectlError) -> None:
     missing.note(NotThere(error.message, hint=error.hint), f"the controller {controller} is left out")
 
 
-def _how_to_go_on(ctx: Context, robot: Robot, controllers: str | None, start: Sequence[str]) -> str:
+def _how_to_go_on(ctx: Context, robot: RobotInfoMsg, controllers: str | None, start: Sequence[str]) -> str:
     """What to type after a robot has been spawned whose controllers did not start."""
     from slidectl.paths import command
 
@@ -378,7 +378,7 @@ def _how_to_go_on(ctx: Context, robot: Robot, controllers: str | None, start: Se
     return f"the robot stays in the world: {again}\nor take it out again: {typed('delete ' + robot['name'])}"
 
 
-def _tell_report(ctx: Context, robot: Robot, document: Document, positions: Mapping[str, float]) -> None:
+def _tell_report(ctx: Context, robot: RobotInfoMsg, document: Document, positions: Mapping[str, float]) -> None:
     """Print the report on the tags: wrong tags and corrected inertias in full, the others counted unless `-v`."""
     from slidectl.description.parser import is_moved_inside
 
@@ -390,7 +390,7 @@ def _tell_report(ctx: Context, robot: Robot, document: Document, positions: Mapp
         ctx.say(robots.summary(robot["name"], report))
 
 
-def _tell_notices(ctx: Context, notices: Sequence[dict[str, Any]]) -> None:
+def _tell_notices(ctx: Context, notices: Sequence[Mapping[str, Any]]) -> None:
     from slidectl.description.report import is_important
 
     for notice in notices:
@@ -398,10 +398,9 @@ def _tell_notices(ctx: Context, notices: Sequence[dict[str, Any]]) -> None:
             ctx.warn(robots.notice_text(notice))
 
 
-def _tell(ctx: Context, robot: Robot) -> None:
-    robot = robots.record(robot)
+def _tell(ctx: Context, robot: RobotInfoMsg) -> None:
     # When the physics diverges at once, the pose is NaN, which the protocol sends as null.
     x, y, z = (math.nan if value is None else round(value, 3) + 0.0 for value in robot["pose"][:3])
     joints = " ".join(robots.moving(robot)) or "none"
     how = f"spawned in {robot['namespace']}" if robot["kind"] == "robot" else f"{robot['kind']}, spawned"
-    ctx.done(robot, f"{robot['name']}: {how} at {x:g} {y:g} {z:g}, joints: {joints}")
+    ctx.done(robots.record(robot), f"{robot['name']}: {how} at {x:g} {y:g} {z:g}, joints: {joints}")

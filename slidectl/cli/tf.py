@@ -159,7 +159,7 @@ def echo(ctx: Context, reference: str, target: str, count: int | None, follow: b
         due = listener.stream.monotonic()
         reference, target = listener.find(reference, target)
         while True:
-            _tell(ctx, reference, target, listener.frames.look_up(reference, target))
+            _tell(ctx, reference, target, listener.frames.transform(reference, target))
             left -= 1
             if left <= 0:
                 return

@@ -81,7 +81,7 @@ class IntervalMeter(Meter):
     def take(self, event: Event) -> None:
         if self._keep(event.message):
             super().take(event)
-            self._window.take(self._time_ns(event))
+            self._window.add(self._time_ns(event))
 
     def _figures(self) -> Record:
         """`rate` in Hz (None when all messages came at one time), and statistics of the intervals in s."""
@@ -253,8 +253,8 @@ def _tell_slow_cameras(ctx: Context, topics: Collection[str]) -> bool:
     """Warn of cameras that drawing does not keep up with. True when there was one."""
     status = ctx.call("/slidectl/status")
     found = False
-    keys = ("cameras", "cameras_asked", "cameras_reached", "cameras_advice")
-    for topic, asked, reached, advice in zip(*(status[key] for key in keys), strict=True):
+    rates = status["cameras_asked"], status["cameras_reached"]
+    for topic, asked, reached, advice in zip(status["cameras"], *rates, status["cameras_advice"], strict=True):
         if topic in topics and advice:
             found = True
             ctx.warn(f"{topic}: {asked:.3g} Hz asked, {reached:.3g} reached; {advice}")

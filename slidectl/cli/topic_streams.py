@@ -19,6 +19,7 @@ from slidectl.msgs.schema import Schema, Typedefs, from_typedefs, nanoseconds
 if TYPE_CHECKING:
     from slidectl.cli.context import Context
     from slidectl.client import Subscription
+    from slidectl.msgs.typed import StatusResponseMsg
 
 PUBLISHERS = "publishers"
 SUBSCRIBERS = "subscribers"
@@ -213,7 +214,8 @@ class Stream:
     def _ask_status(self, now: float) -> None:
         """After some time without a message, ask for the status; print once when the world is paused."""
         if self._status is not None and self._client.is_answered(self._status):
-            status, self._status = self._client.answer(self._status), None
+            status: Any = self._client.answer(self._status)
+            self._status = None
             if status["paused"]:
                 self._ask_at = math.inf
                 self._ctx.say(f"{paused(status)}; nothing comes until it goes on: {resume_hint(status)}")
@@ -222,12 +224,12 @@ class Stream:
             self._status = self._client.call_async("/slidectl/status")
 
 
-def paused(status: dict[str, Any]) -> str:
+def paused(status: StatusResponseMsg) -> str:
     """The text that the simulation is paused, with the reason when an error paused it. Takes /slidectl/status."""
     return "the simulation is paused" + (f" ({status['trouble']})" if status["trouble"] else "")
 
 
-def resume_hint(status: dict[str, Any]) -> str:
+def resume_hint(status: StatusResponseMsg) -> str:
     """The commands that resume the paused world."""
     if status["trouble"]:
         return "slidectl sim reset, then slidectl sim resume"

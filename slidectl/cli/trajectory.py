@@ -37,7 +37,7 @@ _DURATIONS = (("secs", "nsecs"), ("sec", "nanosec"))
 
 
 def _controllers(ctx: Context) -> dict[str, str]:
-    from slidectl.client.trajectory_goals import trajectory_controllers
+    from slidectl.client.action_client import trajectory_controllers
 
     return trajectory_controllers(ctx.client.topics())
 
@@ -90,7 +90,7 @@ def plan(ctx: Context, controller: str, targets: tuple[str, ...], duration: floa
     The other joints go to their desired positions of this moment. All come to rest at the end, by a polynomial
     without jumps of velocity and acceleration. JSON keys as for send.
     """
-    from slidectl.client.trajectory_goals import desired_positions, goal_to
+    from slidectl.client.action_client import desired_positions, goal_to
 
     wanted = dict(_target(text) for text in targets)
     cycle_s = ctx.call("/slidectl/status")["timestep"]
@@ -112,7 +112,7 @@ def hold(ctx: Context, controller: str) -> None:
 
     JSON key: controller.
     """
-    from slidectl.client.trajectory_goals import hold as hold_joints
+    from slidectl.client.action_client import hold as hold_joints
 
     with _action(ctx, controller) as action:
         full = names.parent(action.name)
@@ -140,7 +140,7 @@ def state(ctx: Context, controller: str) -> None:
 
     JSON keys of each joint: joint, desired, actual, error, desired_velocity, actual_velocity.
     """
-    from slidectl.client.trajectory_goals import desired_positions
+    from slidectl.client.action_client import desired_positions
 
     with _action(ctx, controller) as action:
         # Raises an error for a controller that does not run, which would publish no state.

@@ -140,7 +140,7 @@ def _show_progress(
                 client.forget(clock)
             while len(topic):
                 with suppress(SlidectlError, LookupError):  # an element that does not exist yet
-                    last = selection.take(topic.get())
+                    last = selection.read(topic.get())
                     if isinstance(last, int | float) and isinstance(target, int | float):
                         past = last - target
                         gap = abs(past) if kind in ("near", "equals") else max(0.0, -past if kind == "above" else past)

@@ -1,4 +1,4 @@
-"""The client's side of an action: send a goal, follow it, cancel it, read its result.
+"""The client's side of an action: send a goal, follow it, cancel it, read its result. Goals of trajectories.
 
 An action is five topics below one name, as in actionlib: `goal`, `cancel`, `status`, `feedback`, `result`. The client
 starts no thread: messages are read while a call waits.
@@ -10,7 +10,7 @@ import itertools
 import math
 import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from slidectl import names
@@ -26,6 +26,9 @@ STATES = (
 )  # fmt: skip
 """The states of a goal; the index is the number in actionlib_msgs/GoalStatus."""
 SUCCEEDED, LOST = 3, 9
+TRAJECTORY_TYPE = "control_msgs/FollowJointTrajectory"
+TOLERANCE_CODES = (-4, -5)
+"""Error codes of a goal that a tolerance on its path, or at its end, has aborted."""
 _SUFFIX = "ActionGoal"
 _LOOK_EVERY_S = 1.0
 """Wall seconds between two checks that the action still has a server."""
@@ -200,3 +203,36 @@ class Action:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+# --- goals of joint trajectory controllers ---------------------------------------------------------------------------
+
+
+def trajectory_controllers(topics: dict[str, str]) -> dict[str, str]:
+    """Full name of each trajectory controller -> its action, among topics and their types."""
+    return {names.parent(name): name for name, kind in goal_topics(topics).items() if kind == TRAJECTORY_TYPE}
+
+
+def desired_positions(client: Client, controller: str) -> dict[str, float]:
+    """Joint -> its desired position now. Raises Refused: the controller does not run."""
+    now = client.call("/rosapi/get_time")["time"]
+    answer = client.call(f"{controller}/query_state", {"time": now})
+    return dict(zip(answer["name"], answer["position"], strict=True))
+
+
+def goal_to(positions: Mapping[str, float], duration: float) -> Message:
+    """A goal that moves the joints to `positions`, at rest, in `duration` simulated seconds."""
+    secs, nsecs = divmod(round(duration * 1e9), 10**9)
+    zeros = [0.0] * len(positions)
+    point = {
+        "positions": list(positions.values()),
+        "velocities": zeros,
+        "accelerations": zeros,
+        "time_from_start": {"secs": secs, "nsecs": nsecs},
+    }
+    return {"trajectory": {"joint_names": list(positions), "points": [point]}}
+
+
+def hold(client: Client, controller: str) -> None:
+    """Cancel the trajectory in progress and hold the joints in place."""
+    client.deliver(f"{controller}/command", {})

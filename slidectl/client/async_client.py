@@ -11,7 +11,7 @@ import math
 import os
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import suppress
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 from slidectl import names, paths
 from slidectl.errors import NoDaemon, Refused, SlidectlError, TimedOut, UnknownName, Unused
@@ -19,6 +19,9 @@ from slidectl.operating_system import peer
 from slidectl.wire.json_lines import BadLine, LineBuffer, decode
 from slidectl.wire.messages import SYNCHRONIZE, Message, reasons_of, resolved, values_of
 from slidectl.wire.peers import ClientPeer, Inbox, check_daemon_user, nobody_answers, went_away
+
+if TYPE_CHECKING:
+    from slidectl.msgs.typed import ResolveResponseMsg
 
 AsyncHandler = Callable[[Message], Awaitable[Message]]
 
@@ -112,7 +115,7 @@ class AsyncClient:
             self._transport.close()
             self._end()
         for inbox in [one for inboxes in self._peer.inboxes.values() for one in inboxes]:
-            inbox.tell_dropped()
+            inbox.warn_of_dropped()
 
     async def __aenter__(self) -> Self:
         return await self.connect()
@@ -368,10 +371,11 @@ class AsyncClient:
 
     async def resolve(
         self, kind: str, name: str, *, namespace: str = "/", role: str = "", with_field: bool = False
-    ) -> Message:
+    ) -> ResolveResponseMsg:
         """The full name of a short one, as `Client.resolve`. Raises UnknownName, AmbiguousName, Unused."""
         request = {"kind": kind, "name": name, "namespace": namespace, "role": role, "with_field": with_field}
-        return resolved(await self._call("/slidectl/resolve", request, None))
+        response: ResolveResponseMsg = resolved(await self._call("/slidectl/resolve", request, None))
+        return response
 
     # --- what arrives -------------------------------------------------------------------------------------------
 
@@ -381,7 +385,7 @@ class AsyncClient:
             self.on_line(line)
             return
         message = decode(line)
-        answered = self._peer.take(message)
+        answered = self._peer.receive(message)
         if message.get("op") == "status" and message.get("level") == "error":
             self._pass_on_refusal(message)
         if answered is not None and (waiting := self._waiting.get(answered)) is not None and not waiting.done():
@@ -433,8 +437,8 @@ class AsyncSubscription(Inbox):
         self._client = client
         self._arrived = asyncio.Event()
 
-    def put(self, published: Message) -> None:
-        super().put(published)
+    def add(self, published: Message) -> None:
+        super().add(published)
         self._arrived.set()
 
     def wake(self) -> None:
@@ -467,7 +471,7 @@ class AsyncSubscription(Inbox):
     def close(self) -> None:
         """Unsubscribe. Messages in the queue can still be read. Warns of dropped messages."""
         self._client.end_subscription(self)
-        self.tell_dropped()
+        self.warn_of_dropped()
 
     async def __aenter__(self) -> Self:
         return self

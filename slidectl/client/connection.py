@@ -10,7 +10,7 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from typing import Self
+from typing import TYPE_CHECKING, Self, cast
 
 from slidectl import names, paths
 from slidectl.client.link import ClientLink, SocketLink
@@ -19,7 +19,15 @@ from slidectl.paths import command
 from slidectl.wire.messages import SYNCHRONIZE, Message, reasons_of, resolved, values_of
 from slidectl.wire.peers import ClientPeer, Inbox, typed
 
+if TYPE_CHECKING:
+    from slidectl.msgs.typed import Call, ResolveResponseMsg
+
 _PROBE_S = 0.5
+
+
+def _typed(call: Callable[..., Message]) -> Call:
+    """Give type checkers the responses of the known services."""
+    return cast("Call", call)
 
 
 class GraphClient:
@@ -61,6 +69,7 @@ class GraphClient:
 
     # --- services -----------------------------------------------------------------------------------------------
 
+    @_typed
     def call(self, service: str, request: Message | None = None, *, timeout: float | None = None) -> Message:
         """Call a service and wait for its response; missing fields of the request take their defaults.
 
@@ -285,7 +294,7 @@ class GraphClient:
 
     def resolve(
         self, kind: str, name: str, *, namespace: str = "/", role: str = "", with_field: bool = False
-    ) -> Message:
+    ) -> ResolveResponseMsg:
         """The full name of a short one: the name itself, or the only name that ends with it, as on the command line.
 
         Args:
@@ -302,14 +311,15 @@ class GraphClient:
             UnknownName: no match. AmbiguousName: several matches. Unused: the topic has no node in the role.
         """
         request = {"kind": kind, "name": name, "namespace": namespace, "role": role, "with_field": with_field}
-        return resolved(self._answer(self.call_async("/slidectl/resolve", request), None))
+        response: ResolveResponseMsg = resolved(self._answer(self.call_async("/slidectl/resolve", request), None))
+        return response
 
     # --- what arrives -------------------------------------------------------------------------------------------
 
     def events(self, timeout: float = math.inf) -> Iterator[Message]:
         """Every object that arrives, as received. Ends when nothing arrives for `timeout` seconds."""
         while (message := self._link.receive(self.monotonic() + timeout)) is not None:
-            self._take(message)
+            self._receive(message)
             yield message
 
     def wait_until(self, condition: Callable[[], bool], timeout: float | None, failure: str) -> None:
@@ -325,11 +335,11 @@ class GraphClient:
             message = link.receive(deadline)
             if message is None:
                 return False
-            self._take(message)
+            self._receive(message)
         return True
 
-    def _take(self, message: Message) -> None:
-        self._peer.take(message)
+    def _receive(self, message: Message) -> None:
+        self._peer.receive(message)
         self._link.last_status = self._peer.last_status
 
     def _timed_out(self, failure: str, seconds: float) -> TimedOut:
@@ -386,7 +396,7 @@ class GraphClient:
         """Close the connection without waiting. Its advertisements and subscriptions end. Warns of dropped messages."""
         self._link.close()
         for inbox in [one for inboxes in self._peer.inboxes.values() for one in inboxes]:
-            inbox.tell_dropped()
+            inbox.warn_of_dropped()
 
     def __enter__(self) -> Self:
         return self
@@ -438,7 +448,7 @@ class Subscription(Inbox):
     def close(self) -> None:
         """Unsubscribe. Messages in the queue can still be read. Warns of dropped messages."""
         self._client.unsubscribe(self)
-        self.tell_dropped()
+        self.warn_of_dropped()
 
     def __enter__(self) -> Self:
         return self

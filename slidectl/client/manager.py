@@ -11,7 +11,12 @@ from slidectl.errors import Refused
 
 if TYPE_CHECKING:
     from slidectl.client.connection import GraphClient
-    from slidectl.wire.messages import Message
+    from slidectl.msgs.typed import (
+        ControllerStateMsg,
+        HardwareInterfaceResourcesMsg,
+        ListControllerTypesResponseMsg,
+        UpdateTimesMsg,
+    )
 
 STRICT = 2
 BEST_EFFORT = 1
@@ -44,7 +49,7 @@ class Manager:
         self._limit_s = limit_s
         self._timeout_s = timeout_s
 
-    def _call(self, verb: str, **request: Any) -> Message:
+    def _call(self, verb: str, **request: Any) -> Any:
         return self.client.call(f"{self.name}/{verb}", request, timeout=self._limit_s)
 
     def _act(self, what: str, verb: str, **request: Any) -> None:
@@ -71,7 +76,7 @@ class Manager:
         """Send the request of `controllers` and `states` ahead."""
         return self.client.call_async(f"{self.name}/list_controllers")
 
-    def controllers(self, asked: str | None = None) -> list[Message]:
+    def controllers(self, asked: str | None = None) -> list[ControllerStateMsg]:
         """The loaded controllers, in load order (controller_manager_msgs/ControllerState)."""
         call_id = self.ask_for_controllers() if asked is None else asked
         return list(self.client.answer(call_id, timeout=self._limit_s)["controller"])
@@ -80,13 +85,14 @@ class Manager:
         """Name -> state of the loaded controllers."""
         return {controller["name"]: controller["state"] for controller in self.controllers(asked)}
 
-    def update_times(self) -> list[Message]:
+    def update_times(self) -> list[UpdateTimesMsg]:
         """Update durations of the loaded controllers, in load order (slidectl/UpdateTimes)."""
-        return list(self.client.call("/slidectl/update_times", {"robot": self.namespace})["controllers"])
+        return self.client.call("/slidectl/update_times", {"robot": self.namespace})["controllers"]
 
-    def types(self) -> Message:
+    def types(self) -> ListControllerTypesResponseMsg:
         """The controller types: `types` and `base_classes`, parallel lists."""
-        return self._call("list_controller_types")
+        types: ListControllerTypesResponseMsg = self._call("list_controller_types")
+        return types
 
     def parameter_names(self) -> list[str]:
         """The names of all parameters of the daemon, sorted."""
@@ -232,7 +238,7 @@ def is_configured(parameters: Sequence[str], namespace: str, name: str) -> bool:
     return names.join(namespace, f"{name}/type") in parameters
 
 
-def claimed_text(resources: Sequence[Message]) -> str:
+def claimed_text(resources: Sequence[HardwareInterfaceResourcesMsg]) -> str:
     """The claims as text, for example `EffortJointInterface: joint1 joint2`; `; ` separates interfaces."""
     parts = ((item["hardware_interface"].rpartition("::")[2], item["resources"]) for item in resources)
     return "; ".join(f"{interface}: {' '.join(claimed)}" if claimed else interface for interface, claimed in parts)

@@ -21,7 +21,7 @@ class RateMeter:
     def __len__(self) -> int:
         return len(self._taken)
 
-    def take(self, time_ns: int, count: int | None = None) -> None:
+    def add(self, time_ns: int, count: int | None = None) -> None:
         """Add a message. `count`: messages that the publisher had sent before, if not all of them are added."""
         last_ns, last = self._taken[-1] if self._taken else (time_ns, -1)
         count = last + 1 if count is None else count

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from slidectl.description.missing import Missing
     from slidectl.description.robot import Robot
     from slidectl.description.sdf import Scene, SdfModel
+    from slidectl.msgs.typed import RobotInfoMsg
 
 Tree = dict[str, Any]
 Message = dict[str, Any]
@@ -220,7 +221,7 @@ class SpawnRefused(Refused):
 
 
 class Spawn:
-    """Carries out a plan on a client's world: `check`, then `put`, then `bring_up`.
+    """Carries out a plan on a client's world: `check`, then `apply`, then `bring_up`.
 
     Without a scene, joints and missing parameters these are eight requests for two controllers, in six round trips.
 
@@ -237,7 +238,7 @@ class Spawn:
         plan: SpawnPlan,
         warn: Callable[[str], None] = lambda _text: None,
         limit_s: float = LIMIT_S,
-        fit: Callable[[Message], tuple[Mapping[str, float], list[str]]] | None = None,
+        fit: Callable[[RobotInfoMsg], tuple[Mapping[str, float], list[str]]] | None = None,
     ) -> None:
         self.client = client
         self.plan = plan
@@ -270,7 +271,7 @@ class Spawn:
         where = f"in the parameters of {plan.namespace}"
         return [UnknownName("controller", name, known, where) for name in plan.controllers if name not in known]
 
-    def put(self) -> list[str]:
+    def apply(self) -> list[str]:
         """Set the parameters, spawn the models and put the joints. Returns the world's remarks.
 
         For a scene and for joints the world is paused meanwhile, so that no cycle runs between the requests.
@@ -284,16 +285,16 @@ class Spawn:
             for reason in self.client.reasons:
                 self._warn(reason)
         if not plan.is_scene and not plan.joints:
-            return self._put(plan.models[0])
+            return self._spawn_model(plan.models[0])
         remarks: list[str] = []
-        with self._taken_back() as there:
+        with self._undone_on_failure() as there:
             for model in plan.models:
-                remarks += self._put(model)
+                remarks += self._spawn_model(model)
                 there.append(model["model_name"])  # after the call: a refused name may be another model's
             # Replaces the spawn's remarks, which are about joints at 0.
             return self._start_joints() if plan.joints else remarks
 
-    def _put(self, model: Message) -> list[str]:
+    def _spawn_model(self, model: Message) -> list[str]:
         kind = "sdf" if self.plan.is_scene else "urdf"
         answer = self.client.call(f"/gazebo/spawn_{kind}_model", model, timeout=self._limit_s)
         if not answer["success"]:
@@ -312,7 +313,7 @@ class Spawn:
         return [*remarks, *answer["message"].split("\n")[1:]]
 
     @contextmanager
-    def _taken_back(self) -> Iterator[list[str]]:
+    def _undone_on_failure(self) -> Iterator[list[str]]:
         """Pause the world inside the context. On an exception, delete the models in the list that it gives."""
         was_running = not self.client.call("/slidectl/status")["paused"]
         there: list[str] = []
@@ -330,9 +331,9 @@ class Spawn:
                 with suppress(NoDaemon):
                     self.client.call("/gazebo/unpause_physics")
 
-    def robot(self) -> Message:
+    def robot(self) -> RobotInfoMsg:
         """The first model as it is in the world (slidectl/RobotInfo)."""
-        return dict(self.client.call("/slidectl/list_robots", {"name": self.names[0]})["robots"][0])
+        return self.client.call("/slidectl/list_robots", {"name": self.names[0]})["robots"][0]
 
     def ask_to_load(self, manager: Manager) -> dict[str, str]:
         """Send the requests to load the controllers, for `bring_up`. The robot is new, so none is loaded yet."""

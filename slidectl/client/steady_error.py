@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
-from typing import Any
 
 from slidectl import names
 from slidectl.client.client import Client
@@ -91,7 +90,7 @@ def _of_controller(client: Client, namespace: str, space: str, joint: str) -> st
 
 
 def _units(client: Client, namespace: str, joint: str) -> tuple[str, str]:
-    robots: list[dict[str, Any]] = client.call("/slidectl/list_robots", {"name": ""})["robots"]
+    robots = client.call("/slidectl/list_robots", {"name": ""})["robots"]
     own = (one for robot in robots if robot["namespace"] == namespace for one in robot["joints"])
     kind = next((one["type"] for one in own if one["name"] == joint), "")
     return ("m", "N") if kind == "prismatic" else ("rad", "N m")

@@ -11,7 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from time import perf_counter_ns
-from typing import Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from slidectl import names
 from slidectl.control import registry
@@ -44,6 +44,9 @@ from slidectl.control.user_classes import (
 )
 from slidectl.control.user_modules import UserCode
 from slidectl.errors import BadName, Refused, SlidectlError, UnknownName, quoted
+
+if TYPE_CHECKING:
+    from slidectl.msgs.typed import ControllerStateMsg, HardwareInterfaceResourcesMsg
 
 T = TypeVar("T")
 
@@ -249,9 +252,9 @@ class LoadedController:
             self.node.log("warn", f"controller {self.name!r} runs in the interpreter: {described(failure)}")
             return None
 
-    def message(self) -> dict[str, Any]:
+    def message(self) -> ControllerStateMsg:
         """The entry as controller_manager_msgs/ControllerState."""
-        claimed = [
+        claimed: list[HardwareInterfaceResourcesMsg] = [
             {"hardware_interface": claim.hardware_interface, "resources": list(claim.resources)}
             for claim in self.info.claimed_resources
         ]
@@ -428,6 +431,7 @@ class Switch:
 
 Names = list[str]
 Messages = list[dict[str, Any]]
+ControllerStates = list["ControllerStateMsg"]
 
 
 class ControllerManager:
@@ -589,7 +593,7 @@ class ControllerManager:
         entry = self._loaded.get(name)
         return entry.controller if entry is not None else None
 
-    def list(self) -> Messages:
+    def list(self) -> ControllerStates:
         """All loaded controllers in load order, each as controller_manager_msgs/ControllerState."""
         return [entry.message() for entry in self._loaded.values()]
 

@@ -41,16 +41,16 @@ def main(text: str) -> int:
         try:
             daemon = _begin(start, stack)
         except SlidectlError as error:
-            _tell(start, "failed", error=str(error), exit_code=error.exit_code)
+            _report(start, "failed", error=str(error), exit_code=error.exit_code)
             print(f"slidectl daemon: {error}", file=sys.stderr, flush=True)
             return error.exit_code
         if daemon is not None:
-            _tell(start, "ready", pid=os.getpid())
+            _report(start, "ready", pid=os.getpid())
             daemon.run()
     return EXIT_DONE
 
 
-def _tell(start: Start, state: str, **details: Any) -> None:
+def _report(start: Start, state: str, **details: Any) -> None:
     """Write one line, only once, to the process that waits for our start, if any."""
     if start.ready_fd is not None:
         with suppress(OSError):
@@ -75,10 +75,10 @@ def _begin(start: Start, stack: ExitStack) -> Daemon | None:
     if not start.foreground:
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
         os.chdir("/")
-    stack.callback(place.give_back)
-    if not place.take():
+    stack.callback(place.release)
+    if not place.acquire():
         pid = holder(start.paths.lock)
-        _tell(start, "running", pid=pid)
+        _report(start, "running", pid=pid)
         print(f"a daemon runs there already (process {pid})", file=sys.stderr, flush=True)
         return None
     log = LogFile(start.paths.log, start.foreground)

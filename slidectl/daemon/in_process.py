@@ -223,10 +223,10 @@ class InProcessConnection:
 
     def send(self, line: bytes) -> None:
         """Send a line that must arrive."""
-        self.outbox.put(line)
+        self.outbox.add(line)
         self._world.note_message(self)
 
-    def look_again(self) -> None:
+    def check_end(self) -> None:
         """Nothing to do: a client in the same process ends at once."""
 
     @property
@@ -238,7 +238,7 @@ class InProcessConnection:
         """The next line for the client; None without one."""
         lines = self._incoming.lines
         if not lines and self.outbox:
-            self._incoming.feed(self.outbox.take(_CHUNK))
+            self._incoming.feed(self.outbox.next_piece(_CHUNK))
         return lines.popleft() if lines else None
 
     def close(self) -> None:
@@ -247,7 +247,7 @@ class InProcessConnection:
             self.open = False
             self._world.connections.remove(self)
             while self.outbox:
-                self._incoming.feed(self.outbox.take(_CHUNK))
+                self._incoming.feed(self.outbox.next_piece(_CHUNK))
             self.session.closed()
 
 
@@ -287,7 +287,7 @@ class InProcessLink:
             while (left := self.connection.next_line()) is not None:
                 self.last_status = str(decode(left).get("msg", "")) or self.last_status
             raise self._gone()
-        self.connection.session.take(line)
+        self.connection.session.handle(line)
 
     def receive(self, deadline: float) -> dict[str, Any] | None:
         """The next object, or None when the deadline passes first. Raises NoDaemon, and as InProcessWorld.wait."""

@@ -21,7 +21,7 @@ class InstanceInUse(Refused):
 
 
 class InstanceFiles:
-    """The files of one daemon, from `take` to `give_back`."""
+    """The files of one daemon, from `acquire` to `release`."""
 
     def __init__(self, paths: InstancePaths) -> None:
         self._paths = paths
@@ -29,7 +29,7 @@ class InstanceFiles:
         self._listener: socket.socket | None = None
         self._socket_file: os.stat_result | None = None
 
-    def take(self) -> bool:
+    def acquire(self) -> bool:
         """Create the folder and take the lock. False when another daemon holds it. Raises SlidectlError."""
         make_private(self._paths.folder)
         fd = lock(self._paths.lock)
@@ -72,14 +72,14 @@ class InstanceFiles:
         gone: list[str] = []
         if self._lock_fd is None or not is_at(self._paths.lock, os.fstat(self._lock_fd)):
             gone.append("its lock" if self._paths.folder.is_dir() else "its folder")
-            if not self.take():
+            if not self.acquire():
                 raise InstanceInUse(f"another daemon (process {holder(self._paths.lock)}) has taken this place")
         if is_at(self._paths.socket, self._socket_file):
             return gone, None
         gone.append("its socket")
         return gone, self.listen()
 
-    def give_back(self) -> None:
+    def release(self) -> None:
         """Remove our files, but none that another daemon has created there."""
         if self._listener is not None:
             self._listener.close()

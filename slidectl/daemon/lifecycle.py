@@ -1,4 +1,4 @@
-"""Start, find and stop the daemon's process, for the command line; standard library only.
+"""Start, find, list and stop daemons' processes, for the command line; standard library only.
 
 The lock tells whether a daemon runs, its socket whether it answers; nothing else is used.
 """
@@ -10,23 +10,29 @@ import math
 import os
 import select
 import signal
+import stat
 import subprocess
 import sys
 import time
 from contextlib import suppress
-from dataclasses import replace
-from typing import IO, NoReturn
+from dataclasses import dataclass, replace
+from typing import IO, TYPE_CHECKING, NoReturn
 
 from slidectl import processes
 from slidectl.client import Client
 from slidectl.daemon.options import DaemonOptions, Start
 from slidectl.errors import NoDaemon, Refused, SlidectlError, TimedOut
 from slidectl.operating_system import ProcessEnd, command_line
-from slidectl.paths import InstancePaths, command, make_private, with_package
+from slidectl.paths import InstancePaths, command, instances, is_ours, make_private, with_package
+
+if TYPE_CHECKING:
+    from slidectl.msgs.typed import StatusResponseMsg
 
 _MODULE = "slidectl.daemon"
 _PAUSE_S = 0.01
 _END_TIMEOUT_S = 5.0
+_AT_A_TIME = 32
+"""Daemons that are asked at the same time: one that does not answer takes the whole wait of its thread."""
 
 
 def running(paths: InstancePaths) -> int | None:
@@ -238,3 +244,56 @@ def _wait_for_the_other(paths: InstancePaths, deadline: float) -> int | None:
 
 def _end(code: int) -> str:
     return f"ended by {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
+
+
+# --- all daemons of this user -----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class ListedDaemon:
+    """A daemon's process that runs, and its answer."""
+
+    paths: InstancePaths
+    pid: int | None
+    """None when the process is in another pid namespace."""
+    since: float | None
+    """When it started, in s of the wall clock since 1970."""
+    status: StatusResponseMsg | None = None
+    """None when it did not answer."""
+    trouble: str = ""
+    """Why it did not answer."""
+
+
+def running_daemons(chosen: InstancePaths, timeout_s: float) -> list[ListedDaemon]:
+    """All daemons of this user, by instance, and that of `chosen` if it has a named socket.
+
+    A daemon runs when its lock is held: files of one that was killed are none. All are asked at the same time; one
+    that has not answered after `timeout_s` of wall time is listed with the reason.
+    """
+    from concurrent.futures import ThreadPoolExecutor
+
+    places = [*instances(), *([chosen] if chosen.prefix else [])]
+    running = [(place, pid) for place in places if (pid := _holder(place)) is not None]
+    with ThreadPoolExecutor(_AT_A_TIME) as threads:
+        return list(threads.map(lambda one: _answer_of(one[0], one[1], timeout_s), running))
+
+
+def _holder(place: InstancePaths) -> int | None:
+    """The process that holds the lock; None when nobody does, or the lock is not a file of this user."""
+    return running(place) if is_ours(place.lock, stat.S_IFREG) else None
+
+
+def _answer_of(place: InstancePaths, pid: int, timeout_s: float) -> ListedDaemon:
+    try:
+        # The daemon writes the lock once, when it starts.
+        since = os.lstat(place.lock).st_mtime
+    except OSError:  # it ends right now
+        since = None
+    status: StatusResponseMsg | None = None
+    trouble = ""
+    try:
+        with Client(socket=place.socket_text, timeout=timeout_s) as client:
+            status = client.call("/slidectl/status")
+    except SlidectlError as error:
+        trouble = error.message
+    return ListedDaemon(place, pid or None, since, status, trouble)

@@ -15,8 +15,7 @@ from typing import Any
 
 import slidectl
 from slidectl.control.node_handle import Message
-from slidectl.daemon import host_wrappers
-from slidectl.daemon.daemon_host import DaemonHost
+from slidectl.daemon.daemon_host import DaemonHost, wrapped
 from slidectl.daemon.instance_files import InstanceFiles, InstanceInUse
 from slidectl.daemon.options import Start
 from slidectl.daemon.pacing import Pacer
@@ -60,7 +59,7 @@ class Daemon:
         self._most_kept_objects = 0
         options = start.options
         self._loop = EventLoop()
-        self._host = host_wrappers.wrapped(DaemonHost(self._loop, log, self._unexpected), options)
+        self._host = wrapped(DaemonHost(self._loop, log, self._unexpected), options)
         self.simulation = self._host.simulation or self._new_simulation()
         self.simulation.driven = True
         self.simulation.engine.may_load = False
@@ -179,10 +178,10 @@ class Daemon:
         signal.set_wakeup_fd(write_end, warn_on_full_buffer=False)
         for number in (signal.SIGTERM, signal.SIGINT, *([signal.SIGHUP] if self._start.foreground else [])):
             signal.signal(number, lambda *_: None)
-        self._loop.watch(self._signals, READ, self._take_signal)
+        self._loop.watch(self._signals, READ, self._read_signals)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGTERM, signal.SIGINT))
 
-    def _take_signal(self, _: int) -> None:
+    def _read_signals(self, _: int) -> None:
         for number in os.read(self._signals, 64):
             if number != signal.SIGALRM:  # that of TimeLimit, which has its own handler
                 self._stopping = f"stopped by {signal.Signals(number).name}"

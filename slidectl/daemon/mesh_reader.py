@@ -15,8 +15,9 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
+from typing import BinaryIO
 
-from slidectl.confined import Limits, confine, fork
+from slidectl.confined import Limits, start
 from slidectl.description.meshes import BadMesh
 from slidectl.errors import Refused
 from slidectl.event_loop import READ, EventLoop
@@ -73,9 +74,9 @@ class MeshReader:
                 job.pending.reject(Refused(f"no process can be started to read meshes: {error.strerror}"))
                 continue
             self._running[descriptor] = job
-            self._loop.watch(descriptor, READ, partial(self._take, descriptor))
+            self._loop.watch(descriptor, READ, partial(self._receive, descriptor))
 
-    def _take(self, descriptor: int, _: int) -> None:
+    def _receive(self, descriptor: int, _: int) -> None:
         """Read more output of a process, or its end."""
         job = self._running[descriptor]
         piece = os.read(descriptor, _PIECE)
@@ -123,17 +124,8 @@ class _Job:
 
     def begin(self) -> int:
         """Start the process. Returns the descriptor of its output. Raises OSError."""
-        parent = os.getpid()
-        reading, writing = os.pipe()
-        try:
-            self.pid = fork()  # numpy's linear algebra has threads, which are idle
-        except OSError:
-            os.close(reading)
-            os.close(writing)
-            raise
-        if self.pid == 0:
-            _work(self.sources, writing, parent)
-        os.close(writing)
+        # numpy's linear algebra has threads, which are idle
+        self.pid, reading = start(partial(_write_results, self.sources), LIMITS)
         os.set_blocking(reading, False)
         return reading
 
@@ -160,19 +152,12 @@ class _Job:
                 self.results[source] = BadMesh(text, source.path)
 
 
-def _work(sources: Sequence[MeshSource], writing: int, parent: int) -> None:
-    """Run the process: read, write the results, exit. It never returns into the daemon's code."""
-    code = 1
-    try:
-        confine(LIMITS, writing, parent)
-        os.nice(_NICER)
-        with os.fdopen(writing, "wb") as pipe:
-            for source in sources:
-                result = hulls.read(source)
-                text, content = (result.name, result.stl) if isinstance(result, Hull) else (result.reason, b"")
-                name = text.encode("utf-8", "replace")
-                pipe.write(_RESULT.pack(isinstance(result, Hull), len(name), len(content)) + name + content)
-                pipe.flush()
-        code = 0
-    finally:
-        os._exit(code)
+def _write_results(sources: Sequence[MeshSource], pipe: BinaryIO) -> None:
+    """Read the meshes and write the results, in the process."""
+    os.nice(_NICER)
+    for source in sources:
+        result = hulls.read(source)
+        text, content = (result.name, result.stl) if isinstance(result, Hull) else (result.reason, b"")
+        name = text.encode("utf-8", "replace")
+        pipe.write(_RESULT.pack(isinstance(result, Hull), len(name), len(content)) + name + content)
+        pipe.flush()

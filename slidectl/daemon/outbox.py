@@ -53,7 +53,7 @@ class Reader(Protocol):
     def send(self, line: bytes) -> None:
         """Send a line to this reader alone; it must arrive."""
 
-    def look_again(self) -> None:
+    def check_end(self) -> None:
         """Check, between two cycles, whether the connection can end: its session has fewer open requests."""
 
 
@@ -168,7 +168,7 @@ class Channel:
         self._held: tuple[Message, Stamp | None] | None = None
         self._tidy_at = _TIDY_EVERY
 
-    def take(self, message: Message) -> None:
+    def publish(self, message: Message) -> None:
         """Take a published message. All readers of the channel share this callback: the graph calls it once for all.
 
         Raises:
@@ -183,7 +183,7 @@ class Channel:
                 return
             self.due_s = now + self.period_s
             self._forget_held()
-        self.put(_line(self.topic, message, self.stamp))
+        self.add(_line(self.topic, message, self.stamp))
         self._publications.note(self)
 
     def release(self) -> None:
@@ -192,14 +192,14 @@ class Channel:
             self._forget_held()
             self.due_s = self._publications.monotonic() + self.period_s
             with suppress(MessageRefused):  # a publisher gets this error when its message is not held
-                self.put(_line(self.topic, *held))
+                self.add(_line(self.topic, *held))
                 self._publications.note(self)
 
     def _forget_held(self) -> None:
         self._held = None
         self._publications.held.pop(self, None)
 
-    def put(self, line: bytes) -> None:
+    def add(self, line: bytes) -> None:
         """Add a line. Lines that no reader can get any more are dropped."""
         self._publications.last += 1
         self._publications.kept += len(line)
@@ -276,7 +276,7 @@ class Outbox:
     def __bool__(self) -> bool:
         return bool(self._own) or any(share.waits for share in self._shares)
 
-    def put(self, line: bytes) -> None:
+    def add(self, line: bytes) -> None:
         """Add a line that must arrive."""
         self.unbounded += len(line)
         self._publications.last += 1
@@ -296,9 +296,9 @@ class Outbox:
         """Drop the share, but send its waiting lines first."""
         self.leave(share)
         if lost := share.skip():
-            self.put(self._report(share.channel.topic, lost))
+            self.add(self._report(share.channel.topic, lost))
         for _, line, _ in share.entries():
-            self.put(line)
+            self.add(line)
 
     def clear(self) -> None:
         """Drop all lines: the client reads no more."""
@@ -306,11 +306,11 @@ class Outbox:
         self._shares.clear()
         self.unbounded = 0
 
-    def take(self, most: int) -> bytes:
+    def next_piece(self, most: int) -> bytes:
         """The next lines as one piece of about `most` bytes, with a report before the first line after a gap."""
         waiting = [share for share in self._shares if share.waits]
         if not waiting:
-            return self._take_own(most)
+            return self._next_answers(most)
         losses = {share: lost for share in waiting if (lost := share.skip())}
         if losses or self._own:
             return self._make_piece(waiting, losses, most)
@@ -324,7 +324,7 @@ class Outbox:
         self._publications.piece = (key, piece, [share.next for share in waiting])
         return piece
 
-    def _take_own(self, most: int) -> bytes:
+    def _next_answers(self, most: int) -> bytes:
         """The next answers, when no topic has lines: there is nothing to merge."""
         taken: list[bytes] = []
         size = 0
@@ -375,9 +375,9 @@ class TopicFeed:
 
     def begin(self, topics: Topics, kind: str | None, node: str) -> None:
         """Subscribe, after a first `want`. Raises as `Topics.subscribe`."""
-        take = self._begin_to_read().take
+        publish = self._begin_to_read().publish
         try:
-            self._subscription = topics.subscribe(self.topic, kind, node, take, self._take_latched)
+            self._subscription = topics.subscribe(self.topic, kind, node, publish, self._send_latched)
         except BaseException:
             self.close()
             raise
@@ -421,7 +421,7 @@ class TopicFeed:
         channel.release()
         self._reader.outbox.retire(self._share)
         self._publications.leave(channel, self._reader)
-        self._subscription.redirect(self._begin_to_read().take)
+        self._subscription.redirect(self._begin_to_read().publish)
 
     def _begin_to_read(self) -> Channel:
         period_s, limit, stamp = self._wish()
@@ -430,7 +430,7 @@ class TopicFeed:
         self._reader.outbox.join(self._share)
         return channel
 
-    def _take_latched(self, message: Message) -> None:
+    def _send_latched(self, message: Message) -> None:
         """Send a message that was latched before to this reader alone."""
         self._reader.send(_line(self.topic, message, self._wish()[2], latched=True))
 

@@ -254,7 +254,7 @@ class Connection:
         end = time.monotonic() + _SERVED_ONE_S
         while (lines or self._readable) and not self.is_overfull:
             if lines:
-                self._session.take(lines.popleft())
+                self._session.handle(lines.popleft())
             else:
                 self._receive()
             if time.monotonic() >= end:
@@ -291,13 +291,13 @@ class Connection:
         """Send a line that must arrive: an answer or a refusal."""
         if self._never_reads:
             return
-        self.outbox.put(line)
+        self.outbox.add(line)
         if not self._blocked:
             # Move to the end of the queue: answers leave in the order in which they were given, across clients.
             self._server.with_output.pop(self, None)
             self._server.with_output[self] = None
 
-    def look_again(self) -> None:
+    def check_end(self) -> None:
         """Check, between two cycles, whether the connection can end: its session has fewer open requests."""
         self._server.with_output[self] = None
 
@@ -319,7 +319,7 @@ class Connection:
     def _send_some(self) -> None:
         sent = 0
         while self.unsent and not self._blocked and sent < _SENT_ONE:
-            chunk = self._chunk or self.outbox.take(_CHUNK)
+            chunk = self._chunk or self.outbox.next_piece(_CHUNK)
             try:
                 count = self._socket.send(chunk)
             except BlockingIOError:

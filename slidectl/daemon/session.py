@@ -84,7 +84,7 @@ class Session:
         """True while answers or messages may still come for a client that sends no more."""
         return bool(self._calls or self._feeds or self._timed)
 
-    def take(self, line: bytes) -> None:
+    def handle(self, line: bytes) -> None:
         """Handle one line; the client gets a status about any error."""
         self._line_bytes = len(line)
         message, error = messages.read_operation(line)
@@ -198,7 +198,7 @@ class Session:
         def publish() -> None:
             del self._timed[timer]
             self._carry_out(self._publish_now, message)
-            self._connection.look_again()
+            self._connection.check_end()
 
         timer = self._graph.timers.at(due_ns, publish, absolute=True)
         self._timed[timer] = size

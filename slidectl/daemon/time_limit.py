@@ -1,21 +1,19 @@
 """A limit of wall time for users' code, which would otherwise block the daemon and all its clients if it did not end.
 
 There is one thread, so no other code can end it: a timer's signal interrupts it, and the signal's handler raises
-an exception in it. Code that catches that, and everything else, loses its handlers: `except`, `finally` and `with` of
-all its running functions have no effect any more, so that the next exception leaves them. The timer keeps ticking while
-users' code runs now and then, because an `update` is entered in each cycle, and setting a timer costs system calls.
-C code that does not return to the interpreter cannot be interrupted.
+an exception in it. Code that catches it and goes on is interrupted again. The timer keeps ticking while users' code
+runs now and then, because an `update` is entered in each cycle, and setting a timer costs system calls. C code that
+does not return to the interpreter cannot be interrupted.
 """
 
 from __future__ import annotations
 
-import ctypes
 import signal
 import sys
 from contextlib import suppress
 from math import inf
 from time import monotonic
-from types import CodeType, FrameType
+from types import FrameType
 from typing import Any
 
 from slidectl.control import controller_interface, controller_manager, user_classes
@@ -28,8 +26,6 @@ _TICK_S = 0.1
 _AGAIN_S = 0.005
 _MOST_AGAIN = 200
 """The number of signals that may meet slidectl's own code before that is interrupted too."""
-_GRACE_S = 0.25
-"""The time after the limit in which code may still handle the exception, to put something away, say."""
 _OWN_DEPTH = 50
 """Calls that a signal's handler may nest."""
 _ENTRIES = tuple(
@@ -74,7 +70,6 @@ class TimeLimit(CodeLimit):
                 self._outer = None
             if self.has_ended:
                 self.has_ended = False
-                _TIMER.handlers.restore()
                 sys.setrecursionlimit(self.deepest)
                 for tell in self.on_end:
                     tell()
@@ -94,7 +89,6 @@ class _LimitTimer:
         """0: it is stopped."""
         self.was_entered = False
         """True when a limit was entered since the last tick."""
-        self.handlers = Handlers()
         self._spared = 0
 
     def set(self, period_s: float) -> None:
@@ -108,12 +102,12 @@ class _LimitTimer:
         if self.limit is not None and deepest == self.limit.deepest:  # the code may be as deep as it can get
             sys.setrecursionlimit(deepest + _OWN_DEPTH)
         try:
-            self._look(frame)
+            self._check(frame)
         finally:
             with suppress(RecursionError):  # it may be that deep; then the limit's `__exit__` does it
                 sys.setrecursionlimit(deepest)
 
-    def _look(self, frame: FrameType | None) -> None:
+    def _check(self, frame: FrameType | None) -> None:
         limit = self.limit
         late_s = -inf if limit is None else monotonic() - limit.end_s
         if limit is None or late_s < 0.0:
@@ -131,60 +125,7 @@ class _LimitTimer:
         self._spared += 1
         if _is_users(frame) or self._spared > _MOST_AGAIN:
             limit.has_ended = True
-            if late_s > _GRACE_S:
-                self.handlers.remove(frame)
             raise CodeTimeout(f"the code ran longer than {LIMIT_S:g} s and was ended")
-
-
-class Handlers:
-    """Takes the exception handlers of running functions away, and gives them back.
-
-    CPython finds the handler of an exception by a table of the function's code object, each time anew. Its attribute
-    `co_exceptiontable` cannot be set, so the pointer behind it is: while it points to an empty table, every exception
-    leaves the function.
-    """
-
-    _EMPTY = b""
-
-    def __init__(self) -> None:
-        self._removed: list[tuple[CodeType, bytes]] = []
-        """The code objects and their tables, which are kept alive here."""
-        self._offset = _offset_of_table()
-
-    def remove(self, frame: FrameType | None) -> None:
-        """Remove the handlers of the function that runs in this frame and of those that have called it, up to the first
-        of slidectl's."""
-        while self._offset and frame is not None and not frame.f_code.co_filename.startswith(PACKAGE):
-            code, frame = frame.f_code, frame.f_back
-            if code.co_exceptiontable:
-                self._removed.append((code, code.co_exceptiontable))
-                self._point(code, self._EMPTY)
-
-    def restore(self) -> None:
-        """Give all handlers back: the functions may be those of a library."""
-        while self._removed:
-            self._point(*self._removed.pop())
-
-    def _point(self, code: CodeType, table: bytes) -> None:
-        ctypes.c_void_p.from_address(id(code) + self._offset).value = id(table)
-
-
-def _with_a_handler() -> None:
-    try:
-        return
-    finally:
-        pass
-
-
-def _offset_of_table() -> int:
-    """The place of the pointer to the table of handlers in a code object, in bytes; 0: not found."""
-    code = _with_a_handler.__code__
-    table, size = code.co_exceptiontable, code.__sizeof__()
-    step = ctypes.sizeof(ctypes.c_void_p)
-    places = [
-        at for at in range(0, size - step, step) if ctypes.c_void_p.from_address(id(code) + at).value == id(table)
-    ]
-    return places[0] if len(places) == 1 else 0
 
 
 def _is_users(frame: FrameType | None) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from slidectl.control.node_handle import Message
 from slidectl.physics.world import Twist
@@ -20,6 +21,9 @@ from slidectl.rotations import (
     subtract,
 )
 from slidectl.rotations import message as quaternion_message
+
+if TYPE_CHECKING:
+    from slidectl.msgs.typed import PointMsg
 
 STILL: Twist = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
@@ -40,7 +44,7 @@ def vector(message: Message) -> Vector:
     return (message["x"], message["y"], message["z"])
 
 
-def vector_message(values: Vector) -> Message:
+def vector_message(values: Vector) -> PointMsg:
     """Convert to geometry_msgs/Vector3 or Point."""
     return {"x": values[0], "y": values[1], "z": values[2]}
 

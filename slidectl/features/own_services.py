@@ -30,6 +30,16 @@ from slidectl.simulation.services import Answer, Handler, answering
 from slidectl.simulation.spawned_robots import SpawnedRobot
 
 if TYPE_CHECKING:
+    from slidectl.msgs.typed import (
+        ControllerStateMsg,
+        JointInfoMsg,
+        JointStatesResponseMsg,
+        ListRobotsResponseMsg,
+        RobotInfoMsg,
+        SceneResponseMsg,
+        SetParamsResponseMsg,
+        StepResponseMsg,
+    )
     from slidectl.simulation.simulation import Simulation
 
 LONGEST_S = 1e9
@@ -104,7 +114,7 @@ class OwnServices(Feature):
         """Pause and step. Answered when the cycles are done or abandoned."""
         clock = self._graph.clock
 
-        def response(done: Pending) -> Message:
+        def response(done: Pending) -> StepResponseMsg:
             text = str(done.error) if done.error else f"{done.result()} cycles done"
             return {"success": done.error is None, "message": text, "time": clock.seconds, "cycles": clock.cycles}
 
@@ -153,7 +163,7 @@ class OwnServices(Feature):
 
     # Parameters and names
 
-    def _set_params(self, request: Message) -> Message:
+    def _set_params(self, request: Message) -> SetParamsResponseMsg:
         given, texts = request["names"], request["values"]
         if len(given) != len(texts):
             raise UsageError(f"{len(given)} names and {len(texts)} values: one value for each name")
@@ -256,12 +266,12 @@ class OwnServices(Feature):
 
     # State of robots
 
-    def _list_robots(self, request: Message) -> Message:
+    def _list_robots(self, request: Message) -> ListRobotsResponseMsg:
         asked: str = request["name"]
         robots = [self._robots.get(asked)] if asked else list(self._robots)
         return {"robots": [self._robot_info(robot) for robot in robots]}
 
-    def _robot_info(self, robot: SpawnedRobot) -> Message:
+    def _robot_info(self, robot: SpawnedRobot) -> RobotInfoMsg:
         """The robot as slidectl/RobotInfo."""
         model = robot.description
         commanded = robot.parts.hardware.interfaces() if robot.is_controlled else {}
@@ -284,7 +294,7 @@ class OwnServices(Feature):
             "process_session": robot.caller,
         }
 
-    def _joint_info(self, robot: SpawnedRobot, joint: Joint, commanded: dict[str, str]) -> Message:
+    def _joint_info(self, robot: SpawnedRobot, joint: Joint, commanded: dict[str, str]) -> JointInfoMsg:
         position: Any = math.nan
         velocity = effort = position
         if joint.type in MOVING:
@@ -304,7 +314,7 @@ class OwnServices(Feature):
             "max_effort": limit.effort if limit else math.nan,
         }
 
-    def _scene(self, request: Message) -> Message:
+    def _scene(self, request: Message) -> SceneResponseMsg:
         """The data for drawing the world, all from the same time."""
         world, robots = self._simulation.world, list(self._robots)
         places = [(robot.name, link) for robot in robots for link in robot.description.links if link != "world"]
@@ -322,16 +332,14 @@ class OwnServices(Feature):
             "contact_forces": [vector_message(force) for _, force in contacts],
         }
 
-    def _joint_states(self, _: Message) -> Message:
+    def _joint_states(self, _: Message) -> JointStatesResponseMsg:
         """The state of all joints, for frequent calls; `list_robots` returns more and takes much longer."""
         places = [(robot.name, one.name) for robot in self._robots for one in robot.description.joints.values()
                   if one.type in MOVING]  # fmt: skip
         states = [self._simulation.world.joint_state(*place) for place in places]
-        columns = zip(*states, strict=True) if states else ((), (), ())
-        return {
-            "joints": [f"{robot}::{joint}" for robot, joint in places],
-            **{name: list(column) for name, column in zip(("position", "velocity", "effort"), columns, strict=True)},
-        }
+        position, velocity, effort = map(list, zip(*states, strict=True)) if states else ([], [], [])
+        joints = [f"{robot}::{joint}" for robot, joint in places]
+        return {"joints": joints, "position": position, "velocity": velocity, "effort": effort}
 
     # Emergency stop, and commands without a running controller
 
@@ -414,6 +422,6 @@ def _resting_claims(robot: SpawnedRobot, request: Message) -> list[Claim]:
     return [claim for claim in found if claim[1] not in taken]
 
 
-def _claims(controller: Message) -> list[Claim]:
+def _claims(controller: ControllerStateMsg) -> list[Claim]:
     claimed = controller["claimed_resources"]
     return [(claim["hardware_interface"], joint) for claim in claimed for joint in claim["resources"]]

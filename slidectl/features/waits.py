@@ -155,7 +155,7 @@ class Wait:
             field = fields[0]
         selection = select(lambda owner: msgs.fields(owner) if "/" in owner else (), type_name, field)
         self._path = f"{self._topic}/{field}"
-        self._select = selection.take
+        self._select = selection.read
         self._condition = Condition(request["condition"], request["value"], request["tolerance"])
         self._condition.check_type(self._path, selection.type + "[]" * selection.depth)
         self._hold_s = _duration("hold", request["hold"])

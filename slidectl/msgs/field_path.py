@@ -52,9 +52,9 @@ class Selection(NamedTuple):
     depth: int
     steps: Sequence[PathStep]
 
-    def take(self, message: Any) -> Any:
+    def read(self, message: Any) -> Any:
         """Get the values out of a message. Raises NoElement."""
-        return _take(message, self.steps)
+        return _read(message, self.steps)
 
 
 def byte_values(value: Any) -> list[int]:
@@ -107,9 +107,9 @@ def _field(fields_of: FieldsOf, owner: str, name: str) -> Field:
     return known[name]
 
 
-def _take(value: Any, steps: Sequence[PathStep]) -> Any:
+def _read(value: Any, steps: Sequence[PathStep]) -> Any:
     for number, step in enumerate(steps, 1):
         value = step.of(value)
         if step.is_list and number < len(steps):
-            return [_take(each, steps[number:]) for each in value]
+            return [_read(each, steps[number:]) for each in value]
     return value

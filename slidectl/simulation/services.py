@@ -5,7 +5,7 @@ Requests and responses are checked against the type here, so that handlers recei
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,7 +15,7 @@ from slidectl.effects import EVERYTHING, Effect, NotPermitted
 from slidectl.errors import Refused, UnknownName
 from slidectl.simulation.pending import Pending
 
-Handler = Callable[[Message], Message | Pending]
+Handler = Callable[[Message], Mapping[str, Any] | Pending]
 Answer = tuple[str, Message]
 """A text about the result, and the other fields of the response."""
 
@@ -32,10 +32,10 @@ def answering(handler: Callable[[Message], Answer | Pending], text: str) -> Hand
     return responding(handler, respond)
 
 
-def responding(handler: Callable[[Message], Any], respond: Callable[[Pending], Message]) -> Handler:
+def responding(handler: Callable[[Message], Any], respond: Callable[[Pending], Mapping[str, Any]]) -> Handler:
     """A handler whose responses `respond` makes from the handler's answer, now or later, or from its error."""
 
-    def answer(request: Message) -> Message | Pending:
+    def answer(request: Message) -> Mapping[str, Any] | Pending:
         answered = Pending.attempt(lambda: handler(request))
         return respond(answered) if answered.done else answered.converted(respond)
 

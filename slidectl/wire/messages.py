@@ -219,11 +219,11 @@ def values_of(answer: Message) -> Message:
     return values if isinstance(values, dict) else {}
 
 
-def resolved(answer: Message) -> Message:
+def resolved(answer: Message) -> Any:
     """The values of a response of /slidectl/resolve. Raises UnknownName, AmbiguousName, Unused, as the daemon did."""
     cause = _NAME_ERRORS.get(str(answer.get("cause")))
     if answer.get("result", True) or cause is None:
-        return dict(values_of(answer))
+        return values_of(answer)
     message, _, hint = str(answer.get("values")).partition("\n")
     error = cause.__new__(cause)  # skips the constructor, which would build the text again
     SlidectlError.__init__(error, message, hint or None)

@@ -75,7 +75,7 @@ class Inbox:
         self.queue: deque[Message] = deque(maxlen=queue_length or DEFAULT_QUEUE)
         self._take = take
 
-    def put(self, published: Message) -> None:
+    def add(self, published: Message) -> None:
         """Take a publish object that has arrived."""
         if self._take is not None:
             self._take(published)
@@ -88,7 +88,7 @@ class Inbox:
         """The number of messages that have arrived and are not read."""
         return len(self.queue)
 
-    def tell_dropped(self) -> None:
+    def warn_of_dropped(self) -> None:
         """Warn of dropped messages, once."""
         if self.dropped and self.tells:
             import warnings
@@ -209,19 +209,19 @@ class ClientPeer:
 
     # --- what arrives -------------------------------------------------------------------------------------------
 
-    def take(self, message: Message) -> str | None:
+    def receive(self, message: Message) -> str | None:
         """Sort an object from the daemon. Returns the id of the awaited request that it answers, or None."""
         op = message.get("op")
         self.last_status = ""
         if op == "publish":
             for inbox in tuple(self.inboxes.get(message["topic"], ())):
-                inbox.put(message)
+                inbox.add(message)
             return None
         if op == "call_service":
             self.on_call(message)
             return None
         if op == "status":
-            self._take_status(message)
+            self._receive_status(message)
         elif op != "service_response":
             return None
         elif message.get("id") == self._first_call and message.get("version") != __version__:
@@ -233,7 +233,7 @@ class ClientPeer:
         self.answers[answered] = message
         return str(answered)
 
-    def _take_status(self, status: Message) -> None:
+    def _receive_status(self, status: Message) -> None:
         if status.get("level") == "error":
             refused = str(status.get("id"))
             self._advertised = {key: sent for key, sent in self._advertised.items() if sent != refused}

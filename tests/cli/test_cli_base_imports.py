@@ -136,7 +136,7 @@ def test_an_everyday_command_imports_only_what_is_allowed(
         "names",
         "operating_system",
         "paths",
-        "values",
+        "typed_values",
         "wire",
         "writing",
     }

@@ -69,4 +69,4 @@ def test_text_that_is_no_path_is_refused_with_the_reason(path: str, reason: str)
 def test_an_index_out_of_range_says_how_long_the_array_is() -> None:
     selection = selected(JOINT_STATE, "position[7]")
     with pytest.raises(NoElement, match=r"position\[7\], but the message has 2 there"):
-        selection.take({"position": [1.0, 2.0]})
+        selection.read({"position": [1.0, 2.0]})

@@ -40,13 +40,13 @@ def yaml_of(type_name: str, message: Any, path: str = "", **options: Any) -> str
     types = schema(type_name)
     selection = select(types.fields, type_name, path)
     form = YamlForm(types, **options)
-    return form.printer(selection.type, selection.depth)(selection.take(msgs.check(type_name, message)))
+    return form.printer(selection.type, selection.depth)(selection.read(msgs.check(type_name, message)))
 
 
 def csv_of(type_name: str, message: Any, path: str = "", **options: Any) -> list[str]:
     types = schema(type_name)
     selection = select(types.fields, type_name, path)
-    row = CsvForm(types, **options).row(selection.take(message), selection.type, selection.depth, 1795219463550504922)
+    row = CsvForm(types, **options).row(selection.read(message), selection.type, selection.depth, 1795219463550504922)
     return list(row)
 
 

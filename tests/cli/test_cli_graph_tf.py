@@ -43,25 +43,25 @@ def frames() -> Frames:
 
 
 def test_a_pose_is_that_of_the_second_frame_in_the_first(frames: Frames) -> None:
-    view = frames.look_up("world", "slider")
+    view = frames.transform("world", "slider")
     assert view.pose.translation == pytest.approx((0.25, 0.0, 0.1))
     assert view.pose.rotation == pytest.approx(TURN)
     assert view.time_ns == 7 * 10**9
 
 
 def test_static_ways_have_no_time_and_a_frame_is_at_itself(frames: Frames) -> None:
-    assert frames.look_up("world", "base").time_ns is None
-    assert frames.look_up("slider", "slider").pose == FramePose((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+    assert frames.transform("world", "base").time_ns is None
+    assert frames.transform("slider", "slider").pose == FramePose((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 
 
 def test_frames_of_two_trees_are_not_connected(frames: Frames) -> None:
     with pytest.raises(Refused, match="world and alone are not connected"):
-        frames.look_up("world", "alone")
+        frames.transform("world", "alone")
 
 
 def test_an_unknown_frame_lists_the_known_ones(frames: Frames) -> None:
     with pytest.raises(UnknownName, match="frames: alone, base, elsewhere, slider, world"):
-        frames.look_up("world", "nope")
+        frames.transform("world", "nope")
 
 
 def test_the_end_of_a_frames_name_is_enough_when_it_is_the_only_one(frames: Frames) -> None:

@@ -320,9 +320,9 @@ def test_a_goal_that_the_server_forgets_is_lost(client: Client) -> None:
         goal_id = arm.send(goal_of(0.0, 3000))
         entry = {"goal_id": {"id": goal_id}, "status": 1}
         for listed in ([entry], []):
-            arm._lists.put({"msg": {"status_list": listed}})
+            arm._lists.add({"msg": {"status_list": listed}})
             arm._is_gone(goal_id)
-        arm._lists.put({"msg": {"status_list": []}})
+        arm._lists.add({"msg": {"status_list": []}})
         assert arm.wait(goal_id, timeout=30).state == "lost"
         arm.cancel(goal_id)
 

@@ -234,8 +234,8 @@ def test_a_model_that_cannot_be_spawned_does_not_take_another_ones_with_it(daemo
     spawn = Spawn(client, SpawnPlan(models, is_scene=True))
     spawn.check()
     with daemon.client() as other:
-        Spawn(other, SpawnPlan(models[1:], is_scene=True)).put()  # after the check
+        Spawn(other, SpawnPlan(models[1:], is_scene=True)).apply()  # after the check
         with pytest.raises(Refused, match="theirs"):
-            spawn.put()
+            spawn.apply()
         assert [robot["name"] for robot in other.robots()] == ["theirs"]
         other.delete("theirs")

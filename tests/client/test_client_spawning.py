@@ -50,7 +50,7 @@ def test_a_robot_whose_joints_cannot_be_put_is_taken_back(client: Client, is_pau
     plan = robot_plan(document("slider", {}, None), pose(()), joints={"joint1": 0.1})
     spawn = Spawn(client, plan, fit=lambda _: ({"no_joint": 0.0}, []))
     with pytest.raises(Refused, match="no_joint"):
-        spawn.put()
+        spawn.apply()
     assert client.robots() == []
     assert client.call("/slidectl/status")["paused"] is is_paused
     client.pause()
@@ -59,7 +59,7 @@ def test_a_robot_whose_joints_cannot_be_put_is_taken_back(client: Client, is_pau
 def test_joints_start_where_the_plan_puts_them_and_remarks_are_returned(client: Client) -> None:
     plan = robot_plan(document("slider", {}, None), pose(()), joints={"joint1": 0.1})
     spawn = Spawn(client, plan, fit=lambda robot: ({robot["joints"][-1]["name"]: 0.2}, ["held"]))
-    assert spawn.put()[0] == "held"
+    assert spawn.apply()[0] == "held"
     [position] = [joint["position"] for joint in spawn.robot()["joints"] if joint["name"] == "joint1"]
     assert position == pytest.approx(0.2)
     client.delete("slider")

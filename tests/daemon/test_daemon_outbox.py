@@ -23,7 +23,7 @@ class Desk:
         self.outbox = Outbox(report, self.publications)
 
     def send(self, line: bytes) -> None:
-        self.outbox.put(line)
+        self.outbox.add(line)
 
     def channel(self, topic: str, limit: int) -> Channel:
         """A topic with this client as its reader."""
@@ -44,30 +44,30 @@ def desk() -> Desk:
 
 def test_a_reader_who_is_behind_gets_the_newest_and_one_report_where_the_gap_is(desk: Desk) -> None:
     channel = desk.channel("t", 2)
-    desk.outbox.put(b"answer")
+    desk.outbox.add(b"answer")
     for number in range(5):
-        channel.put(b"%d" % number)
-    desk.outbox.put(b"end")
-    assert desk.outbox.take(100) == b"answer<3 of t>34end"
-    channel.put(b"5")
-    assert desk.outbox.take(100) == b"5"
+        channel.add(b"%d" % number)
+    desk.outbox.add(b"end")
+    assert desk.outbox.next_piece(100) == b"answer<3 of t>34end"
+    channel.add(b"5")
+    assert desk.outbox.next_piece(100) == b"5"
 
 
 def test_topics_do_not_take_room_from_each_other(desk: Desk) -> None:
     small, large = desk.channel("small", 1), desk.channel("large", 3)
     for number in range(3):
-        small.put(b"s%d" % number)
-        large.put(b"l%d" % number)
-    assert desk.outbox.take(100) == b"l0l1<2 of small>s2l2"
+        small.add(b"s%d" % number)
+        large.add(b"l%d" % number)
+    assert desk.outbox.next_piece(100) == b"l0l1<2 of small>s2l2"
 
 
 def test_large_messages_are_bounded_by_their_bytes_and_the_newest_is_kept(desk: Desk) -> None:
     channel = desk.channel("t", 1000)
     for _ in range(5):
-        channel.put(b"x" * (MOST_BYTES // 2))
-    channel.put(b"y" * (MOST_BYTES + 1))
+        channel.add(b"x" * (MOST_BYTES // 2))
+    channel.add(b"y" * (MOST_BYTES + 1))
     assert channel.size == desk.publications.kept == MOST_BYTES + 1
-    assert desk.outbox.take(1) == b"<5 of t>" + b"y" * (MOST_BYTES + 1)
+    assert desk.outbox.next_piece(1) == b"<5 of t>" + b"y" * (MOST_BYTES + 1)
 
 
 def test_readers_who_stop_have_the_lines_of_a_topic_in_common(desk: Desk) -> None:
@@ -76,10 +76,10 @@ def test_readers_who_stop_have_the_lines_of_a_topic_in_common(desk: Desk) -> Non
     for other in others:
         other.read(channel, 100)
     for number in range(100_000):
-        channel.put(b"%06d" % number)
+        channel.add(b"%06d" % number)
     assert desk.publications.kept == channel.size < 500 * 6
     expected = b"<99900 of t>" + b"".join(b"%06d" % number for number in range(99_900, 100_000))
-    assert [each.outbox.take(10_000) for each in (desk, *others)] == [expected] * 51
+    assert [each.outbox.next_piece(10_000) for each in (desk, *others)] == [expected] * 51
 
 
 def test_a_reader_who_reads_loses_nothing_beside_one_who_does_not(desk: Desk) -> None:
@@ -87,16 +87,16 @@ def test_a_reader_who_reads_loses_nothing_beside_one_who_does_not(desk: Desk) ->
     Desk(desk.publications).read(channel, 10)
     received = []
     for number in range(5000):
-        channel.put(b"%05d" % number)
-        received.append(desk.outbox.take(100))
+        channel.add(b"%05d" % number)
+        received.append(desk.outbox.next_piece(100))
     assert received == [b"%05d" % number for number in range(5000)]
 
 
 def test_what_all_have_read_is_given_up(desk: Desk) -> None:
     channel = desk.channel("t", 1000)
     for _ in range(10):
-        channel.put(b"x" * 100)
-    desk.outbox.take(10_000)
+        channel.add(b"x" * 100)
+    desk.outbox.next_piece(10_000)
     channel.tidy()
     assert channel.size == 0
 
@@ -107,9 +107,9 @@ def test_topics_of_large_messages_are_bounded_together() -> None:
     for number in range(100):
         channel = publications.channel(f"/t{number}")
         reader.read(channel, 10)
-        channel.take({"data": "x" * 1_000_000})
+        channel.publish({"data": "x" * 1_000_000})
     assert publications.kept <= MOST_BYTES_IN_ALL
-    sent = b"".join(iter(lambda: reader.outbox.take(1_000_000), b""))
+    sent = b"".join(iter(lambda: reader.outbox.next_piece(1_000_000), b""))
     told = sent.count(b"<1 of /t")
     assert told > 0
     assert told + sent.count(b"\n") == 100
@@ -118,20 +118,20 @@ def test_topics_of_large_messages_are_bounded_together() -> None:
 def test_a_share_that_ends_sends_nothing_more(desk: Desk) -> None:
     channel = desk.channel("t", 2)
     for number in range(5):
-        channel.put(b"%d" % number)
-    desk.outbox.put(b"answer")
+        channel.add(b"%d" % number)
+    desk.outbox.add(b"answer")
     desk.outbox.leave(channel.readers[desk])
-    assert desk.outbox.take(100) == b"answer"
+    assert desk.outbox.next_piece(100) == b"answer"
 
 
 def test_a_share_that_is_replaced_sends_what_it_has_waiting(desk: Desk) -> None:
     channel = desk.channel("t", 2)
     for number in range(3):
-        channel.put(b"%d" % number)
-    desk.outbox.put(b"answer")
+        channel.add(b"%d" % number)
+    desk.outbox.add(b"answer")
     desk.outbox.retire(channel.readers[desk])
-    channel.put(b"3")
-    assert desk.outbox.take(100) == b"answer<1 of t>12"
+    channel.add(b"3")
+    assert desk.outbox.next_piece(100) == b"answer<1 of t>12"
     assert desk.outbox.unbounded == 0
 
 
@@ -149,13 +149,13 @@ def test_any_history_gives_what_a_plain_queue_per_share_would_keep(history: list
             serial += 1
             line = b"%s%05d" % (name.encode(), serial)
             if name == "-":
-                desk.outbox.put(line)
+                desk.outbox.add(line)
             else:
                 drops[name] += len(kept[name]) == limits[name]
-                channels[name].put(line)
+                channels[name].add(line)
             kept[name].append(line)
     expected = sorted((line for lines in kept.values() for line in lines), key=lambda line: line[1:])
-    sent = b"".join(iter(lambda: desk.outbox.take(most), b""))
+    sent = b"".join(iter(lambda: desk.outbox.next_piece(most), b""))
     for name, dropped in drops.items():
         assert (report(name, dropped) in sent) == bool(dropped)
         sent = sent.replace(report(name, dropped), b"", 1)

@@ -32,7 +32,7 @@ def lock_in_another_process(folder: Path) -> subprocess.Popen[str]:
     script = (
         "import sys; from slidectl.daemon.instance_files import InstanceFiles\n"
         "from slidectl.paths import InstancePaths\n"
-        "print(InstanceFiles(InstancePaths(sys.argv[1], 'socket')).take(), flush=True); sys.stdin.read()"
+        "print(InstanceFiles(InstancePaths(sys.argv[1], 'socket')).acquire(), flush=True); sys.stdin.read()"
     )
     process = subprocess.Popen(
         [sys.executable, "-c", script, str(folder)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
@@ -48,15 +48,15 @@ def test_the_lock_names_its_holder_and_is_free_when_that_has_died(folder: Path) 
     with lock_in_another_process(folder) as process:
         assert holder(path) == process.pid
         assert holder(path) == process.pid  # asking disturbs nobody
-        assert not place(folder).take()
+        assert not place(folder).acquire()
         assert path.read_text() == f"{process.pid}\n"
         process.kill()
         process.wait()
         assert path.exists()
         assert holder(path) is None
         taken = place(folder)
-        assert taken.take()
-        taken.give_back()
+        assert taken.acquire()
+        taken.release()
     assert not path.exists()
 
 
@@ -68,19 +68,19 @@ def test_a_file_system_without_locks_is_told_from_a_lock_that_is_held(
 
     monkeypatch.setattr("slidectl.processes.fcntl.lockf", refuse)
     with pytest.raises(Refused, match=r"cannot take the lock .*: No locks available"):
-        place(folder).take()
+        place(folder).acquire()
 
 
 def test_a_lock_that_cannot_be_had_is_not_taken_for_one_that_is_held(folder: Path) -> None:
     (folder / "lock").mkdir()
     with pytest.raises(Refused, match=f"cannot make the lock {folder / 'lock'}: "):
-        place(folder).take()
+        place(folder).acquire()
 
 
 def test_a_place_that_was_never_taken_removes_nothing(folder: Path) -> None:
     path = folder / "lock"
     path.write_text("mine")
-    place(folder).give_back()
+    place(folder).release()
     assert path.exists()
 
 

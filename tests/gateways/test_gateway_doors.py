@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import socket
 import xmlrpc.client
 from collections.abc import Iterator
@@ -134,7 +133,7 @@ def test_the_ros_master_and_its_nodes_serve_their_own_user_alone(world: Runtime)
 
 
 @needs_root
-def test_the_user_of_a_connection_is_told_by_the_kernel_in_each_of_its_ways() -> None:
+def test_the_user_of_a_connection_is_told_by_the_kernel() -> None:
     with socket.create_server(("::", 0), family=socket.AF_INET6, dualstack_ipv6=True) as listener:
         port = listener.getsockname()[1]
         for host in ("127.0.0.1", "::1", "::ffff:127.0.0.1"):
@@ -145,9 +144,6 @@ def test_the_user_of_a_connection_is_told_by_the_kernel_in_each_of_its_ways() ->
                 told = [local_peers.stranger(peer[:2], here.getsockname()[:2]) for here, peer in found]
                 # nobody's connections are closed by now: the kernel has no process for them, and shows root
                 assert ["cannot be told" in text for text in told] == [True, True, False]
-                here, peer = found[2]
-                ends = [local_peers._numbers(end[:2]) for end in (peer, here.getsockname())]
-                assert local_peers._by_netlink(*ends) == local_peers._by_table(*ends) == os.geteuid()
                 assert own.fileno() > 0
             for here, _ in found:
                 here.close()

@@ -27,7 +27,7 @@ def refused(peer: ClientPeer, error: SlidectlError, reasons: list[Reason]) -> di
     message, wrong = messages.read_operation(line)
     assert wrong is None
     answer = messages.refused_call(error, message, messages.with_levels(reasons))
-    assert peer.take(decode(encode(answer))) == call_id
+    assert peer.receive(decode(encode(answer))) == call_id
     return peer.answer(call_id)
 
 
@@ -73,7 +73,7 @@ def test_only_the_first_call_has_the_version_and_only_awaited_answers_are_kept()
     assert "version" not in decode(other)
     peer.forget(second)
     for call_id in (first, second, "call:99"):
-        peer.take({"op": "service_response", "id": call_id, "values": {}, "result": True, "version": "0"})
+        peer.receive({"op": "service_response", "id": call_id, "values": {}, "result": True, "version": "0"})
     assert told == ["0"]
     assert list(peer.answers) == [first]
 
@@ -82,7 +82,7 @@ def test_refusals_are_raised_by_who_asks_and_the_first_of_the_others_by_all() ->
     peer = ClientPeer()
     ids = [peer.publish("/t", {"data": number})[0] for number in range(3)]
     for publish_id in ids:
-        peer.take(messages.error_status(UsageError(publish_id), {"id": publish_id}, {}))
+        peer.receive(messages.error_status(UsageError(publish_id), {"id": publish_id}, {}))
     with pytest.raises(MessageRefused, match=ids[1]):
         peer.check_refused(ids[1])
     peer.check_refused(ids[1])
@@ -96,9 +96,9 @@ def test_a_topic_is_heard_when_one_of_its_messages_is() -> None:
     for topic in ("/half", "/half", "/none"):
         publish_id, line = peer.publish(topic, {}, unheard=True)
     operation = decode(line)
-    peer.take(messages.unheard_status(operation, "/half"))
+    peer.receive(messages.unheard_status(operation, "/half"))
     peer.check_heard()
-    peer.take(messages.unheard_status(operation, "/none"))
+    peer.receive(messages.unheard_status(operation, "/none"))
     with pytest.raises(MessageRefused, match="nobody subscribes to /none: 1 published"):
         peer.check_heard()
     assert publish_id == operation["id"]
@@ -109,12 +109,12 @@ def test_an_inbox_keeps_the_newest_and_counts_the_rest() -> None:
     inbox = Inbox("/t", peer.next_id("subscribe"), 2, None)
     assert decode(peer.subscribe(inbox, 0, 2, None, is_stamped=False))["id"] == inbox.id
     for number in range(3):
-        peer.take({"op": "publish", "topic": "/t", "msg": {"data": number}})
-    peer.take(messages.dropped_status("/t", 4))
+        peer.receive({"op": "publish", "topic": "/t", "msg": {"data": number}})
+    peer.receive(messages.dropped_status("/t", 4))
     assert ([message["data"] for message in inbox.queue], inbox.dropped) == ([1, 2], 5)
     assert decode(peer.unsubscribe(inbox))["op"] == "unsubscribe"
     assert peer.unsubscribe(inbox) == b""
-    peer.take({"op": "publish", "topic": "/t", "msg": {"data": 9}})
+    peer.receive({"op": "publish", "topic": "/t", "msg": {"data": 9}})
     assert len(inbox) == 2
 
 
@@ -122,7 +122,7 @@ def test_a_client_is_a_publisher_once_until_it_was_refused() -> None:
     peer = ClientPeer()
     line = peer.advertise("/t", "std_msgs/Int32", False)
     assert peer.advertise("/t", "std_msgs/Int32", False) == b""
-    peer.take(messages.error_status(Refused("no"), decode(line), {}))
+    peer.receive(messages.error_status(Refused("no"), decode(line), {}))
     assert peer.advertise("/t", "std_msgs/Int32", False)
     peer.unadvertise("/t")
     assert peer.advertise("/t", "std_msgs/Int32", False)

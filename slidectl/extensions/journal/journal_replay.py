@@ -197,7 +197,7 @@ class Replay(HostWrapper):
     def _carry_out(self, entry: dict[str, Any]) -> None:
         """Handle one entry, in its cycle. Its reads are the next entries, and are consumed meanwhile."""
         if "line" in entry:
-            self._session(entry["client"]).take(entry["line"])
+            self._session(entry["client"]).handle(entry["line"])
         elif "client" in entry:
             if entry["client"] <= self._last_client:
                 self._fail(f"there was a client {entry['client']} before")
@@ -343,7 +343,7 @@ class _DiscardingReader:
     def send(self, line: bytes) -> None:
         """Discard the line."""
 
-    def look_again(self) -> None:
+    def check_end(self) -> None:
         """Do nothing: the journal has the time of the disconnect."""
 
 

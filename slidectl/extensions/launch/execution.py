@@ -347,7 +347,7 @@ class Execution:
         try:
             for robot in self.run.robots(HOOK_LIMIT_S):
                 if (process := owners.get(robot["process_session"])) is not None:
-                    self.run.call("/gazebo/delete_model", {"model_name": robot["name"]}, HOOK_LIMIT_S)
+                    self.run.call("/gazebo/delete_model", {"model_name": robot["name"]}, timeout=HOOK_LIMIT_S)
                     process.settled(self.run, f"{robot['name']}: deleted")
         except NoDaemon:
             self._lost_daemon = True

@@ -10,7 +10,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, NoReturn, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, Protocol
 
 from slidectl.client import Client
 from slidectl.description.packages import Packages
@@ -18,6 +18,9 @@ from slidectl.description.report import did_you_mean
 from slidectl.errors import BadFile, NotThere, Refused, SlidectlError
 from slidectl.extensions.launch.plan import LaunchPlan, Leaf, Node
 from slidectl.supervision import Interrupts, Watch
+
+if TYPE_CHECKING:
+    from slidectl.msgs.typed import Call, RobotInfoMsg
 
 SPAWN_LIMIT_S = 30.0
 HOOK_LIMIT_S = 5.0
@@ -110,15 +113,16 @@ class Run:
         """Set the connection that tasks use."""
         self._client = client
 
-    def call(self, service: str, request: dict[str, Any] | None = None, timeout: float | None = None) -> dict[str, Any]:
-        """Call a service. Raises as Client.call does."""
-        return self.client.call(service, request, timeout=timeout)
+    @property
+    def call(self) -> Call:
+        """`Client.call` of the task's client."""
+        return self.client.call
 
-    def robots(self, timeout: float | None = None) -> list[dict[str, Any]]:
+    def robots(self, timeout: float | None = None) -> list[RobotInfoMsg]:
         """The robots in the world (slidectl/RobotInfo)."""
-        return list(self.call("/slidectl/list_robots", {"name": ""}, timeout)["robots"])
+        return self.call("/slidectl/list_robots", {"name": ""}, timeout=timeout)["robots"]
 
-    def controlled_robots(self) -> list[dict[str, Any]]:
+    def controlled_robots(self) -> list[RobotInfoMsg]:
         """The robots with a controller manager, without other models."""
         return [robot for robot in self.robots() if robot["kind"] == "robot"]
 

@@ -210,7 +210,7 @@ class GoldenTable:
         """Add a message of one of its topics."""
         row = {"time": repr(time_ns / _SECOND), "topic": topic}
         for path, selection, tolerance in self._selections[topic]:
-            value = selection.take(message)
+            value = selection.read(message)
             for leaf, item, _ in _leaves(path, value, value):
                 column = f"{topic}/{leaf}"
                 row[column] = "nan" if item is None else str(item)
@@ -327,7 +327,7 @@ class _Reader:
         return self._selections[channel.number]
 
     def value(self, record: Record) -> Any:
-        return self._selection(record.channel).take(self.recording.message(record))
+        return self._selection(record.channel).read(self.recording.message(record))
 
 
 def _first_difference(

@@ -147,7 +147,7 @@ def _ping(ctx: Context, full: str, is_first: bool) -> float:
     if is_first:
         output.write(f"pinging {full} with a timeout of 3.0s")
     began = monotonic()
-    details = ctx.call("/rosapi/node_details", {"node": full}, 3.0)
+    details = ctx.call("/rosapi/node_details", {"node": full}, timeout=3.0)
     milliseconds = (monotonic() - began) * 1000
     if not any(details.values()):
         raise Failure(f"ERROR: [{full}] has gone")

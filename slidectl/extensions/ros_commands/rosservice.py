@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from slidectl.cli import output
 from slidectl.cli.context import Context
@@ -14,6 +14,9 @@ from slidectl.extensions.ros_commands import genpy
 from slidectl.extensions.ros_commands.arguments import Failure, Parser, Tool, below, option, resolve, without_remappings
 from slidectl.msgs.schema import Typedefs
 from slidectl.typed_values import check_quotes
+
+if TYPE_CHECKING:
+    from slidectl.msgs.typed import ResolveResponseMsg
 
 _FAILED = 2
 _NOT_AVAILABLE = "ERROR: Service [{}] is not available."
@@ -34,7 +37,7 @@ def list_services(ctx: Context, argv: Sequence[str]) -> None:
         output.write("\n".join(known))
 
 
-def _known(ctx: Context, full: str) -> dict[str, Any] | None:
+def _known(ctx: Context, full: str) -> ResolveResponseMsg | None:
     """Name, type, typedefs and node of a service (slidectl/Resolve), None when it does not exist."""
     try:
         return ctx.resolve("service", full)
@@ -49,7 +52,7 @@ def _asked(
     unknown: str,
     code: int = EXIT_REFUSED,
     missing: str = "service must be specified",
-) -> dict[str, Any]:
+) -> ResolveResponseMsg:
     """The service named on the command line. Raises Failure with `unknown` and `code` when it does not exist."""
     parser = Parser("rosservice", f"rosservice {verb} /service")
     extra = f"you may only specify one {'service' if verb == 'info' else 'input service'}"
@@ -137,7 +140,7 @@ def call(ctx: Context, argv: Sequence[str]) -> None:
         raise Failure("\n".join(["ERROR: " + refusals[0], *refusals[1:]]))
 
 
-def _awaited(ctx: Context, full: str) -> dict[str, Any]:
+def _awaited(ctx: Context, full: str) -> ResolveResponseMsg:
     """Wait until a node provides the service. Raises TimedOut after `--timeout`; without it there is no limit."""
     limit = ctx.wait_limit(float("inf"))
     deadline = ctx.client.monotonic() + limit

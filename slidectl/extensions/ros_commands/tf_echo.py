@@ -102,7 +102,7 @@ def _look_ups(ctx: Context, source: str, target: str, rate: float) -> Iterator[t
             now = f"{time['secs']}.{time['nsecs']:09d}"
             frames = listener.frames
             try:
-                yield now, frames.look_up(source, target), "", frames
+                yield now, frames.transform(source, target), "", frames
             except (UnknownName, Refused):
                 yield now, None, _why_not(frames, source, target), frames
             due += 1.0 / rate

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,9 @@ from slidectl.errors import AmbiguousName, UnknownName
 from slidectl.measures import Array
 from slidectl.rasteriser import Viewpoint
 from slidectl.rotations import Vector
+
+if TYPE_CHECKING:
+    from slidectl.msgs.typed import SceneResponseMsg
 
 SKY = (0.62, 0.75, 0.90)
 TILES = ((0.80, 0.80, 0.80), (0.86, 0.86, 0.86))
@@ -59,7 +62,7 @@ class ColouredSurface(NamedTuple):
 class DrawnScene:
     """Robots and ground; `place` sets the present poses."""
 
-    def __init__(self, answer: dict[str, Any], collisions: bool = False) -> None:
+    def __init__(self, answer: SceneResponseMsg, collisions: bool = False) -> None:
         """`answer` is that of /slidectl/scene, with descriptions. `collisions`: draw collision shapes, not visuals."""
         self.ground = bool(answer["ground"])
         self.robots: dict[str, Robot] = {
@@ -84,7 +87,7 @@ class DrawnScene:
         sensors = [(name, sensor) for name, robot in self.robots.items() for sensor in robot.sensors]
         return {f"{name}::{sensor.name}": sensor for name, sensor in sensors if isinstance(sensor, Camera)}
 
-    def place(self, answer: dict[str, Any]) -> bool:
+    def place(self, answer: SceneResponseMsg) -> bool:
         """Set the present poses of the links. Returns False when the robots have changed: make a new scene."""
         if "poses" in vars(self) and answer["serials"] != self._serials:
             return False

@@ -165,7 +165,7 @@ class TopicCurves:
         self.last = time
         for path, (selection, about, curves) in self._fields.items():
             try:
-                value = selection.take(message)
+                value = selection.read(message)
             except NoElement:
                 if not curves:
                     raise
@@ -187,7 +187,7 @@ class TopicCurves:
         curve = Curve(f"{self.topic}/{label}", unit=about if isinstance(about, str) else "")
         if not isinstance(about, str):
             with suppress(NoElement, IndexError):
-                found = about.take(message)
+                found = about.read(message)
                 curve.about = found if place is None else found[place]
             joint = names.join(names.parent(self.topic), curve.about)
             curve.unit = self._units.of_joint(joint, path.partition("[")[0])

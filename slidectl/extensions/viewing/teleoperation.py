@@ -14,6 +14,7 @@ from slidectl.msgs.schema import nanoseconds
 
 if TYPE_CHECKING:
     from slidectl.client import Client
+    from slidectl.msgs.typed import JointInfoMsg, RobotInfoMsg
 
 Message = dict[str, Any]
 
@@ -121,8 +122,8 @@ It stops when the key is let go; any other key stops it at once."""
         """Read the set point, which others may have moved. Without a state topic, use the joint position."""
         self._time_ns, self._set_point = self._now_ns(), None
         if not self._has_state:
-            _, joint = _joints(self._client).get(self._full, ({}, {}))
-            self._set_point = joint.get("position")
+            found = _joints(self._client).get(self._full)
+            self._set_point = found[1]["position"] if found else None
 
     def _take(self, published: Message) -> None:
         if self._set_point is None and nanoseconds(published["time"]) > self._time_ns:
@@ -163,7 +164,7 @@ It stops when the key is let go; any other key stops it at once."""
 Driver = BaseDriver | JointDriver
 
 
-def _joints(client: Client) -> dict[str, tuple[Message, Message]]:
+def _joints(client: Client) -> dict[str, tuple[RobotInfoMsg, JointInfoMsg]]:
     """Full name of each moving joint -> robot and joint (slidectl/RobotInfo, slidectl/JointInfo)."""
     return {
         names.join(robot["namespace"], joint["name"]): (robot, joint)
@@ -173,7 +174,7 @@ def _joints(client: Client) -> dict[str, tuple[Message, Message]]:
     }
 
 
-def _controller_of(client: Client, robot: Message, joint: str) -> tuple[str, str]:
+def _controller_of(client: Client, robot: RobotInfoMsg, joint: str) -> tuple[str, str]:
     """Name and kind of the running controller that moves this joint alone. Raises Refused."""
     listed = client.controllers(robot["namespace"]).controllers() if robot["kind"] == "robot" else []
     users = []

@@ -18,6 +18,7 @@ from slidectl.msgs.schema import nanoseconds
 
 if TYPE_CHECKING:
     from slidectl.client import Client
+    from slidectl.msgs.typed import ControllerStateMsg
 
 Record = dict[str, Any]
 
@@ -136,7 +137,7 @@ class FollowedTopic:
     def _take(self, published: Record) -> None:
         self.message = published["msg"]
         count = self.message["header"]["seq"] if self._is_counted else None
-        self._meter.take(nanoseconds(published["time"]), count)
+        self._meter.add(nanoseconds(published["time"]), count)
         self._looks = 0
 
     def rate(self, now_ns: int) -> float | None:
@@ -149,7 +150,7 @@ class FollowedTopic:
         return 0.0 if self._looks > 2 and self._meter.is_silent(now_ns) else self._meter.rate
 
 
-def _controller(space: str, listed: Record) -> Record:
+def _controller(space: str, listed: ControllerStateMsg) -> Record:
     claims = dict.fromkeys(joint for claim in listed["claimed_resources"] for joint in claim["resources"])
     name = names.join(space, listed["name"])
     return {"manager": space, "name": name, "state": listed["state"], "type": listed["type"], "claims": list(claims)}

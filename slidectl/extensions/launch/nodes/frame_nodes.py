@@ -6,7 +6,7 @@ The simulation publishes the frames of its robots itself; a robot_state_publishe
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from slidectl import names, rotations
 from slidectl.client import Client
@@ -14,6 +14,9 @@ from slidectl.errors import BadFile, closest
 from slidectl.extensions.launch.nodes.spawn_model import SpawnModel
 from slidectl.extensions.launch.plan import LaunchPlan, Node
 from slidectl.extensions.launch.task import HOOK_LIMIT_S, Run, Task, number, parse
+
+if TYPE_CHECKING:
+    from slidectl.msgs.typed import RobotInfoMsg
 
 HONOURED = ("publish_frequency", "tf_prefix")
 """The parameters of the node that have an effect."""
@@ -62,7 +65,7 @@ class RobotStatePublisher(Task):
             self._set_up(run, robot)
         return None
 
-    def _set_up(self, run: Run, robot: dict[str, Any]) -> None:
+    def _set_up(self, run: Run, robot: RobotInfoMsg) -> None:
         place = names.join(robot["namespace"], "robot_state_publisher")
         if run.parameter(names.join(place, "enabled")) is False:  # it was ended by `rosnode kill`
             run.call("/rosapi/delete_param", {"name": names.join(place, "enabled")})
@@ -80,7 +83,7 @@ class RobotStatePublisher(Task):
         rate = f"{frequency:g}" if isinstance(frequency, int | float) else "50"
         self.settled(run, f"the simulation publishes the frames of {robot['name']} at {rate} Hz")
 
-    def _by_namespace(self, robots: list[dict[str, Any]]) -> dict[str, Any] | None:
+    def _by_namespace(self, robots: list[RobotInfoMsg]) -> RobotInfoMsg | None:
         """The robot in the namespace of the topic, else of the node. The root selects none here."""
         by_namespace = {robot["namespace"]: robot for robot in robots}
         for namespace in (names.parent(self._topic), self.node.namespace):
@@ -88,7 +91,7 @@ class RobotStatePublisher(Task):
                 return by_namespace[namespace]
         return None
 
-    def _surely_meant(self, run: Run, robots: list[dict[str, Any]]) -> dict[str, Any] | None:
+    def _surely_meant(self, run: Run, robots: list[RobotInfoMsg]) -> RobotInfoMsg | None:
         """The robot of this node, found without regard to other nodes.
 
         By its namespace, by the description parameter that it shares with one spawn node, or as the robot in the root.
@@ -106,7 +109,7 @@ class RobotStatePublisher(Task):
         in_root = [robot for robot in robots if robot["namespace"] == "/"]
         return in_root[0] if in_root and "/" in (names.parent(self._topic), self.node.namespace) else None
 
-    def _meant(self, run: Run, robots: list[dict[str, Any]]) -> dict[str, Any] | None:
+    def _meant(self, run: Run, robots: list[RobotInfoMsg]) -> RobotInfoMsg | None:
         """The robot that is surely meant; else, of the robots without another node, the one with this description,
         or the only one.
         """
@@ -144,8 +147,8 @@ class RobotStatePublisher(Task):
 
     def stop(self, run: Run) -> None:
         for name in self.copied:
-            if run.call("/rosapi/has_param", {"name": name}, HOOK_LIMIT_S)["exists"]:
-                run.call("/rosapi/delete_param", {"name": name}, HOOK_LIMIT_S)
+            if run.call("/rosapi/has_param", {"name": name}, timeout=HOOK_LIMIT_S)["exists"]:
+                run.call("/rosapi/delete_param", {"name": name}, timeout=HOOK_LIMIT_S)
 
 
 def _spawns(run: Run) -> list[SpawnModel]:

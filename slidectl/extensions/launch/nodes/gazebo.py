@@ -131,7 +131,7 @@ class Gazebo(Task):
         run.spawned += [name for name in named if name not in there]  # an interrupted call may have spawned them
         spawn = spawning.Spawn(run.client, spawning.scene_plan(models))
         spawn.check()
-        for warning in spawn.put():
+        for warning in spawn.apply():
             self.warn(run, warning.partition(" (--at")[0])
         few = ", ".join(named[:_MOST_NAMED]) + (f" and {len(named) - _MOST_NAMED} more" if named[_MOST_NAMED:] else "")
         plural = "" if len(named) == 1 else "s"
@@ -165,7 +165,7 @@ class Gazebo(Task):
         if run.owns_daemon:
             return
         for name in reversed(run.spawned):
-            if run.call("/gazebo/delete_model", {"model_name": name}, HOOK_LIMIT_S)["success"]:
+            if run.call("/gazebo/delete_model", {"model_name": name}, timeout=HOOK_LIMIT_S)["success"]:
                 self.settled(run, f"{name}: deleted")
         run.spawned.clear()
 

@@ -254,7 +254,7 @@ class SpawnModel(Task):
         if self.is_sdf:
             spawn.check()
         try:
-            warnings = spawn.put()
+            warnings = spawn.apply()
         except spawning.SpawnRefused as refused:
             if self.is_sdf:
                 raise
@@ -304,7 +304,7 @@ class SpawnModel(Task):
             return
         for name in reversed(self.parts):
             run.spawned.remove(name)
-            if run.call("/gazebo/delete_model", {"model_name": name}, HOOK_LIMIT_S)["success"]:
+            if run.call("/gazebo/delete_model", {"model_name": name}, timeout=HOOK_LIMIT_S)["success"]:
                 self.settled(run, f"{name}: deleted")
 
 

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from viser import GuiButtonGroupHandle, GuiHtmlHandle
 
 from slidectl.client.manager import STARTED, UNLOADED, Manager, claimed_text, configured
 from slidectl.errors import UsageError
-from slidectl.extensions.viewing.page.page import Message, Page, Panel, WorldState, html_table, offer
+from slidectl.extensions.viewing.page.page import Page, Panel, WorldState, html_table, offer
+
+if TYPE_CHECKING:
+    from slidectl.msgs.typed import ControllerStateMsg
 
 _NOTHING = "nothing"
 _STOP, _START = "switch: stop", "switch: start"
@@ -114,5 +117,5 @@ class ControllersPanel(Panel):
         manager.check_started(start)
 
 
-def _names(controllers: Sequence[Message]) -> list[str]:
+def _names(controllers: Sequence[ControllerStateMsg]) -> list[str]:
     return [one["name"] for one in controllers]

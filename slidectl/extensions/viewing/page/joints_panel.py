@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Hashable, Iterator
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from viser import GuiHtmlHandle
 
 from slidectl import names
 from slidectl.description.robot import MOVING
 from slidectl.extensions.viewing.page.page import Message, Page, Panel, WorldState, html_table
+
+if TYPE_CHECKING:
+    from slidectl.msgs.typed import RobotInfoMsg
 
 _SCALAR, _ARRAY = "std_msgs/Float64", "std_msgs/Float64MultiArray"
 _QUANTITIES = ("Position", "Velocity", "Effort")
@@ -69,7 +72,9 @@ class JointsPanel(Panel):
             self.gui.add_markdown("no joints: `slidectl spawn slider`")
         self.refresh(world)
 
-    def _add_sliders(self, drive: _Drive, joints: dict[str, Message], before: list[float] | None) -> list[Any]:
+    def _add_sliders(
+        self, drive: _Drive, joints: Mapping[str, Mapping[str, Any]], before: list[float] | None
+    ) -> list[Any]:
         """Add the sliders of a controller; `before` are their earlier values. Returns them."""
         sliders = []
         driven = drive.joints
@@ -135,14 +140,14 @@ class JointsPanel(Panel):
         self._tables = {}
 
 
-def _robots(world: WorldState) -> Iterator[tuple[Message, list[Message]]]:
+def _robots(world: WorldState) -> Iterator[tuple[RobotInfoMsg, Sequence[Mapping[str, Any]]]]:
     """Each robot with moving joints, and these joints."""
     for robot in world.robots:
         if joints := [joint for joint in robot["joints"] if joint["type"] in MOVING]:
             yield robot, joints
 
 
-def _drives(robot: Message, world: WorldState) -> Iterator[_Drive]:
+def _drives(robot: RobotInfoMsg, world: WorldState) -> Iterator[_Drive]:
     space = robot["namespace"]
     for one in world.controllers.get(space, ()) if robot["kind"] == "robot" else ():
         topic = names.join(space, f"{one['name']}/command")
@@ -155,7 +160,7 @@ def _drives(robot: Message, world: WorldState) -> Iterator[_Drive]:
             yield _Drive(one["name"], topic, quantity, joints[:1] if kind == _SCALAR else joints, kind == _ARRAY)
 
 
-def bounds(joint: Message, quantity: str) -> tuple[float, float]:
+def bounds(joint: Mapping[str, Any], quantity: str) -> tuple[float, float]:
     """The range of commands for a slidectl/JointInfo: its limits, or a default range."""
     if quantity == "Position":
         low, high = joint.get("lower"), joint.get("upper")

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from viser import ClientHandle, GuiFolderHandle, GuiTabHandle
 
     from slidectl.extensions.viewing.page.guarded_server import GuardedServer
+    from slidectl.msgs.typed import ControllerStateMsg, RobotInfoMsg, StatusResponseMsg
 
 FRAME_S = 1 / 35
 """Wall seconds between two updates of the link poses."""
@@ -54,11 +55,11 @@ Message = dict[str, Any]
 class WorldState(NamedTuple):
     """The state of the world at one moment."""
 
-    status: Message
+    status: StatusResponseMsg
     """slidectl/Status."""
-    robots: list[Message]
+    robots: list[RobotInfoMsg]
     """slidectl/RobotInfo."""
-    controllers: dict[str, list[Message]]
+    controllers: dict[str, list[ControllerStateMsg]]
     """Namespace -> its controller_manager_msgs/ControllerState."""
     topics: dict[str, str]
     """Name -> type."""

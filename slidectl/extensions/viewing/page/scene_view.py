@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from viser import SceneNodeHandle
@@ -14,6 +14,9 @@ from slidectl.extensions.viewing.drawn_scene import VIEWS, DrawnScene
 from slidectl.extensions.viewing.page.page import Page, Panel, WorldState
 from slidectl.measures import Array
 from slidectl.rotations import IDENTITY, Vector, compose, conjugate, relative, rotate
+
+if TYPE_CHECKING:
+    from slidectl.msgs.typed import PointMsg, SceneResponseMsg, Vector3Msg
 
 FRAMES, AXES, MASSES, CONTACTS = "frames of links", "joint axes", "centres of mass", "contacts and their forces"
 _MOST_TRACED = 2000
@@ -208,7 +211,7 @@ class SceneView(Panel):
             for node in nodes:
                 node.visible = self._shown[what]
 
-    def _draw_contacts(self, answer: dict[str, Any]) -> None:
+    def _draw_contacts(self, answer: SceneResponseMsg) -> None:
         if not self._shown[CONTACTS]:
             return
         scene, points = self.page.server.scene, _vectors(answer["contact_points"])
@@ -313,5 +316,5 @@ def _path(link: str) -> str:
     return f"/robots/{robot.replace('/', '_')}/{name.replace('/', '_')}"
 
 
-def _vectors(messages: list[dict[str, float]]) -> Array:
+def _vectors(messages: list[PointMsg] | list[Vector3Msg]) -> Array:
     return np.array([[one["x"], one["y"], one["z"]] for one in messages]).reshape(-1, 3)

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Hashable
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from slidectl.client import Client
 from slidectl.errors import Refused
-from slidectl.extensions.viewing.page.page import Message, Page, Panel, WorldState
+from slidectl.extensions.viewing.page.page import Page, Panel, WorldState
+
+if TYPE_CHECKING:
+    from slidectl.msgs.typed import StatusResponseMsg
 
 _SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "5", "10", "max")
 _NONE = "none"
@@ -78,7 +81,7 @@ class SimulationPanel(Panel):
             if not answer["success"]:
                 raise Refused(answer["message"])
 
-    def _status(self) -> Message:
+    def _status(self) -> StatusResponseMsg:
         """The slidectl/Status. The answer of finished steps arrives before it and is processed."""
         status = self.page.client.call("/slidectl/status")
         self.page.attempt(self.update)
@@ -121,5 +124,5 @@ def _triggered(page: Page, action: Any) -> Any:
     return triggered
 
 
-def _text(status: dict[str, Any]) -> str:
+def _text(status: StatusResponseMsg) -> str:
     return f"time **{status['time']:.3f} s**, cycle {status['cycles']}, {status['timestep']:g} s each"

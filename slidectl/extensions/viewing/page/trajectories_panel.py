@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections.abc import Hashable, Iterator
 from functools import partial
 from html import escape
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from slidectl import names
 from slidectl.client import Subscription
-from slidectl.client.action_client import Action
-from slidectl.client.trajectory_goals import desired_positions, goal_to, hold, trajectory_controllers
+from slidectl.client.action_client import Action, desired_positions, goal_to, hold, trajectory_controllers
 from slidectl.extensions.viewing.page.joints_panel import bounds, placed, step_of
-from slidectl.extensions.viewing.page.page import PADDING, Message, Page, Panel, WorldState, html_table
+from slidectl.extensions.viewing.page.page import PADDING, Page, Panel, WorldState, html_table
+
+if TYPE_CHECKING:
+    from slidectl.msgs.typed import RobotInfoMsg
 
 _STATE_EVERY_MS = 100
 _LONGEST_S = 1e6
@@ -37,9 +39,10 @@ class TrajectoriesPanel(Panel):
         self._told = "no goal was sent"
 
     def shape(self, world: WorldState) -> Hashable:
-        about = ("name", "type", "lower", "upper")
         running = {
-            controller: tuple(tuple(joint[key] for key in about) for joint in robot["joints"])
+            controller: tuple(
+                (joint["name"], joint["type"], joint["lower"], joint["upper"]) for joint in robot["joints"]
+            )
             for controller, _, robot in _running(world)
         }
         if self._controller not in running:
@@ -131,7 +134,7 @@ class TrajectoriesPanel(Panel):
         self._sliders.clear()
 
 
-def _running(world: WorldState) -> Iterator[tuple[str, str, Message]]:
+def _running(world: WorldState) -> Iterator[tuple[str, str, RobotInfoMsg]]:
     """The full name of each running trajectory controller, its action and its robot."""
     actions = trajectory_controllers(world.topics)
     robots = {robot["namespace"]: robot for robot in world.robots if robot["kind"] == "robot"}
