@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 from slidectl import msgs
 from slidectl.errors import NoDaemon, Refused, SlidectlError, TimedOut
 from slidectl.extensions.gateways.daemon_connection import DaemonConnection
+from slidectl.extensions.gateways.gateway import Tasks
 from slidectl.extensions.gateways.ros1.api_calls import ANY_TYPE
 from slidectl.extensions.gateways.ros1.counted_streams import CountedReader, listen
 from slidectl.extensions.gateways.ros1.ros1_types import ros1_type
@@ -23,7 +24,6 @@ from slidectl.extensions.gateways.ros1.service_bridge import ServiceServer, call
 from slidectl.extensions.gateways.ros1.tcpros import HELD, TcprosConnection, encode_header
 from slidectl.extensions.gateways.ros1.topic_bridge import Follower, TopicServer
 from slidectl.extensions.gateways.strangers import Strangers
-from slidectl.extensions.gateways.tasks import Tasks
 from slidectl.web_access import in_uri
 from slidectl.wire.messages import Message
 
