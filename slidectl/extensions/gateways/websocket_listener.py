@@ -21,7 +21,7 @@ from functools import partial
 from typing import Any, cast
 from urllib.parse import parse_qs, urlsplit
 
-from websockets.asyncio.server import Server, ServerConnection, serve
+from websockets.asyncio.server import Server, ServerConnection, broadcast, serve
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
@@ -34,6 +34,7 @@ from slidectl.extensions.gateways.bounded_websocket import (
     ConnectionBounds,
     answering_bad_requests,
 )
+from slidectl.extensions.gateways.daemon_connection import DaemonConnection
 from slidectl.extensions.gateways.gateway import GatewayOptions
 from slidectl.extensions.gateways.strangers import Strangers
 from slidectl.web_access import (
@@ -48,6 +49,9 @@ from slidectl.web_access import (
 
 _MORE_HANDSHAKES = 200
 """Connections beyond the limit that still get a refusal as answer; further ones cut the oldest unfinished one."""
+_PING_EVERY_S, _PONG_WITHIN_S = 20.0, 60.0
+_UNREAD = 256 * 1024
+"""Unsent bytes to a client at which sending stops."""
 _BACKLOG = 1000
 """Connections that the system may keep until they are accepted."""
 _MOST_HELD = 128 * 1024 * 1024
@@ -79,13 +83,23 @@ class ListenerOptions(GatewayOptions):
 
 
 class ListenerConnection(BoundedConnection):
-    """A connection; it is cut at once when there are too many of other users."""
+    """A connection of a client. While the client does not read, neither it nor its daemon connection is read.
+
+    It is cut at once when there are too many of other users.
+    """
 
     def __init__(self, *args: Any, strangers: Strangers, **options: Any) -> None:
         super().__init__(*args, **options)
         self._strangers = strangers
         self.stranger = ""
         """Why the connection is one of another user, who may not come in; empty for others."""
+        self.daemon: DaemonConnection | None = None
+        """The client's connection to the daemon."""
+        self.on_writable: Callable[[], None] = lambda: None
+        """Called when the client reads again."""
+        self._may_write = asyncio.Event()
+        self._may_write.set()
+        self._ending: asyncio.Future[None] | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         super().connection_made(transport)
@@ -96,6 +110,41 @@ class ListenerConnection(BoundedConnection):
     def connection_lost(self, exc: Exception | None) -> None:
         self._strangers.gone(self)
         super().connection_lost(exc)
+        self._may_write.set()
+        if self.daemon is not None:  # the handler may be waiting in `drain`
+            self.daemon.close()
+
+    def pause_writing(self) -> None:
+        super().pause_writing()
+        self._may_write.clear()
+        self.stop_reading("unread")  # stops pings too: answers to them would add to the unsent data
+        if self.daemon is not None:
+            self.daemon.pause()
+
+    def resume_writing(self) -> None:
+        super().resume_writing()
+        self._may_write.set()
+        self.go_on_reading("unread")
+        if self.daemon is not None:
+            self.daemon.resume()
+        self.on_writable()
+
+    @property
+    def is_writable(self) -> bool:
+        """False while too much is unsent."""
+        return self._may_write.is_set()
+
+    async def writable(self) -> None:
+        """Wait while too much is unsent."""
+        await self._may_write.wait()
+
+    def write(self, frame: bytes, is_text: bool) -> None:
+        """Send a frame without waiting: `pause_writing` is called when too much is unsent."""
+        broadcast((self,), frame, text=is_text)
+
+    def end_soon(self, code: int, reason: str) -> None:
+        """Start closing the connection, from code that cannot await."""
+        self._ending = asyncio.ensure_future(self.close(code, reason))
 
 
 class WebSocketListener:
@@ -134,12 +183,7 @@ class WebSocketListener:
             raise UsageError(f"--host {options.host} lets other machines in: --token WORD is needed")
         return is_local
 
-    async def open(
-        self,
-        handler: Callable[[Any], Awaitable[None]],
-        kind: type[ListenerConnection] = ListenerConnection,
-        **more: Any,
-    ) -> str:
+    async def open(self, handler: Callable[[ListenerConnection], Awaitable[None]], **more: Any) -> str:
         """Listen, and return the address to show. `more` goes to the library's server.
 
         Raises:
@@ -154,7 +198,7 @@ class WebSocketListener:
         if not self._token:
             check_users_can_be_told(options.any_user)
         strangers = Strangers(lets_all_in=bool(self._token) or options.any_user)
-        made = partial(kind, bounds=self.bounds, strangers=strangers)
+        made = partial(ListenerConnection, bounds=self.bounds, strangers=strangers)
 
         async def count(connection: ServerConnection) -> None:
             if self.connections >= options.max_connections:  # several connected at the same time
@@ -162,7 +206,7 @@ class WebSocketListener:
                 return
             self.connections += 1
             try:
-                await handler(connection)
+                await handler(cast(ListenerConnection, connection))
             except ConnectionClosed:
                 pass
             except Exception:  # an internal error ends one connection
@@ -178,6 +222,9 @@ class WebSocketListener:
                 options.port,
                 process_request=answering_bad_requests(self._judge),
                 open_timeout=HANDSHAKE_S,
+                ping_interval=_PING_EVERY_S,
+                ping_timeout=_PONG_WITHIN_S,
+                write_limit=_UNREAD,
                 close_timeout=CLOSE_S,
                 backlog=_BACKLOG,
                 server_header=None,

@@ -10,17 +10,20 @@ import logging
 import resource
 from collections.abc import Awaitable, Callable, Iterable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from typing import Any, NamedTuple
 
 from slidectl import msgs
 from slidectl.errors import NoDaemon, Refused, SlidectlError, TimedOut
 from slidectl.extensions.gateways.daemon_connection import DaemonConnection
+from slidectl.extensions.gateways.gateway import Tasks
+from slidectl.extensions.gateways.ros1.api_calls import ANY_TYPE
+from slidectl.extensions.gateways.ros1.counted_streams import CountedReader, listen
 from slidectl.extensions.gateways.ros1.ros1_types import ros1_type
 from slidectl.extensions.gateways.ros1.service_bridge import ServiceServer, call_service, service_type
-from slidectl.extensions.gateways.ros1.tcpros import Fields, TcprosConnection
-from slidectl.extensions.gateways.ros1.topic_bridge import ANY_TYPE, Follower, TopicServer
+from slidectl.extensions.gateways.ros1.tcpros import HELD, TcprosConnection, encode_header
+from slidectl.extensions.gateways.ros1.topic_bridge import Follower, TopicServer
 from slidectl.extensions.gateways.strangers import Strangers
-from slidectl.extensions.gateways.tasks import Tasks
 from slidectl.web_access import in_uri
 from slidectl.wire.messages import Message
 
@@ -106,10 +109,9 @@ class DataPlane:
 
     async def open(self) -> int:
         """Listen for TCPROS. Returns the port. Raises Refused."""
-        loop = asyncio.get_running_loop()
         self._most_connections = min(MOST_CONNECTIONS, resource.getrlimit(resource.RLIMIT_NOFILE)[0] // 2)
         try:
-            self._server = await loop.create_server(self._accepted, self._bind, 0, backlog=MOST_CONNECTIONS)
+            self._server = await listen(self._bind, 0, HELD, self._serve)
         except OSError as error:
             raise Refused(f"cannot listen on {self._bind}: {error.strerror or error}") from None
         self._port = self._server.sockets[0].getsockname()[1]
@@ -233,34 +235,45 @@ class DataPlane:
 
     # --- TCPROS -------------------------------------------------------------------------------------------------
 
-    def _accepted(self) -> TcprosConnection:
-        connection = TcprosConnection(self._take_header)
-        connection.on_opened = self._opened
-        return connection
-
-    def _opened(self, connection: TcprosConnection) -> None:
-        if why := connection.stranger(self.strangers):
-            connection.refuse(why)
-            connection.close()
+    async def _serve(self, reader: CountedReader, writer: asyncio.StreamWriter) -> None:
+        """Serve a subscriber or a client of a service, until it disconnects."""
+        connection = TcprosConnection(reader, writer)
+        try:
+            why = self.strangers.seen(connection, writer.transport)
+            if why or not self._has_room():
+                why = why or f"too many connections: {self._most_connections} are open"
+                writer.write(encode_header({"error": why}))
+                return
+            self._connections[connection] = None
+            task = asyncio.current_task()
+            assert task is not None
+            reader.on_end = lambda _: task.cancel()
+            try:
+                header = await connection.read_header()
+                if "topic" in header:
+                    await self._topics.serve(connection, header)
+                elif "service" in header:
+                    await self._services.serve(connection, header)
+                else:
+                    raise Refused("no topic or service name detected")
+            except SlidectlError as error:
+                await connection.refuse(str(error))
+        except (EOFError, OSError, asyncio.CancelledError):
+            pass  # it has disconnected (`on_end`), or is slow
+        finally:
             self.strangers.gone(connection)
-            return
+            self._connections.pop(connection, None)
+            connection.close()
+
+    def _has_room(self) -> bool:
+        """True when another connection may come; the oldest without a header makes room."""
         if len(self._connections) >= self._most_connections:
             unfinished = next((one for one in self._connections if not one.has_header), None)
             if unfinished is None:
-                connection.refuse(f"too many connections: {self._most_connections} are open")
-                connection.close()
-                return
+                return False
+            del self._connections[unfinished]
             unfinished.close()
-        self._connections[connection] = None
-        connection.on_gone = lambda gone: self._connections.pop(gone, None)
-
-    def _take_header(self, connection: TcprosConnection, header: Fields) -> None:
-        if "topic" in header:
-            self._topics.accept(connection, header)
-        elif "service" in header:
-            self._services.accept(connection, header)
-        else:
-            connection.refuse("no topic or service name detected")
+        return True
 
     # --- foreign nodes in the daemon's graph --------------------------------------------------------------------
 
@@ -382,27 +395,25 @@ class DataPlane:
                 self._followers.pop((of, node)).close()
         for node, uri in publishers.items():
             if (topic, node) not in self._followers:
-                take = self._taker(topic, node)
+                publish = partial(self._publish, topic, node)
                 subscriber = subscribers[0] if subscribers else self._node
-                self._followers[topic, node] = Follower(topic, ros1_type(kind), node, uri, subscriber, take)
+                self._followers[topic, node] = Follower(topic, ros1_type(kind), node, uri, subscriber, publish)
 
-    def _taker(self, topic: str, node: str) -> Callable[[Message, bool], DaemonConnection | None]:
-        def take(message: Message, is_latched: bool) -> DaemonConnection | None:
-            foreign = self._foreign.get(node)
-            if foreign is None or foreign.connection is None:
-                return None
-            stream = self._topics.stream(topic)
-            if stream is not None:
-                stream.expect_echo(message)
-            if is_latched:
-                kind = ros1_type(self._type_of(topic))
-                if topic not in foreign.latched:
-                    foreign.connection.advertise(topic, kind.name, latch=True)
-                foreign.latched[topic] = kind.key(kind.pack(message))
-            foreign.connection.publish(topic, message)
-            return foreign.connection
-
-        return take
+    def _publish(self, topic: str, node: str, message: Message, is_latched: bool) -> DaemonConnection | None:
+        """Publish a message of a foreign node under its name. Returns the node's connection."""
+        foreign = self._foreign.get(node)
+        if foreign is None or foreign.connection is None:
+            return None
+        stream = self._topics.stream(topic)
+        if stream is not None:
+            stream.expect_echo(message)
+        if is_latched:
+            kind = ros1_type(self._type_of(topic))
+            if topic not in foreign.latched:
+                foreign.connection.advertise(topic, kind.name, latch=True)
+            foreign.latched[topic] = kind.key(kind.pack(message))
+        foreign.connection.publish(topic, message)
+        return foreign.connection
 
     # --- foreign services ---------------------------------------------------------------------------------------
 

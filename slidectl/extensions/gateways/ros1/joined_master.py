@@ -15,13 +15,13 @@ from typing import Any
 
 from slidectl import names
 from slidectl.errors import Refused, SlidectlError, cut
+from slidectl.extensions.gateways.gateway import Tasks
 from slidectl.extensions.gateways.ros1 import xmlrpc
 from slidectl.extensions.gateways.ros1.api_calls import ANY_TYPE
 from slidectl.extensions.gateways.ros1.data_plane import DataPlane
 from slidectl.extensions.gateways.ros1.master import MOST_NODES
 from slidectl.extensions.gateways.ros1.native_graph import OWN_NODE, NativeGraph
 from slidectl.extensions.gateways.ros1.parameter_server import DaemonParameters
-from slidectl.extensions.gateways.tasks import Tasks
 
 _log = logging.getLogger(__name__)
 

@@ -13,11 +13,11 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from slidectl.errors import Refused, SlidectlError, cut
+from slidectl.extensions.gateways.gateway import Tasks
 from slidectl.extensions.gateways.ros1 import api_calls, xmlrpc
 from slidectl.extensions.gateways.ros1.api_calls import ANY_TYPE, Answered, Api
 from slidectl.extensions.gateways.ros1.data_plane import DataPlane
 from slidectl.extensions.gateways.ros1.native_graph import OWN_NODE, NativeGraph
-from slidectl.extensions.gateways.tasks import Tasks
 
 _log = logging.getLogger(__name__)
 

@@ -16,8 +16,15 @@ from slidectl.errors import BadMessage, Refused, SlidectlError, listing
 from slidectl.extensions.gateways.daemon_connection import DaemonConnection
 from slidectl.extensions.gateways.ros1 import xmlrpc
 from slidectl.extensions.gateways.ros1.ros1_types import Ros1Type, ros1_type
-from slidectl.extensions.gateways.ros1.tcpros import Fields, OutgoingConnection, TcprosConnection, frame
-from slidectl.extensions.gateways.tasks import Tasks
+from slidectl.extensions.gateways.ros1.tcpros import (
+    ANY_MD5,
+    Fields,
+    TcprosConnection,
+    TooLong,
+    check_has,
+    connect,
+    frame,
+)
 from slidectl.wire.messages import Message
 
 _log = logging.getLogger(__name__)
@@ -25,7 +32,6 @@ _log = logging.getLogger(__name__)
 Row = tuple[int, str, str, str, str, bool, str]
 """A row of getBusInfo: id, destination or source, direction, transport, topic, connected, text."""
 
-ANY_TYPE = "*"
 _TRANSPORT = "TCPROS"
 _MOST_ECHOES = 1000
 _READ_AHEAD = 10_000
@@ -73,7 +79,7 @@ class TopicStream:
         self._echoes: deque[int] = deque(maxlen=_MOST_ECHOES)
         """Keys of messages that came from foreign publishers: foreign subscribers receive these directly."""
 
-    def take(self, publish: Message) -> None:
+    def receive(self, publish: Message) -> None:
         """Send a message of the daemon to all links. Latched ones are skipped: each link requests these itself."""
         if not self._active or (publish.get("latch") and not self.takes_latched):
             return
@@ -97,6 +103,11 @@ class TopicStream:
         self.links.pop(link, None)
         self._update()
 
+    def close(self) -> None:
+        """Disconnect all subscribers."""
+        for link in self.links:
+            link.connection.close()
+
     def _update(self) -> None:
         """Send to one link per node: a node may connect to another publisher before it leaves the last one."""
         self._active = tuple({link.caller: link for link in self.links}.values())
@@ -116,7 +127,6 @@ class TopicServer:
         self._asker: DaemonConnection | None = None
         """The connection that reads latched messages, one topic at a time."""
         self._asking = asyncio.Lock()
-        self._tasks = Tasks()
         self._lost = 0
 
     async def attach(self, connection: DaemonConnection, asker: DaemonConnection) -> None:
@@ -125,10 +135,9 @@ class TopicServer:
         for stream in list(self._streams.values()):
             stream.takes_latched = True
             try:
-                await connection.subscribe(stream.name, stream.type.name, _READ_AHEAD, take=stream.take)
+                await connection.subscribe(stream.name, stream.type.name, _READ_AHEAD, take=stream.receive)
             except Refused as error:  # the topic has another type now
-                for link in list(stream.links):
-                    link.connection.close()
+                stream.close()
                 _log.warning("%s: %s", stream.name, error)
             stream.takes_latched = False
 
@@ -146,69 +155,57 @@ class TopicServer:
         self.topics = topics
         for stream in list(self._streams.values()):
             if stream.name not in topics or topics[stream.name][0] != stream.type.name:
-                for link in list(stream.links):
-                    link.connection.close()
+                stream.close()
 
     def stream(self, topic: str) -> TopicStream | None:
         """The stream to foreign subscribers; None without any."""
         return self._streams.get(topic)
 
-    def accept(self, connection: TcprosConnection, header: Fields) -> None:
-        """Process a subscriber's header. The refusal texts are rospy's."""
-        for required in ("topic", "md5sum", "callerid"):
-            if required not in header:
-                connection.refuse(f"Missing required '{required}' field")
-                return
+    async def serve(self, connection: TcprosConnection, header: Fields) -> None:
+        """Serve a subscriber until it disconnects. Raises Refused, with rospy's texts; EOFError at the end."""
+        check_has(header, "topic", "md5sum", "callerid")
         name, caller = header["topic"], header["callerid"]
         if name not in self.topics:
             listed = listing(f"{topic} [{kind}]" for topic, (kind, _) in self.topics.items())
-            connection.refuse(f"[{self._node}] is not a publisher of [{name}]. Topics are {listed}")
-            return
+            raise Refused(f"[{self._node}] is not a publisher of [{name}]. Topics are {listed}")
         type_name, publishers = self.topics[name]
         kind = ros1_type(type_name)
-        if header["md5sum"] not in (ANY_TYPE, kind.md5):
-            asked = header.get("type", kind.name)
-            if asked != kind.name:
-                connection.refuse(f"topic types do not match: [{asked}] vs. [{kind.name}]")
-            else:
-                connection.refuse(
-                    f"Client [{caller}] wants topic [{name}] to have datatype/md5sum [{asked}/{header['md5sum']}], "
-                    f"but our version has [{kind.name}/{kind.md5}] Dropping connection."
-                )
-            return
-        connection.ignore()
-        self._tasks.begin(self._begin(connection, name, kind, caller, publishers))
-
-    async def _begin(
-        self, connection: TcprosConnection, name: str, kind: Ros1Type, caller: str, publishers: list[str]
-    ) -> None:
+        if header["md5sum"] not in (ANY_MD5, kind.md5):
+            theirs = header.get("type", kind.name)
+            if theirs != kind.name:
+                raise Refused(f"topic types do not match: [{theirs}] vs. [{kind.name}]")
+            raise Refused(
+                f"Client [{caller}] wants topic [{name}] to have datatype/md5sum [{theirs}/{header['md5sum']}], "
+                f"but our version has [{kind.name}/{kind.md5}] Dropping connection."
+            )
         link = SubscriberLink(connection, caller)
         stream = self._streams.get(name)
         is_new = stream is None
         if stream is None:
             stream = self._streams[name] = TopicStream(name, kind)
         stream.add(link)
-        connection.on_closed = lambda: self._leave(stream, link)
         try:
             if is_new and self._connection is not None:
-                await self._connection.subscribe(name, kind.name, _READ_AHEAD, take=stream.take)
+                await self._connection.subscribe(name, kind.name, _READ_AHEAD, take=stream.receive)
             latched = await self._latched(name, kind)
-        except SlidectlError as error:
-            for one in list(stream.links) if is_new else [link]:
-                self._leave(stream, one)
-                one.connection.refuse(str(error).replace("\n", "; "))
-            return
-        connection.send_header(
-            {
-                "callerid": publishers[0] if publishers else self._node,
-                "latching": "1" if latched else "0",
-                "md5sum": kind.md5,
-                "message_definition": kind.definition,
-                "topic": name,
-                "type": kind.name,
-            }
-        )
-        link.begin(latched)
+            connection.send_header(
+                {
+                    "callerid": publishers[0] if publishers else self._node,
+                    "latching": "1" if latched else "0",
+                    "md5sum": kind.md5,
+                    "message_definition": kind.definition,
+                    "topic": name,
+                    "type": kind.name,
+                }
+            )
+            link.begin(latched)
+            await connection.discard()
+        except SlidectlError:
+            if is_new:  # nothing will come for those who have joined since
+                stream.close()
+            raise
+        finally:
+            self._leave(stream, link)
 
     def _leave(self, stream: TopicStream, link: SubscriberLink) -> None:
         stream.remove(link)
@@ -266,9 +263,9 @@ class Follower:
         node: str,
         uri: str,
         subscriber: str,
-        take: Callable[[Message, bool], DaemonConnection | None],
+        publish: Callable[[Message, bool], DaemonConnection | None],
     ) -> None:
-        """`take` publishes a message (the flag: it is latched) and returns the daemon connection that it used."""
+        """`publish` publishes a message (the flag: it is latched) and returns the daemon connection that it used."""
         self.topic = topic
         self.type = kind
         self.node = node
@@ -276,93 +273,66 @@ class Follower:
         self.subscriber = subscriber
         """The native node whose name the publisher sees."""
         self.connection: TcprosConnection | None = None
-        self._take = take
-        self._is_latched = False
-        self._unsettled = 0
-        self._settling: asyncio.Task[None] | None = None
+        self._publish = publish
+        self._pause_s = _FIRST_PAUSE_S
         self._warned = ""
         self._task = asyncio.get_running_loop().create_task(self._follow())
 
     def close(self) -> None:
         """End the subscription."""
         self._task.cancel()
-        if self._settling is not None:
-            self._settling.cancel()
-        if self.connection is not None:
-            self.connection.close()
 
     async def _follow(self) -> None:
-        pause_s = _FIRST_PAUSE_S
         while True:
             try:
-                outgoing = await self._connected()
-                pause_s, self._warned = _FIRST_PAUSE_S, ""
-                await outgoing.closed.wait()
+                await self._read()
             except SlidectlError as error:
-                self._tell(str(error))
-            self.connection = None
-            await asyncio.sleep(pause_s)
-            pause_s = min(_LONGEST_PAUSE_S, 2 * pause_s)
+                self._warn(str(error))
+            except (EOFError, OSError):
+                pass  # the publisher has disconnected
+            await asyncio.sleep(self._pause_s)
+            self._pause_s = min(_LONGEST_PAUSE_S, 2 * self._pause_s)
 
-    def _tell(self, problem: str) -> None:
+    def _warn(self, problem: str) -> None:
         if problem != self._warned:
             self._warned = problem
             _log.warning("%s of %s (%s): %s", self.topic, self.node, self.uri, problem)
 
-    async def _connected(self) -> OutgoingConnection:
-        """Connect to the publisher. Raises SlidectlError: not possible now."""
+    async def _read(self) -> None:
+        """Publish the messages of one connection. Raises SlidectlError: not possible now; EOFError, OSError."""
         answer = await xmlrpc.call(self.uri, "requestTopic", self.subscriber, self.topic, [[_TRANSPORT]])
-        host, port = _address(answer)
         kind = self.type
-        outgoing = await OutgoingConnection.connect(
-            host,
-            port,
-            {
-                "callerid": self.subscriber,
-                "md5sum": kind.md5,
-                "message_definition": kind.definition,
-                "tcp_nodelay": "1",
-                "topic": self.topic,
-                "type": kind.name,
-            },
-            check=self._take_header,
-        )
-        self.connection = outgoing.connection
-        outgoing.connection.on_message = self._take_message
-        outgoing.connection.on_too_long = self._tell
-        await outgoing.header()
-        return outgoing
-
-    def _take_header(self, header: Fields) -> None:
-        kind = self.type
-        if header.get("md5sum", ANY_TYPE) not in (ANY_TYPE, kind.md5):
-            theirs = f"[{header.get('type', '')}/{header['md5sum']}]"
-            raise Refused(f"it has the datatype/md5sum {theirs}, but our version has [{kind.name}/{kind.md5}]")
-        self._is_latched = header.get("latching") == "1"
-
-    def _take_message(self, body: bytes, _: bool) -> None:
+        fields = {
+            "callerid": self.subscriber,
+            "md5sum": kind.md5,
+            "message_definition": kind.definition,
+            "tcp_nodelay": "1",
+            "topic": self.topic,
+            "type": kind.name,
+        }
+        connection, header = await connect(*_address(answer), fields)
         try:
-            message = self.type.unpack(body)
-        except BadMessage as error:
-            self._tell(str(error))
-            return
-        daemon = self._take(message, self._is_latched)
-        self._unsettled += len(body)
-        if daemon is not None and self._unsettled > _SETTLE_EVERY and self._settling is None:
-            self._settling = asyncio.get_running_loop().create_task(self._settle(daemon))
-
-    async def _settle(self, daemon: DaemonConnection) -> None:
-        """Stop reading until the daemon has taken the messages."""
-        connection = self.connection
-        try:
-            if connection is not None:
-                connection.pause_reading()
-                await daemon.drain()
-                connection.resume_reading()
-        except SlidectlError:
-            pass  # the daemon has ended; this follower will be closed
+            if header.get("md5sum", ANY_MD5) not in (ANY_MD5, kind.md5):
+                theirs = f"[{header.get('type', '')}/{header['md5sum']}]"
+                raise Refused(f"it has the datatype/md5sum {theirs}, but our version has [{kind.name}/{kind.md5}]")
+            self.connection = connection
+            self._pause_s, self._warned = _FIRST_PAUSE_S, ""
+            unsettled = 0
+            while True:
+                try:
+                    message = kind.unpack(body := await connection.read_message())
+                except (BadMessage, TooLong) as error:
+                    self._warn(str(error))
+                    continue
+                daemon = self._publish(message, header.get("latching") == "1")
+                connection.reader.handled()
+                unsettled += len(body)
+                if daemon is not None and unsettled > _SETTLE_EVERY:
+                    await daemon.drain()
+                    unsettled = 0
         finally:
-            self._settling, self._unsettled = None, 0
+            self.connection = None
+            connection.close()
 
     def row(self) -> Row | None:
         """getBusInfo of the native subscribers."""
@@ -372,7 +342,7 @@ class Follower:
     def statistics(self) -> list[Any]:
         """One connection of getBusStats."""
         end = self.connection
-        return [[end.id, end.received_bytes, end.received, -1, True]] if end is not None else []
+        return [[end.id, end.reader.received, end.received, -1, True]] if end is not None else []
 
 
 def _address(answer: Any) -> tuple[str, int]:
@@ -382,4 +352,4 @@ def _address(answer: Any) -> tuple[str, int]:
             return host, port
         case [int(), str(reason), *_]:
             raise Refused(f"requestTopic was refused: {reason[:500]}")
-    raise Refused("requestTopic was answered with nonsense")
+    raise Refused("requestTopic has an invalid answer")
