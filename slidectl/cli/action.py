@@ -13,7 +13,6 @@ from slidectl.cli import completion, output, robots
 from slidectl.cli.commands import group
 from slidectl.cli.context import Context
 from slidectl.cli.echo import echo as echo_topic
-from slidectl.cli.terminal_progress import status_line
 from slidectl.cli.topic_streams import paused, resume_hint
 from slidectl.errors import Refused, TimedOut, UsageError
 
@@ -197,7 +196,7 @@ def _follow(ctx: Context, chosen: Action, goal_id: str, tell_feedback: bool, des
     if status["paused"] and limit_s == math.inf:
         limit_s = PAUSED_LIMIT_S
         ctx.say(f"{paused(status)}; this waits {limit_s:g} s for it to go on: {resume_hint(status)}")
-    with status_line(ctx, f"{chosen.name}: the goal is sent", wanted=not tell_feedback) as show:
+    with output.status_line(f"{chosen.name}: the goal is sent", not (tell_feedback or ctx.quiet)) as show:
 
         def take(feedback: Message) -> None:
             if tell_feedback:

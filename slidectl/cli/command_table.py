@@ -95,6 +95,18 @@ COMMANDS = {
     for name, (module, text) in commands.items()
 }
 
+WINDOWS = {
+    "rviz": ("rviz", "rviz"),
+    "rqt": ("rqt_gui", "rqt_gui"),
+    "rqt_gui": ("rqt_gui", "rqt_gui"),
+    **{
+        name: (name, name)
+        for name in ("rqt_plot", "rqt_graph", "rqt_console", "rqt_bag", "rqt_reconfigure", "rqt_controller_manager")
+    },
+    "gzclient": ("gazebo_ros", "gzclient"),
+}
+"""Windows of ROS and Gazebo that have commands of their own in a shell: command -> package and program."""
+
 
 def load(name: str, entry: Entry) -> click.Command:
     """Import the module of a command and return the command."""

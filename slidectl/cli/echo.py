@@ -12,8 +12,7 @@ from slidectl import names
 from slidectl.cli import completion, output
 from slidectl.cli.commands import command, simulated_seconds
 from slidectl.cli.context import Context
-from slidectl.cli.published_topics import look_up_published
-from slidectl.cli.topic_streams import Event, Stream, Target, look_up_when_there
+from slidectl.cli.topic_streams import Event, Stream, Target, look_up_published, look_up_when_there
 from slidectl.errors import TimedOut, UnknownName, Unused, UsageError
 from slidectl.msgs.field_path import Selection, select
 from slidectl.msgs.message_text import CsvForm, YamlForm

@@ -6,6 +6,7 @@ All information is from the daemon (`/slidectl/resolve`, rosapi): no message def
 from __future__ import annotations
 
 import math
+import re
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import TracebackType
@@ -55,6 +56,18 @@ def look_up(ctx: Context, text: str, role: str | None, *, with_field: bool = Tru
     """
     found = ctx.resolve("topic", text, role=role or "", with_field=with_field)
     return Target(found["name"], found["type"], found["field"], found["typedefs"], found["nodes"])
+
+
+def look_up_published(ctx: Context, text: str) -> Target:
+    """The topic, and its field, that `text` means among those that somebody publishes. Raises as `look_up`."""
+    try:
+        return look_up(ctx, text, PUBLISHERS)
+    except UnknownName as error:
+        if re.search(r"(^|/)joint_?states?(/|\[|$)", text):
+            from slidectl.cli.controller import step_to_joint_states
+
+            error.hint = f"{error.hint}\n{step_to_joint_states(ctx)}"
+        raise
 
 
 def look_up_when_there(ctx: Context, name: str, tell: Callable[[str], None]) -> tuple[Target, list[Subscription]]:

@@ -12,8 +12,7 @@ import click
 from slidectl.cli import completion, output, robots
 from slidectl.cli.commands import command, conditions, finite, simulated_seconds, wait_for_world_s
 from slidectl.cli.context import Context
-from slidectl.cli.published_topics import look_up_published
-from slidectl.cli.topic_streams import paused, resume_hint
+from slidectl.cli.topic_streams import look_up_published, paused, resume_hint
 from slidectl.errors import Refused, SlidectlError, TimedOut, UsageError
 from slidectl.msgs.schema import Schema, nanoseconds
 
