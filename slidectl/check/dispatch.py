@@ -62,7 +62,7 @@ def check(
         controllers.check(source, None, findings, text)
     elif kind == "scene":
         findings.is_drivable = scenes.check(sdf.find(source, packages), packages, findings, text, strict)
-        findings.tell_missing()
+        findings.add_missing()
     else:
         title = source if text is not None else None
         read = text.decode("utf-8", "replace") if text is not None else source
@@ -73,7 +73,7 @@ def check(
         robot = model.check(read, arguments, packages, findings, ask_others, title, strict, transmissions, asked)
         usable = [controllers.check(file, robot, findings, content) for file, content in texts.items()]
         findings.is_drivable = robot is not None and (any(usable) or not usable)
-        findings.tell_missing()
+        findings.add_missing()
     return findings
 
 

@@ -120,13 +120,13 @@ class TracedReport(Report):
         try:
             result = read(element, *values)
         except BadFile as error:
-            self.take(error)
+            self.collect(error)
             result = None
         if result is None and element.tag not in _ROOTS:
             self.trace.unused.add(id(element))
         return result
 
-    def take(self, error: BadFile) -> None:
+    def collect(self, error: BadFile) -> None:
         """Add an error as a fault and as a notice, once."""
         if error not in self.faults:
             assert self.trace.at_fault is not None

@@ -82,7 +82,7 @@ _SECTIONS = {
     "slidectl": {
         "test": ("extensions.scenarios.commands.test", "Run scenarios: files of steps that a robot must pass."),
         "shell": ("cli.shell", "Run many commands in one process."),
-        "doctor": ("cli.doctor", "Look whether slidectl can run here."),
+        "doctor": ("cli.doctor", "Check whether slidectl can run here."),
         "completion": ("cli.completion", "Print the completion script of a shell."),
         "version": ("cli.version", "Print the version."),
     },

@@ -53,19 +53,21 @@ def fitting(names: Iterable[str], incomplete: str) -> list[str]:
 
 def completer(ask: Callable[[Context], Iterable[str]]) -> Completer:
     """A click `shell_complete` callback from a function that asks the daemon for names."""
+    return _completer(lambda context, incomplete: fitting(ask(context), incomplete))
+
+
+def _completer(find: Callable[[Context, str], list[str]]) -> Completer:
+    """A callback from a function of the context and the incomplete word."""
 
     def complete(click_context: click.Context, _param: click.Parameter, incomplete: str) -> list[str]:
         context = click_context.find_object(Context) or Context()
         context.timeout = LIMIT_S
         try:
-            return fitting(ask(context), incomplete)
+            return find(context, incomplete)
         except (SlidectlError, OSError):
             return []
 
     return complete
-
-
-topics = completer(lambda context: context.names("topic"))
 
 
 def _topics_and_fields(context: Context, incomplete: str) -> list[str]:
@@ -92,16 +94,8 @@ def _topics_and_fields(context: Context, incomplete: str) -> list[str]:
     return words
 
 
-def topics_and_fields(click_context: click.Context, _param: click.Parameter, incomplete: str) -> list[str]:
-    """Complete a topic, and then its fields."""
-    context = click_context.find_object(Context) or Context()
-    context.timeout = LIMIT_S
-    try:
-        return _topics_and_fields(context, incomplete)
-    except (SlidectlError, OSError):
-        return []
-
-
+topics = completer(lambda context: context.names("topic"))
+topics_and_fields = _completer(_topics_and_fields)
 services = completer(lambda context: context.names("service"))
 parameters = completer(lambda context: context.names("parameter"))
 robots = completer(lambda context: [robot["name"] for robot in context.client.robots()])

@@ -108,9 +108,6 @@ def _show_progress(
     Returns, and erases the line, when the call is answered or at the deadline (on the client's clock). `since` is the
     simulated time at which the wait began.
     """
-    from rich.console import Console
-    from rich.text import Text  # rich must not read brackets in a field's path as styles
-
     from slidectl.msgs.field_path import select
 
     client, selection = ctx.client, select(schema.fields, schema.root, request["field"])
@@ -118,16 +115,16 @@ def _show_progress(
     time, last = since, None
     closest: tuple[float, Any] | None = None
 
-    def line() -> Text:
+    def line() -> str:
         passed = max(0.0, time - since)
         parts = [f"{_where(request)} {_expected(request)}"]
         parts.append("no message yet" if last is None else f"last {_short(last)}")
         parts += [f"closest {_short(closest[1])}"] if closest is not None else []
         parts.append(f"{max(0.0, within - passed):.1f} s left" if within else f"{passed:.1f} s passed")
-        return Text("; ".join(parts))
+        return "; ".join(parts)
 
     topic = client.subscribe(request["topic"], queue_length=1, throttle_rate=int(1000 * _LOOK_EVERY_S))
-    with topic, Console(stderr=True, highlight=False).status(line(), spinner="line") as status:
+    with topic, output.status_line(line(), not ctx.quiet) as show:
         while not client.is_answered(call) and client.monotonic() < deadline:
             clock = client.call_async("/rosapi/get_time")
             look_at = min(client.monotonic() + _LOOK_EVERY_S, deadline)
@@ -145,7 +142,7 @@ def _show_progress(
                         gap = abs(past) if kind in ("near", "equals") else max(0.0, -past if kind == "above" else past)
                         if closest is None or gap < closest[0]:
                             closest = gap, last
-            status.update(line())
+            show(line())
 
 
 def _short(value: Any) -> str:

@@ -317,12 +317,6 @@ def test_a_broken_package_is_named_and_stops_nothing_else(
     assert doctor.returncode == 1
 
 
-def test_a_package_that_ends_the_process_does_not_end_the_doctor(packages: Installed) -> None:
-    packages.add("slidectl-broken", COMMANDS, {"sing": "broken_part:part"}, broken_part="import os; os._exit(5)")
-    assert packages.ok("--help")
-    assert "its import ends the process, with exit code 5" in packages("doctor").stdout
-
-
 def test_something_else_than_a_command_is_refused(packages: Installed) -> None:
     packages.add("slidectl-broken", COMMANDS, {"sing": "broken_part:part"}, broken_part="part = 1")
     assert refused(packages("sing")) == (
