@@ -15,7 +15,7 @@ from slidectl import input_files
 from slidectl.cli import completion, output
 from slidectl.cli.commands import command
 from slidectl.cli.context import Context
-from slidectl.cli.spawn import package_lookup, pairs, parameter_text, tell_own_packages
+from slidectl.cli.spawn import package_lookup, pairs, parameter_text, report_own_packages
 from slidectl.client import spawning
 from slidectl.errors import EXIT_REFUSED, Refused
 
@@ -95,7 +95,7 @@ def check(
         words, given, places, files, text, ask_others=second_opinion, strict=strict, missing=missing,
         transmissions=transmissions, imports=modules,
     )  # fmt: skip
-    tell_own_packages(ctx, places)
+    report_own_packages(ctx, places)
     _print(ctx, findings, only)
     if lines := missing.lines():
         ctx.say("\n".join(["left out:", *lines]))

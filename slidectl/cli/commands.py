@@ -159,7 +159,7 @@ def common_options() -> tuple[click.Option, ...]:
 # --- commands -------------------------------------------------------------------------------------------------------
 
 
-def looks_like_number(token: str) -> bool:
+def is_number(token: str) -> bool:
     """True for a number as a user writes it: `-5`, `1e-3`, `.5`, `-inf`, and YAML's `-.inf`."""
     try:
         float(token.replace(".inf", "inf").replace(".nan", "nan"))
@@ -239,7 +239,7 @@ class Command(_Shared):
 
     def is_value(self, token: str) -> bool:
         """True when `token`, which begins with `-` and is no option of this command, is a value."""
-        return looks_like_number(token)
+        return is_number(token)
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse the arguments with click's parser, in the unambiguous order of `_ordered`.
@@ -279,7 +279,7 @@ class Command(_Shared):
                 options += [token[:2], token[3:]]
             else:
                 count = takes.get(token, 0)
-                if token in optional and rest and rest[0].startswith("-") and not looks_like_number(rest[0]):
+                if token in optional and rest and rest[0].startswith("-") and not is_number(rest[0]):
                     count = 0  # the next word is an option, not this one's value
                 flags, last = token[1:-1], token[-1]
                 if param is None and all(takes.get(f"-{flag}") == 0 for flag in flags):  # several in one word: -vn 5
@@ -315,16 +315,19 @@ class Group(_Shared, click.Group):
         return f"{self.name}.{name}"
 
     def installed(self) -> dict[str, Part]:
-        """The commands of this group that installed packages add."""
-        from slidectl.cli import installed_commands
+        """The commands of this group that installed packages add, by name."""
+        from slidectl.cli.installed_commands import INSTALLED
 
-        return installed_commands.below(self.entry_point(""))
+        begin = self.entry_point("")
+        parts = {name.removeprefix(begin): part for name, part in INSTALLED.parts().items() if name.startswith(begin)}
+        return {name: part for name, part in parts.items() if "." not in name}
 
     def refused(self) -> list[PartError]:
         """The commands of installed packages that are not used because of their names, with the reasons."""
-        from slidectl.cli import installed_commands
+        from slidectl.cli.installed_commands import INSTALLED
 
-        return installed_commands.refusals(self.entry_point(""))
+        begin = self.entry_point("").rstrip(".")
+        return [error for error in INSTALLED.refused() if error.part.name.rpartition(".")[0] == begin]
 
     def find_installed(self, name: str) -> click.Command | None:
         """The command that an installed package adds; None: there is none. Raises PartError: it cannot be used."""
@@ -332,20 +335,8 @@ class Group(_Shared, click.Group):
 
         return installed_commands.find(self.entry_point(name))
 
-    def get_installed(self, ctx: click.Context, name: str) -> click.Command | None:
-        """As `find_installed`, but without an error in completion, where a command that cannot be used is None."""
-        from slidectl.entry_points import PartError
-
-        try:
-            return self.find_installed(name)
-        except PartError:
-            if ctx.resilient_parsing:
-                return None
-            raise
-
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        found = super().get_command(ctx, cmd_name)
-        return self.get_installed(ctx, cmd_name) if found is None else found
+        return super().get_command(ctx, cmd_name) or self.find_installed(cmd_name)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         super().format_commands(ctx, formatter)
@@ -353,14 +344,13 @@ class Group(_Shared, click.Group):
 
     def format_installed(self, formatter: click.HelpFormatter, width: int) -> None:
         """The section of the commands that installed packages add, with names at least so wide; nothing if none is."""
-        from slidectl.cli import installed_commands
-
-        rows = installed_commands.rows(self.installed())
-        notes = self.refused()
-        if rows or notes:
+        parts, notes = self.installed(), self.refused()
+        if parts or notes:
             with formatter.section("Installed packages"):
-                if rows:
-                    formatter.write_dl([(name.ljust(width), text) for name, text in rows])
+                # What the package says of itself: none of its code runs for a help.
+                texts = {name: ": ".join(filter(None, [part.owner, part.summary])) for name, part in parts.items()}
+                if texts:
+                    formatter.write_dl([(name.ljust(width), text) for name, text in texts.items()])
                 for note in notes:
                     formatter.write_text(note.message)
 
@@ -380,9 +370,7 @@ class Group(_Shared, click.Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         name, known = args[0], self.list_commands(ctx)
-        if ctx.resilient_parsing or name.startswith("-") or name in known:
-            return super().resolve_command(ctx, args)
-        if self.get_installed(ctx, name) is not None:
+        if ctx.resilient_parsing or name.startswith("-") or name in known or self.find_installed(name) is not None:
             return super().resolve_command(ctx, args)
         known += self.installed()
         if meant := self.elsewhere(ctx, name):

@@ -516,7 +516,7 @@ def config(ctx: Context, manager: str | None, file: str) -> None:
 # --- parameter files --------------------------------------------------------------------------------------------------
 
 
-def read_parameters(ctx: Context, file: str, namespaces: Sequence[str], tells_moves: bool = False) -> Tree:
+def read_parameters(ctx: Context, file: str, namespaces: Sequence[str], reports_moves: bool = False) -> Tree:
     """The parameters of a file by full name, moved to the robot's namespace where the file is for another one.
 
     Names that no controller knows, such as `kd` for a gain, are printed as warnings, as in `check`. When the robot
@@ -524,7 +524,7 @@ def read_parameters(ctx: Context, file: str, namespaces: Sequence[str], tells_mo
 
     Args:
         namespaces: namespaces of the robots that the file may be for.
-        tells_moves: print it when the file is for another namespace; else only with -v.
+        reports_moves: print it when the file is for another namespace; else only with -v.
 
     Raises:
         BadFile: the file is missing or holds no parameters. UsageError: the robot is ambiguous.
@@ -546,7 +546,7 @@ def read_parameters(ctx: Context, file: str, namespaces: Sequence[str], tells_mo
     if moved and len(namespaces) > 1:
         raise UsageError(f"{path} fits none of {', '.join(namespaces)} by its top key", "say which with --cm")
     if remark:
-        (ctx.warn if tells_moves or not moved else ctx.detail)(f"{path}: {remark}")
+        (ctx.warn if reports_moves or not moved else ctx.detail)(f"{path}: {remark}")
     return dict(leaves(placed))
 
 

@@ -79,9 +79,9 @@ class Root(Group):
     def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
         return list(COMMANDS)
 
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
         entry = COMMANDS.get(cmd_name)
-        return self.get_installed(ctx, cmd_name) if entry is None else load(cmd_name, entry)
+        return self.find_installed(cmd_name) if entry is None else load(cmd_name, entry)
 
     def entry_point(self, name: str) -> str:
         return name

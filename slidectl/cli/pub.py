@@ -17,7 +17,7 @@ from slidectl import names
 from slidectl.cli import completion
 from slidectl.cli.commands import Command, command, positive_seconds
 from slidectl.cli.context import Context
-from slidectl.cli.topic_streams import SUBSCRIBERS, Target, details, look_up, users_of
+from slidectl.cli.topic_streams import SUBSCRIBERS, Target, details, find_topic, users_of
 from slidectl.errors import BadFile, SlidectlError, TimedOut, UnknownName, Unused, UsageError
 from slidectl.msgs.fill import fill, mentions_clock
 from slidectl.msgs.schema import Schema
@@ -124,14 +124,14 @@ def _check_options(words: Sequence[str], once: bool, rate: float | None, file: s
 def _target(
     ctx: Context, name: str, given: list[str], allow_unheard: bool, from_documents: bool
 ) -> tuple[Target, list[str], bool]:
-    """The topic, the words without TYPE, and whether the topic is new. Raises as `look_up` does."""
+    """The topic, the words without TYPE, and whether the topic is new. Raises as `find_topic` does."""
     is_new = False
     try:
-        target = look_up(ctx, name, SUBSCRIBERS, with_field=False)
+        target = find_topic(ctx, name, SUBSCRIBERS, with_field=False)
     except Unused as error:
         if not allow_unheard:
             raise _with_next_step(ctx, name, error, "--allow-unheard publishes all the same") from None
-        target = look_up(ctx, name, None, with_field=False)
+        target = find_topic(ctx, name, None, with_field=False)
     except UnknownName as error:
         full = names.join(ctx.namespace, name)
         waiting = users_of(ctx, [full], SUBSCRIBERS)[full]  # as of 'echo --wait'

@@ -86,7 +86,7 @@ def _micro(seconds: float | None) -> str:
 def pause(ctx: Context) -> None:
     """Hold the world between two cycles."""
     ctx.call("/gazebo/pause_physics")
-    _tell(ctx, "paused")
+    _print_time(ctx, "paused")
 
 
 @sim.command("resume", examples=["slidectl sim resume"])
@@ -94,7 +94,7 @@ def pause(ctx: Context) -> None:
 def resume(ctx: Context) -> None:
     """Let the world go on."""
     ctx.call("/gazebo/unpause_physics")
-    _tell(ctx, "running")
+    _print_time(ctx, "running")
 
 
 @sim.command("reset", examples=["slidectl sim reset", "slidectl sim reset --time"])
@@ -103,7 +103,7 @@ def resume(ctx: Context) -> None:
 def reset(ctx: Context, with_time: bool) -> None:
     """Put every robot back to where it was spawned; controllers stay loaded and running."""
     ctx.call("/gazebo/reset_simulation" if with_time else "/gazebo/reset_world")
-    _tell(ctx, "reset")
+    _print_time(ctx, "reset")
 
 
 @sim.command("speed", examples=["slidectl sim speed 2", "slidectl sim speed max"])
@@ -283,7 +283,7 @@ def fork(ctx: Context, name: str, other: str) -> None:
     ctx.done(record, f"daemon {other}: started, process {pid}, from {name} at {time:.3f} s")
 
 
-def _tell(ctx: Context, what: str) -> None:
+def _print_time(ctx: Context, what: str) -> None:
     answer = ctx.call("/slidectl/status")
     record = {"time": answer["time"], "cycles": answer["cycles"], "paused": answer["paused"]}
     ctx.done(record, f"{what} at {answer['time']:.3f} s")

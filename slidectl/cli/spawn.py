@@ -14,7 +14,7 @@ import click
 
 from slidectl import input_files, names
 from slidectl.cli import completion, output, robots
-from slidectl.cli.commands import Variadic, command, looks_like_number
+from slidectl.cli.commands import Variadic, command, is_number
 from slidectl.cli.context import Context
 from slidectl.cli.controller import read_parameters
 from slidectl.cli.robots import Robot
@@ -69,7 +69,7 @@ def _step_effects(parameters: Mapping[str, Any], has_daemon: bool) -> StepEffect
     "--at",
     cls=Variadic,
     type=float,
-    takes=looks_like_number,
+    takes=is_number,
     metavar="X Y Z [R P Y]",
     help="Place in the world, m; roll, pitch and yaw about its axes, rad.",
 )
@@ -124,7 +124,7 @@ def spawn(
     if spawning.is_scene(source):
         spawning.check_scene_options(given, controllers, start, positions, transmissions)
         _spawn_scene(ctx, spawning.scene(source, places, missing), name, at, fixed, strict)
-        _tell_left_out(ctx, missing)
+        _warn_left_out(ctx, missing)
         return
     document = _document(ctx, source, given, name, places, missing)
     plan = spawning.robot_plan(
@@ -144,7 +144,7 @@ def spawn(
     spawn.check()
     if controllers is not None:
         try:
-            plan.parameters = read_parameters(ctx, controllers, [plan.namespace], tells_moves=name is None)
+            plan.parameters = read_parameters(ctx, controllers, [plan.namespace], reports_moves=name is None)
         except NotThere as error:
             missing.note(error, "the parameters of controllers are left out")
             missing.refuse()
@@ -157,7 +157,7 @@ def spawn(
     manager = ctx.manager(plan.namespace)
     loads = spawn.ask_to_load(manager)
     robot = spawn.robot()  # in the same round trip
-    _tell_report(ctx, robot, document, positions)
+    _print_report(ctx, robot, document, positions)
     for slip in slips.of_robot(plan.robot):
         ctx.warn(slip)
     for warning in warnings:
@@ -166,11 +166,11 @@ def spawn(
     try:
         there = spawn.bring_up(manager, loads, left_out)
     except Refused as error:
-        _tell(ctx, robot)
+        _print_robot(ctx, robot)
         next_step = _how_to_go_on(ctx, robot, controllers, start)
         raise Refused(error.message, f"{error.hint}\n{next_step}" if error.hint else next_step) from None
-    _tell(ctx, robot)
-    _tell_left_out(ctx, missing)
+    _print_robot(ctx, robot)
+    _warn_left_out(ctx, missing)
     if start and not there:
         raise Refused(f"nothing is left to drive {robot['name']}: none of its controllers is there")
 
@@ -204,7 +204,7 @@ def urdf(ctx: Context, model: str, arguments: tuple[str, ...], target: str | Non
         title = "<stdin>" if source == "-" else None
         text = standard_input() if source == "-" else source
         document = description.load(text, given, places, title=title, as_written=True)
-    tell_own_packages(ctx, places)
+    report_own_packages(ctx, places)
     for notice in document.report:
         ctx.warn(str(notice))
     if target is None:
@@ -251,7 +251,7 @@ def _document(
         note = ctx.call("/slidectl/sources", {"digest": source_note.digest(text)})["note"]
         text = source_note.join(text, note)
     document = spawning.document(text, given, name, places, missing, title)
-    tell_own_packages(ctx, places)
+    report_own_packages(ctx, places)
     missing.refuse()
     return document
 
@@ -275,7 +275,7 @@ def package_lookup(given: Sequence[str], command: str = "spawn") -> Packages:
     return Packages({name: Path(path) for name, path in pairs(given, "=", command).items()}, Path.cwd())
 
 
-def tell_own_packages(ctx: Context, packages: Packages) -> None:
+def report_own_packages(ctx: Context, packages: Packages) -> None:
     """Print which packages of the user were used in place of shipped ones."""
     for name, folder in packages.own.items():
         ctx.say(f"using package {name} of {folder} (also shipped)")
@@ -348,14 +348,14 @@ def _spawn_scene(
     present = {robot["name"]: robot for robot in robots.all_robots(ctx)}
     spawned = [present[model] for model in spawn.names]
     told = [vars(notice) for notice in scene.notices] + [notice for robot in spawned for notice in robot["report"]]
-    _tell_notices(ctx, told)
+    _warn_notices(ctx, told)
     for warning in warnings:
         ctx.warn(warning)
     for robot in spawned:
-        _tell(ctx, robot)
+        _print_robot(ctx, robot)
 
 
-def _tell_left_out(ctx: Context, missing: Missing) -> None:
+def _warn_left_out(ctx: Context, missing: Missing) -> None:
     if lines := missing.lines():
         ctx.warn("\n".join(["left out:", *lines]))
 
@@ -378,19 +378,19 @@ def _how_to_go_on(ctx: Context, robot: Robot, controllers: str | None, start: Se
     return f"the robot stays in the world: {again}\nor take it out again: {typed('delete ' + robot['name'])}"
 
 
-def _tell_report(ctx: Context, robot: Robot, document: Document, positions: Mapping[str, float]) -> None:
+def _print_report(ctx: Context, robot: Robot, document: Document, positions: Mapping[str, float]) -> None:
     """Print the report on the tags: wrong tags and corrected inertias in full, the others counted unless `-v`."""
     from slidectl.description.parser import is_put_inside
 
     for notice in document.report:
         ctx.warn(str(notice))
     report = [one for one in robot["report"] if not is_put_inside(one["subject"], one["text"], positions)]
-    _tell_notices(ctx, report)
+    _warn_notices(ctx, report)
     if not ctx.verbose:
         ctx.say(robots.summary(robot["name"], report))
 
 
-def _tell_notices(ctx: Context, notices: Sequence[dict[str, Any]]) -> None:
+def _warn_notices(ctx: Context, notices: Sequence[dict[str, Any]]) -> None:
     from slidectl.description.report import needs_telling
 
     for notice in notices:
@@ -398,7 +398,7 @@ def _tell_notices(ctx: Context, notices: Sequence[dict[str, Any]]) -> None:
             ctx.warn(robots.notice_text(notice))
 
 
-def _tell(ctx: Context, robot: Robot) -> None:
+def _print_robot(ctx: Context, robot: Robot) -> None:
     robot = robots.record(robot)
     # When the physics diverges at once, the pose is NaN, which the protocol sends as null.
     x, y, z = (math.nan if value is None else round(value, 3) + 0.0 for value in robot["pose"][:3])

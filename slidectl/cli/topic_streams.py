@@ -48,7 +48,7 @@ class Target(NamedTuple):
         return from_typedefs(self.typedefs)
 
 
-def look_up(ctx: Context, text: str, role: str | None, *, with_field: bool = True) -> Target:
+def find_topic(ctx: Context, text: str, role: str | None, *, with_field: bool = True) -> Target:
     """The topic that `text` means among those with `role` (None: any), and the field behind its name.
 
     Raises:
@@ -58,10 +58,10 @@ def look_up(ctx: Context, text: str, role: str | None, *, with_field: bool = Tru
     return Target(found["name"], found["type"], found["field"], found["typedefs"], found["nodes"])
 
 
-def look_up_published(ctx: Context, text: str) -> Target:
-    """The topic, and its field, that `text` means among those that somebody publishes. Raises as `look_up`."""
+def find_published_topic(ctx: Context, text: str) -> Target:
+    """The topic, and its field, that `text` means among those that somebody publishes. Raises as `find_topic`."""
     try:
-        return look_up(ctx, text, PUBLISHERS)
+        return find_topic(ctx, text, PUBLISHERS)
     except UnknownName as error:
         if re.search(r"(^|/)joint_?states?(/|\[|$)", text):
             from slidectl.cli.controller import step_to_joint_states
@@ -70,7 +70,7 @@ def look_up_published(ctx: Context, text: str) -> Target:
         raise
 
 
-def look_up_when_there(ctx: Context, name: str, tell: Callable[[str], None]) -> tuple[Target, list[Subscription]]:
+def wait_for_topic(ctx: Context, name: str, tell: Callable[[str], None]) -> tuple[Target, list[Subscription]]:
     """The topic that a full name means, with a field behind it, when it exists; its subscription, if it had to wait.
 
     The subscription begins before the topic does, so that no message is missed. `tell` takes the full name, when the
@@ -80,7 +80,7 @@ def look_up_when_there(ctx: Context, name: str, tell: Callable[[str], None]) -> 
         TimedOut: the topic does not exist after `--timeout`; without it the wait has no limit. AmbiguousName.
     """
     try:
-        return look_up(ctx, name, None), []
+        return find_topic(ctx, name, None), []
     except UnknownName:
         tell(name)
     limit = ctx.wait_limit(math.inf)
@@ -92,7 +92,7 @@ def look_up_when_there(ctx: Context, name: str, tell: Callable[[str], None]) -> 
     begun = {topic: ctx.client.subscribe(topic, ANY_TYPE) for topic in possible}
     while True:
         try:
-            target = look_up(ctx, name, None)  # its publisher may have gone again
+            target = find_topic(ctx, name, None)  # its publisher may have gone again
         except UnknownName as error:
             if ctx.client.monotonic() >= deadline:
                 raise TimedOut(f"nobody published {name} within {limit:g} s", error.hint) from None
@@ -186,7 +186,7 @@ class Stream:
         Raises:
             NoDaemon: the daemon ended. Refused: the wait for the simulated time failed. ClosedPipe.
         """
-        while not self._take_in() and not self.ended:
+        while not self._receive() and not self.ended:
             now = self.monotonic()
             if self._sleep is not None and self._client.is_answered(self._sleep):
                 self._client.answer(self._sleep)
@@ -208,9 +208,9 @@ class Stream:
     @property
     def is_drained(self) -> bool:
         """True when all messages that arrived were read; latched messages arrive on entry."""
-        return not self._take_in()
+        return not self._receive()
 
-    def _take_in(self) -> bool:
+    def _receive(self) -> bool:
         """Queue the messages that have arrived. True when there is a message to read."""
         for subscription in self._subscriptions:
             while len(subscription):

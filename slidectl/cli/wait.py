@@ -12,7 +12,7 @@ import click
 from slidectl.cli import completion, output, robots
 from slidectl.cli.commands import command, conditions, finite, simulated_seconds, wait_for_world_s
 from slidectl.cli.context import Context
-from slidectl.cli.topic_streams import look_up_published, paused, resume_hint
+from slidectl.cli.topic_streams import find_published_topic, paused, resume_hint
 from slidectl.errors import Refused, SlidectlError, TimedOut, UsageError
 from slidectl.msgs.schema import Schema, nanoseconds
 
@@ -72,7 +72,7 @@ def wait(
     reached, value, closest, time.
     """
     condition, value = _condition(near, above, below, equals, tol)
-    found = look_up_published(ctx, target)
+    found = find_published_topic(ctx, target)
     request = {
         "topic": found.topic,
         "field": found.field,
@@ -97,7 +97,7 @@ def wait(
         # A scenario may end the wait before the deadline.
         ending = f" within {limit:g} s of wall time" if ctx.client.monotonic() >= deadline else ""
         raise TimedOut(f"{_where(request)} was not {_expected(request)}{ending}", error.hint) from None
-    _tell(ctx, request, answer)
+    _print_outcome(ctx, request, answer)
 
 
 def _show_progress(
@@ -160,7 +160,7 @@ def _where(request: dict[str, Any]) -> str:
     return f"{request['topic']}/{request['field']}".rstrip("/")
 
 
-def _tell(ctx: Context, request: dict[str, Any], answer: dict[str, Any]) -> None:
+def _print_outcome(ctx: Context, request: dict[str, Any], answer: dict[str, Any]) -> None:
     last, closest = (json.loads(answer[key]) if answer[key] else None for key in ("last", "closest"))
     where, expected = _where(request), _expected(request)
     record = {

@@ -21,7 +21,7 @@ from slidectl import names
 from slidectl.cli import output
 from slidectl.cli.command_table import WINDOWS
 from slidectl.cli.context import Context
-from slidectl.cli.spawn import package_lookup, tell_own_packages
+from slidectl.cli.spawn import package_lookup, report_own_packages
 from slidectl.errors import BadFile, Refused, SlidectlError, UsageError, closest
 from slidectl.extensions.launch.commands.launch import LaunchDaemon, ros_master
 from slidectl.extensions.launch.commands.launch_text import Terminal
@@ -267,7 +267,7 @@ def _xacro(ctx: Context, argv: Sequence[str]) -> None:
     finally:
         if missing is not None:
             write_notes(missing)
-    tell_own_packages(ctx, lookup)
+    report_own_packages(ctx, lookup)
     for notice in document.report:
         ctx.warn(str(notice))
     if given.file is None:
@@ -309,7 +309,7 @@ def _find(ctx: Context, package: str, executable: str, debug: bool) -> Path:
             else (error.hint or "").partition("\n")[0]
         )
         raise Failure(programs or error.message, _NO_EXECUTABLE) from None
-    tell_own_packages(ctx, lookup)
+    report_own_packages(ctx, lookup)
     return path
 
 

@@ -66,7 +66,7 @@ class StepRunner:
     def tops(self) -> list[str]:
         """The first words of all steps, sorted."""
         ours = (name for name in COMMANDS if self.has(name))
-        return sorted({*ours, *installed_commands.below(""), *STEP_KINDS.parts()})
+        return sorted({*ours, *root.installed(), *STEP_KINDS.parts()})
 
     def has(self, top: str) -> bool:
         """True when steps begin with this word. Raises PartError: several packages claim it."""
