@@ -341,7 +341,7 @@ class _LaunchCheck:
             hint = did_you_mean(name, self.descriptions, "{}")
             self._add("wrong", task.node, f"the launch does not set the parameter {name}{hint}")
         elif name not in self.descriptions and self.values.get(name) is not None:
-            self._add("wrong", task.node, f"the parameter {name} holds no robot")
+            self._add("wrong", task.node, f"the parameter {name} does not hold a robot")
         return self.descriptions.get(name)
 
     def _withdraw_starts(self) -> None:
@@ -407,7 +407,7 @@ class _LaunchCheck:
             for name in _loaded(task):
                 other = seen.setdefault(name, task.node)
                 if other is not task.node:
-                    text = f"loads {name}, which the node at {other.place} loads too: whoever is second is refused"
+                    text = f"loads {name}, which the node at {other.place} loads too: the second one is refused"
                     self._add("wrong", task.node, text)
 
     def _check_same_names(self) -> None:

@@ -303,7 +303,7 @@ def _report_converted(robot: Robot, root: Element, report: Report) -> None:
     if plugin.control_period is not None:
         steps = max(1, math.ceil(plugin.control_period / _TIMESTEP_S - 1e-6))
         if not math.isclose(steps * _TIMESTEP_S, plugin.control_period, rel_tol=1e-6):
-            text = f"{plugin.control_period:g} s is no whole number of the simulation's steps of {_TIMESTEP_S:g} s"
+            text = f"{plugin.control_period:g} s is not a whole number of the simulation's steps of {_TIMESTEP_S:g} s"
             report.converted(tags["controlPeriod"], f"{text}; controllers run every {steps * _TIMESTEP_S:g} s")
     if plugin.robot_param != ControlPlugin.robot_param:
         text = f"{plugin.robot_param} is not looked for: the robot is what is spawned, and NAMESPACE/robot_description"
@@ -386,7 +386,7 @@ def _check_whole(robot: Robot, root: Element, namespace: str, findings: Findings
     for transmission, joint in driving(robot.transmissions):
         if not any(map(interfaces.find, joint.hardware_interfaces)):
             written = ", ".join(joint.hardware_interfaces)
-            text = f"transmission {transmission.name!r}: {written} is no interface of simulated joints"
+            text = f"transmission {transmission.name!r}: {written} is not an interface of simulated joints"
             findings.refuse(BadFile(text, transmission.file, transmission.line))
 
 

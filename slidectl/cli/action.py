@@ -60,7 +60,7 @@ def list_actions(ctx: Context) -> None:
 
     known = goal_topics(ctx.client.topics())
     rows = [{"action": name, "type": kind} for name, kind in known.items()]
-    ctx.emit_rows(rows, ["action", "type"], empty="no action is there; a trajectory or gripper controller brings one")
+    ctx.emit_rows(rows, ["action", "type"], empty="no actions; a trajectory or gripper controller provides one")
 
 
 @action.command("info", examples=["slidectl action info arm_controller"])
@@ -105,7 +105,7 @@ def send(ctx: Context, name: str, goal: str, wait: bool, feedback: bool) -> None
     """
     fields = typed_values.read(goal)
     if not isinstance(fields, dict):
-        raise UsageError(f"the GOAL {goal!r} is no mapping of fields", "write '{field: value}'; {} for the defaults")
+        raise UsageError(f"the GOAL {goal!r} is not a mapping of fields", "write '{field: value}'; {} for the defaults")
     with _open(ctx, name) as chosen:
         run(ctx, chosen, fields, wait=wait or feedback, print_feedback=feedback)
 
@@ -126,7 +126,7 @@ def cancel(ctx: Context, name: str, goal_id: str | None) -> None:
 @action.command("echo", examples=["slidectl action echo arm_controller result -n 1"])
 @_name
 @click.argument("topic", type=click.Choice(TOPICS), default="feedback")
-@click.option("-n", "--count", type=click.IntRange(min=0), metavar="COUNT", help="End after so many messages.")
+@click.option("-n", "--count", type=click.IntRange(min=0), metavar="COUNT", help="End after COUNT messages.")
 @click.pass_context
 def echo(click_context: click.Context, name: str, topic: str, count: int | None) -> None:
     """Print the messages of one of an action's topics, the feedback by default.

@@ -55,10 +55,10 @@ def _bound(_click: click.Context, _param: click.Parameter, text: str | None) -> 
         return None
     match = _BOUND.match(text)
     if match is None:
-        raise click.BadParameter(f"{text!r} is no condition: write '<5', '>=0.5' or '==0', in quotes for the shell")
+        raise click.BadParameter(f"{text!r} is not a condition: write '<5', '>=0.5' or '==0', in quotes for the shell")
     relation, number, unit = match.groups()
     if unit and unit not in _UNITS:
-        raise click.BadParameter(f"{unit!r} is no unit; there are: {', '.join(_UNITS)}")
+        raise click.BadParameter(f"{unit!r} is not a unit; there are: {', '.join(_UNITS)}")
     return _Bound(text.strip(), relation, float(number), unit)
 
 
@@ -121,9 +121,9 @@ def _conditions(
     if not values and not bounds:
         raise UsageError("no condition", f"give --near, --above, --below, --equals, --{', --'.join(MEASURES)}")
     if given["tol"] is not None and "near" not in values:
-        raise UsageError("--tol goes with --near only")
+        raise UsageError("--tol needs --near")
     if duration and (last or file):
-        raise UsageError("--for is of the time to come; it goes with neither --last nor --from")
+        raise UsageError("--for measures the time to come; it excludes --last and --from")
     if bounds and not (last or duration or file):
         raise UsageError(
             f"--{next(iter(bounds))} is measured over a time", "give --last S, --for S, or --from FILE of a recording"
@@ -161,11 +161,11 @@ def _conditions(
 def assert_(
     ctx: Context, /, target: str, last: float | None, duration: float | None, file: str | None, **given: Any
 ) -> None:
-    """Tell whether conditions hold, and measure motions.
+    """Check conditions, and measure motions.
 
     TARGET is a joint (joint1, slider/joint1, joint1/velocity, joint1/effort) or TOPIC/FIELD[I]. --near, --above,
     --below and --equals are of this moment, or of the end of a recording; with --last or --for of every sample of that
-    time. COND is a relation, a number and, if you like, its unit: '<5%', '>=0.2s', '==0'. All conditions are told;
+    time. COND is a relation, a number and, if you like, its unit: '<5%', '>=0.2s', '==0'. All conditions are printed;
     exits 1 when one does not hold, or cannot be measured. docs/measures.md has the definitions. JSON keys, a line a
     condition: target, condition, expected, holds, measured, unit, time (when it was so), start, end, message.
     """

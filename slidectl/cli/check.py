@@ -47,11 +47,11 @@ _COLOURS = {"used": "green", "converted": "cyan", "ignored": "yellow", "wrong": 
     "--transmissions", type=click.Choice(["gazebo", "real"]), help="As for spawn: how transmissions of the model count."
 )
 @click.option("--import", "imports", multiple=True, metavar="MODULE", shell_complete=completion.files,
-              help="Know the controllers and hardware of your own in this module or FILE.py; may repeat.")  # fmt: skip
-@click.option("--strict", is_flag=True, help="Exit 1 when anything is ignored, too, and refuse what spawn mends.")
+              help="Use the controllers and hardware in this module or FILE.py; may repeat.")  # fmt: skip
+@click.option("--strict", is_flag=True, help="Also exit 1 when anything is ignored, and refuse what spawn corrects.")
 @click.option("--only", multiple=True, type=click.Choice(_VERDICTS), help="Print findings of this kind; may repeat.")
-@click.option("--keep-going", is_flag=True, help="Leave out what is not there, as launch and spawn do with it.")
-@click.option("--second-opinion", is_flag=True, help="Ask yourdfpy about models, too; takes half a second more.")
+@click.option("--keep-going", is_flag=True, help="Leave out missing parts, as launch and spawn do.")
+@click.option("--second-opinion", is_flag=True, help="Also compare models with yourdfpy; takes half a second more.")
 @click.option("--package", "packages", multiple=True, metavar="NAME=PATH", help="Where a ROS package is; may repeat.")
 @click.pass_context
 def check(

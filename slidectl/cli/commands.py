@@ -85,7 +85,7 @@ def pixel_size(smallest: int, largest: int) -> Callback:
             return None
         match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", value)
         if match is None or not all(smallest <= int(side) <= largest for side in match.groups()):
-            raise click.BadParameter(f"{value!r} is no size from {smallest}x{smallest} to {largest}x{largest}")
+            raise click.BadParameter(f"{value!r} is not a size from {smallest}x{smallest} to {largest}x{largest}")
         return int(match[1]), int(match[2])
 
     return parse
@@ -144,8 +144,8 @@ def common_options() -> tuple[click.Option, ...]:
         (["-o", "--output"], "Format of the results.", _store("format"), {"type": click.Choice(output.FORMATS)}),
         (["--json"], "The same as -o json: one object a line.", _store("format", lambda _: "json"), {"is_flag": True}),
         (["-q", "--quiet"], "Only results and errors.", _store("quiet"), {"is_flag": True}),
-        (["-v", "--verbose"], "Say more; twice shows tracebacks.", _add_verbosity, {"count": True}),
-        (["--timeout"], "Wait at most so long, s of wall time.", _store_timeout, {"type": float, "metavar": "SECONDS"}),
+        (["-v", "--verbose"], "Print more; twice shows tracebacks.", _add_verbosity, {"count": True}),
+        (["--timeout"], "Longest wait, s of wall time.", _store_timeout, {"type": float, "metavar": "SECONDS"}),
     ]  # fmt: skip
     # `common_` gives a parameter name that no command uses.
     return tuple(

@@ -50,7 +50,7 @@ _names: Decorator = click.argument(
 
 def _strictness(function: Any) -> Any:
     strict = click.option(
-        "--strict/--best-effort", "strict", default=True, help="All or nothing (default), or what goes."
+        "--strict/--best-effort", "strict", default=True, help="All or nothing (default), or as many as possible."
     )
     asap = click.option("--asap", is_flag=True, help="Start each one as soon as its joints are ready.")
     return strict(asap(function))
@@ -62,11 +62,11 @@ def _stop_command_options(function: Any) -> Any:
     @functools.wraps(function)
     def with_rest(*given: Any, zero: bool, hold: bool, **named: Any) -> Any:
         if zero and hold:
-            raise UsageError("--zero and --hold contradict each other", "give one of them")
+            raise UsageError("--zero and --hold exclude each other", "give one of them")
         return function(*given, rest="zero" if zero else "hold" if hold else None, **named)
 
-    zero = click.option("--zero", is_flag=True, help="Then let their joints go: efforts and velocities of 0.")
-    hold = click.option("--hold", is_flag=True, help="Then keep their joints in place: positions and velocities only.")
+    zero = click.option("--zero", is_flag=True, help="Then command efforts and velocities of 0.")
+    hold = click.option("--hold", is_flag=True, help="Then hold their joints in place: positions and velocities only.")
     return zero(hold(with_rest))
 
 
@@ -145,7 +145,7 @@ def controller() -> None:
 
 @controller.command("list", examples=["slidectl controller list", "slidectl controller list -v --json"])
 @_cm
-@click.option("--all", "with_unloaded", is_flag=True, help="Those too that have parameters but are not loaded.")
+@click.option("--all", "with_unloaded", is_flag=True, help="Also those that have parameters but are not loaded.")
 @click.pass_obj
 def list_controllers(ctx: Context, manager: str | None, with_unloaded: bool) -> None:
     """List the loaded controllers with their states.
@@ -231,7 +231,7 @@ def types(ctx: Context, manager: str | None) -> None:
     "source",
     metavar="FILE.py[:CLASS]",
     shell_complete=completion.files,
-    help="One of your own: this class in this file.",
+    help="A controller of your own: this class in this file.",
 )
 @_names
 @click.pass_obj
@@ -274,7 +274,7 @@ def _place_for(ctx: Context, manager: str | None, controller: str) -> tuple[Mana
         return inside[0], controller.removeprefix(inside[0].namespace.rstrip("/") + "/")
     if inside and not _places(_known(candidates)[1], [controller])[controller]:
         spaces = ", ".join(one.namespace for one in candidates)
-        raise UsageError(f"which robot is {controller} for?", f"say it with --cm: {spaces}")
+        raise UsageError(f"which robot is {controller} for?", f"choose one with --cm: {spaces}")
     target, [name], _ = owner(ctx, manager, [controller])
     return target, name
 
@@ -284,7 +284,7 @@ def _place_for(ctx: Context, manager: str | None, controller: str) -> tuple[Mana
 @_names
 @click.pass_obj
 def reload(ctx: Context, manager: str | None, names: tuple[str, ...]) -> None:
-    """Put controllers of your own in their place as their files are now.
+    """Reload controllers of your own from their files.
 
     Each is stopped if it runs, loaded anew, and started again if it ran or was aborted. Name, parameters and topics
     stay. When the edited file is broken nothing changes. Fails when it is aborted by its first update.
@@ -411,7 +411,7 @@ def _switch(
 )
 @_cm
 @click.option("--stopped", is_flag=True, help="Load only.")
-@click.option("--wait", is_flag=True, help="Wait until the robot is there (at most --timeout, 30 s).")
+@click.option("--wait", is_flag=True, help="Wait until the robot exists (at most --timeout, 30 s).")
 @_names
 @click.pass_obj
 def spawn(ctx: Context, manager: str | None, stopped: bool, wait: bool, names: tuple[str, ...]) -> None:
@@ -612,7 +612,7 @@ def owner(context: Context, wanted: str | None, controllers: Sequence[str]) -> _
             error.hint = f"{error.hint}\nload its configuration first: slidectl controller config FILE.yaml"
             raise error
     listed = "; ".join(f"{name} of {', '.join(sorted(found))}" for name, found in places.items())
-    raise UsageError(f"no controller manager has all of these: {listed}", "one command for each robot, please")
+    raise UsageError(f"no controller manager has all of these: {listed}", "use one command for each robot")
 
 
 def manager_of_some(context: Context, wanted: str | None, controllers: Sequence[str]) -> _Owner:

@@ -48,18 +48,18 @@ class MessageFormat(NamedTuple):
     ]
 )
 @click.argument("target", metavar="TOPIC[/FIELD[I]]", shell_complete=completion.topics_and_fields)
-@click.option("-n", "--count", type=click.IntRange(min=0), metavar="COUNT", help="End after so many messages.")
+@click.option("-n", "--count", type=click.IntRange(min=0), metavar="COUNT", help="End after COUNT messages.")
 @click.option("-p", "plot", is_flag=True, help="CSV for plotting: %time in nanoseconds, then the fields.")
 @click.option("--noarr", is_flag=True, help="Leave out the contents of arrays.")
 @click.option("--nostr", is_flag=True, help="Leave out the contents of strings.")
-@click.option("--filter", "condition", metavar="EXPR", help="Only messages for which it is true; m is the message.")
+@click.option("--filter", "condition", metavar="EXPR", help="Only messages for which EXPR is true; m is the message.")
 @click.option(
     "--for", "sim_seconds", type=float, callback=simulated_seconds, metavar="S", help="End after S simulated seconds."
 )
 @click.option("-c", "--clear", is_flag=True, help="Clear the screen before each message.")
 @click.option("-w", "width", type=click.IntRange(min=2), metavar="N", help="Characters of a number.")
-@click.option("--offset", is_flag=True, help="Times as difference from now.")
-@click.option("--wait", is_flag=True, help="Wait for a topic that is not there yet, and miss none of its messages.")
+@click.option("--offset", is_flag=True, help="Print times relative to now.")
+@click.option("--wait", is_flag=True, help="Wait for a topic that does not exist yet; no message is missed.")
 @click.pass_obj
 def echo(
     ctx: Context,

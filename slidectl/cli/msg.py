@@ -38,7 +38,7 @@ def services() -> TypeFamily:
 def found_types(kind: TypeFamily, name: str) -> list[str]:
     """The types that a name means: one for `pkg/Name`, those of every package for a bare `Name`."""
     if "::" in name or "." in name:
-        raise UsageError(f"{name!r} is no type: write it as package/Type, or Type alone")
+        raise UsageError(f"{name!r} is not a type: write it as package/Type, or Type alone")
     known = kind.names()
     found = [each for each in known if each == name or ("/" not in name and each.endswith("/" + name))]
     if not found:

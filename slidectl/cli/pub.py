@@ -63,15 +63,15 @@ def _complete(click_context: click.Context, param: click.Parameter, incomplete: 
     type=float,
     callback=positive_seconds,
     metavar="HZ",
-    help="Again and again, at this rate, Hz of wall time.",
+    help="Publish repeatedly at this rate, Hz of wall time.",
 )
-@click.option("-n", "--count", type=click.IntRange(min=1), metavar="COUNT", help="So many messages.")
-@click.option("--latch", is_flag=True, help="Keep the last message for those who come later; stays until Ctrl-C.")
+@click.option("-n", "--count", type=click.IntRange(min=1), metavar="COUNT", help="Number of messages.")
+@click.option("--latch", is_flag=True, help="Keep the last message for later subscribers; stays until Ctrl-C.")
 @click.option(
     "-f", "--file", shell_complete=completion.files, metavar="FILE", help="Values from a YAML or JSON lines file."
 )
 @click.option("--stdin", is_flag=True, help="Values from stdin: YAML documents or JSON lines.")
-@click.option("--allow-unheard", is_flag=True, help="Publish although nobody subscribes.")
+@click.option("--allow-unheard", is_flag=True, help="Publish even if nobody subscribes.")
 @click.pass_obj
 def pub(
     ctx: Context,
@@ -147,7 +147,7 @@ def _target(
         raise UsageError(f"{target.topic} has the type {target.type}, not {given[0]}", "TYPE may be left out")
     values = given[1:] if has_type else given
     if from_documents and any(word != _ONCE for word in values):
-        raise UsageError("a VALUE beside -f or --stdin: give one of them")
+        raise UsageError("a VALUE and -f or --stdin exclude each other")
     return target, values, is_new
 
 

@@ -48,7 +48,7 @@ def _words(line: str) -> list[str]:
     ],
 )
 @click.argument("file", required=False, shell_complete=completion.files)
-@click.option("--keep-going", is_flag=True, help="Go on after a failure; the exit code is that of the first.")
+@click.option("--keep-going", is_flag=True, help="Continue after a failure; the exit code is that of the first.")
 @click.pass_context
 def shell(click_context: click.Context, file: str | None, keep_going: bool) -> None:
     """Run many commands in one process.

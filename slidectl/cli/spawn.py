@@ -86,9 +86,11 @@ def _step_effects(parameters: Mapping[str, Any], has_daemon: bool) -> StepEffect
     type=click.Choice(["gazebo", "real"]),
     help="Drive joints as gazebo_ros_control does, or through transmissions with their actuators.",
 )
-@click.option("--strict", is_flag=True, help="Refuse impossible masses, inertias and shapes instead of mending them.")
+@click.option(
+    "--strict", is_flag=True, help="Refuse impossible masses, inertias and shapes instead of correcting them."
+)
 @click.option("--package", "packages", multiple=True, metavar="NAME=PATH", help="Where a ROS package is; may repeat.")
-@click.option("--keep-going", is_flag=True, help="Leave out what is not there, and list it at the end.")
+@click.option("--keep-going", is_flag=True, help="Leave out missing parts, and list them at the end.")
 @click.pass_obj
 def spawn(
     ctx: Context,
@@ -314,7 +316,7 @@ def standard_input() -> str:
 def _as_model(content: bytes, title: str) -> str:
     text = parameter_text(content.decode("utf-8", "replace"))
     if not text.lstrip("\ufeff \t\r\n").startswith("<"):
-        raise BadFile("is no XML", title, hint="pipe a URDF in, or name a model")
+        raise BadFile("is not XML", title, hint="pipe a URDF in, or name a model")
     return text
 
 

@@ -140,8 +140,8 @@ def tree(ctx: Context) -> None:
 @tf.command("echo", examples=["slidectl tf echo base_link link2", "slidectl tf echo world link2 -f --rate 5 --json"])
 @click.argument("reference", metavar="A")
 @click.argument("target", metavar="B")
-@click.option("-n", "--count", type=click.IntRange(min=1), metavar="COUNT", help="So many transforms.")
-@click.option("-f", "--follow", is_flag=True, help="Go on until Ctrl-C.")
+@click.option("-n", "--count", type=click.IntRange(min=1), metavar="COUNT", help="Number of transforms.")
+@click.option("-f", "--follow", is_flag=True, help="Continue until Ctrl-C.")
 @click.option(
     "--rate", type=float, default=1.0, callback=positive_seconds, metavar="HZ", help="How often, Hz of wall time (1)."
 )

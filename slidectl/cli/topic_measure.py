@@ -307,7 +307,7 @@ def _options(function: Callable[..., None]) -> Callable[..., None]:
     for option in (
         click.option("-w", "--window", type=click.IntRange(2, _LARGEST_WINDOW), default=1000, metavar="N",
                      help="Messages to count in (1000)."),
-        click.option("-n", "--reports", type=click.IntRange(min=1), metavar="COUNT", help="End after so many reports."),
+        click.option("-n", "--reports", type=click.IntRange(min=1), metavar="COUNT", help="End after COUNT reports."),
         click.option("--for", "sim_seconds", type=float, callback=simulated_seconds, metavar="S",
                      help="Measure for S simulated seconds and report once."),
     ):  # fmt: skip
@@ -324,7 +324,7 @@ def _options(function: Callable[..., None]) -> Callable[..., None]:
 )
 @click.argument("topics", nargs=-1, required=True, metavar="TOPIC...", shell_complete=completion.topics)
 @_options
-@click.option("--filter", "condition", metavar="EXPR", help="Count only messages for which it is true, as in echo.")
+@click.option("--filter", "condition", metavar="EXPR", help="Count only messages for which EXPR is true, as in echo.")
 @click.option("--wall-time", is_flag=True, help="Rates on the computer's clock.")
 @click.option(
     "--min", "least", type=float, callback=finite, metavar="HZ", help="Exit 1 when the last rate is below it, in Hz."

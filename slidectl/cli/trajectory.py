@@ -79,13 +79,13 @@ def send(ctx: Context, controller: str, file: str, wait: bool) -> None:
 )
 @_controller
 @click.option("--to", "targets", cls=Variadic, metavar="JOINT=POSITION...", required=True,
-              help="Where to go, rad or m.")  # fmt: skip
+              help="Target positions, rad or m.")  # fmt: skip
 @click.option("--duration", type=float, callback=simulated_seconds, required=True, metavar="S",
-              help="Simulated seconds that it takes.")  # fmt: skip
+              help="Duration of the motion, simulated s.")  # fmt: skip
 @_wait
 @click.pass_obj
 def plan(ctx: Context, controller: str, targets: tuple[str, ...], duration: float, wait: bool) -> None:
-    """Go to positions of some joints in a time.
+    """Move joints to positions in a given time.
 
     The other joints go to their desired positions of this moment. All come to rest at the end, by a polynomial
     without jumps of velocity and acceleration. JSON keys as for send.
@@ -108,7 +108,7 @@ def plan(ctx: Context, controller: str, targets: tuple[str, ...], duration: floa
 @_controller
 @click.pass_obj
 def hold(ctx: Context, controller: str) -> None:
-    """Give up what is under way, and hold the joints in place: an empty trajectory on the command topic.
+    """Cancel all goals, and hold the joints in place: an empty trajectory on the command topic.
 
     JSON key: controller.
     """
@@ -191,7 +191,7 @@ def _from_json(text: str, file: str) -> Any:
 
 def _from_document(document: Any, file: str) -> Message:
     if not isinstance(document, dict):
-        raise BadFile("holds no mapping; expected joint_names and points, or a goal with trajectory", file)
+        raise BadFile("is not a mapping; expected joint_names and points, or a goal with trajectory", file)
     goal = dict(document) if "trajectory" in document else {"trajectory": document}
     body = goal["trajectory"]
     if not isinstance(body, dict) or not isinstance(body.get("points"), list) or "joint_names" not in body:
@@ -266,7 +266,7 @@ def _number(text: str, file: str, line: int) -> float:
     try:
         return float(text)
     except ValueError:
-        raise BadFile(f"{text!r} is no number", file, line) from None
+        raise BadFile(f"{text!r} is not a number", file, line) from None
 
 
 def _target(text: str) -> tuple[str, float]:

@@ -32,7 +32,7 @@ def _condition(
         read = json.loads(value)
         value = read if isinstance(read, bool | int | float | str) else value
     if tol is not None and condition != "near":
-        raise UsageError("--tol goes with --near only")
+        raise UsageError("--tol needs --near")
     return condition, value
 
 
