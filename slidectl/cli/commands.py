@@ -7,17 +7,19 @@ an Examples section, negative numbers as plain values, and options that take val
 from __future__ import annotations
 
 import math
-import os
 import re
 from collections.abc import Callable, Sequence
 from functools import cache
+from importlib import import_module
 from itertools import takewhile
+from keyword import iskeyword
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from slidectl import names
 from slidectl.cli import output
+from slidectl.cli.command_table import COMMANDS
 from slidectl.cli.context import Context
 from slidectl.command_steps import CommandStep
 
@@ -104,56 +106,57 @@ def full_namespace(value: str) -> str:
     return names.check(names.join("/", value.rstrip("/") or "/"))
 
 
-def environment_namespace() -> str:
-    """`SLIDECTL_NAMESPACE` as an absolute name, else the root."""
-    return full_namespace(os.environ.get("SLIDECTL_NAMESPACE", "/"))
-
-
 # --- the common options ---------------------------------------------------------------------------------------------
 
 
-def _store(attribute: str, convert: Callable[[Any], Any] = lambda value: value) -> Callback:
-    def callback(click_context: click.Context, _param: click.Parameter, value: Any) -> None:
-        context = click_context.find_object(Context)
-        if value not in (None, False, 0) and context is not None:
-            setattr(context, attribute, convert(value))
-
-    return callback
-
-
-def _store_timeout(click_context: click.Context, param: click.Parameter, value: float | None) -> None:
-    _store("timeout")(click_context, param, positive_seconds(click_context, param, value))
-
-
-def _add_verbosity(click_context: click.Context, _param: click.Parameter, value: int) -> None:
+def _store(click_context: click.Context, param: click.Parameter, value: Any) -> None:
+    """Store the value of a common option in the Context; one that is not given leaves it as it is."""
     context = click_context.find_object(Context)
-    if context is not None:
-        context.verbose += value
+    if value in (None, False, 0) or context is None:
+        return
+    match param.name:
+        case "common_ns":
+            context.namespace = full_namespace(value)
+        case "common_output":
+            context.format = value
+        case "common_json":
+            context.format = "json"
+        case "common_verbose":
+            context.verbose += value
+        case "common_timeout":
+            context.timeout = positive_seconds(click_context, param, value)
+        case "common_instance" | "common_socket" | "common_quiet":
+            setattr(context, param.name.removeprefix("common_"), value)
 
 
 @cache
 def common_options() -> tuple[click.Option, ...]:
     """The shared options, in the order of the help. The daemon's options come first."""
-    rows: list[tuple[list[str], str, Callback, dict[str, Any]]] = [
-        (["-i", "--instance"], "Which daemon, by name.", _store("instance"), {"metavar": "NAME"}),
-        (["--socket"], "Which daemon, by its socket.", _store("socket"), {"metavar": "PATH"}),
-        (
-            ["--ns"], "Where relative names are tried first.",
-            _store("namespace", full_namespace), {"metavar": "NAMESPACE"},
-        ),
-        (["-o", "--output"], "Format of the results.", _store("format"), {"type": click.Choice(output.FORMATS)}),
-        (["--json"], "The same as -o json: one object a line.", _store("format", lambda _: "json"), {"is_flag": True}),
-        (["-q", "--quiet"], "Only results and errors.", _store("quiet"), {"is_flag": True}),
-        (["-v", "--verbose"], "Print more; twice shows tracebacks.", _add_verbosity, {"count": True}),
-        (["--timeout"], "Longest wait, s of wall time.", _store_timeout, {"type": float, "metavar": "SECONDS"}),
-    ]  # fmt: skip
+    rows: list[tuple[list[str], str, dict[str, Any]]] = [
+        (["-i", "--instance"], "Which daemon, by name.", {"metavar": "NAME"}),
+        (["--socket"], "Which daemon, by its socket.", {"metavar": "PATH"}),
+        (["--ns"], "Where relative names are tried first.", {"metavar": "NAMESPACE"}),
+        (["-o", "--output"], "Format of the results.", {"type": click.Choice(output.FORMATS)}),
+        (["--json"], "The same as -o json: one object a line.", {"is_flag": True}),
+        (["-q", "--quiet"], "Only results and errors.", {"is_flag": True}),
+        (["-v", "--verbose"], "Print more; twice shows tracebacks.", {"count": True}),
+        (["--timeout"], "Longest wait, s of wall time.", {"type": float, "metavar": "SECONDS"}),
+    ]
     # `common_` gives a parameter name that no command uses.
-    return tuple(
+    options = [
         click.Option(
-            [*flags, "common_" + flags[-1].lstrip("-")], help=text, callback=callback, expose_value=False, **more
+            [*flags, "common_" + flags[-1].lstrip("-")], help=text, callback=_store, expose_value=False, **more
         )
-        for flags, text, callback, more in rows
-    )
+        for flags, text, more in rows
+    ]
+    return tuple(options)
+
+
+def load(name: str) -> click.Command:
+    """Import the module of a command in the command table, and return the command."""
+    attribute = name.replace("-", "_") + "_" * iskeyword(name)
+    found: click.Command = getattr(import_module(COMMANDS[name].module), attribute)
+    return found
 
 
 # --- commands -------------------------------------------------------------------------------------------------------
@@ -197,14 +200,17 @@ class _Shared(click.Command):
         super().__init__(*args, **attributes)
         self.examples = tuple(examples)
         self.step = step
+        self._all_params: list[click.Parameter] | None = None
 
     def get_help_option_names(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
         return ["-h", "--help"]
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
-        own = super().get_params(ctx)
-        taken = {name for param in own for name in param.opts}
-        return own + [option for option in common_options() if taken.isdisjoint(option.opts)]
+        if self._all_params is None:  # click asks several times in each run
+            own = super().get_params(ctx)
+            taken = {name for param in own for name in param.opts}
+            self._all_params = own + [option for option in common_options() if taken.isdisjoint(option.opts)]
+        return self._all_params
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         common = common_options()
@@ -257,8 +263,6 @@ class Command(_Shared):
         every = [param for param in self.get_params(ctx) if isinstance(param, click.Option)]
         named = {name: param for param in every for name in (*param.opts, *param.secondary_opts)}
         takes = {name: 0 if param.is_flag or param.count else param.nargs for name, param in named.items()}
-        # click's options that may stand without their value have the value for that case; the others have none.
-        optional = {name for name, param in named.items() if takes[name] and isinstance(param.flag_value, int | str)}
         options: list[str] = []
         values: list[str] = []
         while rest:
@@ -279,7 +283,9 @@ class Command(_Shared):
                 options += [token[:2], token[3:]]
             else:
                 count = takes.get(token, 0)
-                if token in optional and rest and rest[0].startswith("-") and not is_number(rest[0]):
+                # click's options that may stand without their value have the value for that case; the others have none.
+                is_optional = param is not None and isinstance(param.flag_value, int | str)
+                if is_optional and rest and rest[0].startswith("-") and not is_number(rest[0]):
                     count = 0  # the next word is an option, not this one's value
                 flags, last = token[1:-1], token[-1]
                 if param is None and all(takes.get(f"-{flag}") == 0 for flag in flags):  # several in one word: -vn 5

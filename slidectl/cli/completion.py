@@ -7,6 +7,7 @@ return no names.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from functools import partial
 from typing import Any
 
 import click
@@ -53,21 +54,18 @@ def fitting(names: Iterable[str], incomplete: str) -> list[str]:
 
 def completer(ask: Callable[[Context], Iterable[str]]) -> Completer:
     """A click `shell_complete` callback from a function that asks the daemon for names."""
-    return _completer(lambda context, incomplete: fitting(ask(context), incomplete))
+    return partial(_complete, lambda context, incomplete: fitting(ask(context), incomplete))
 
 
-def _completer(find: Callable[[Context, str], list[str]]) -> Completer:
-    """A callback from a function of the context and the incomplete word."""
-
-    def complete(click_context: click.Context, _param: click.Parameter, incomplete: str) -> list[str]:
-        context = click_context.find_object(Context) or Context()
-        context.timeout = LIMIT_S
-        try:
-            return find(context, incomplete)
-        except (SlidectlError, OSError):
-            return []
-
-    return complete
+def _complete(
+    find: Callable[[Context, str], list[str]], click_context: click.Context, _param: click.Parameter, incomplete: str
+) -> list[str]:
+    context = click_context.find_object(Context) or Context()
+    context.timeout = LIMIT_S
+    try:
+        return find(context, incomplete)
+    except (SlidectlError, OSError):
+        return []
 
 
 def _topics_and_fields(context: Context, incomplete: str) -> list[str]:
@@ -95,7 +93,7 @@ def _topics_and_fields(context: Context, incomplete: str) -> list[str]:
 
 
 topics = completer(lambda context: context.names("topic"))
-topics_and_fields = _completer(_topics_and_fields)
+topics_and_fields = partial(_complete, _topics_and_fields)
 services = completer(lambda context: context.names("service"))
 parameters = completer(lambda context: context.names("parameter"))
 robots = completer(lambda context: [robot["name"] for robot in context.client.robots()])

@@ -11,8 +11,8 @@ import click
 from slidectl import names
 from slidectl.cli import completion, output
 from slidectl.cli.commands import command, simulated_seconds
-from slidectl.cli.context import Context
-from slidectl.cli.topic_streams import Event, Stream, Target, find_published_topic, wait_for_topic
+from slidectl.cli.context import Context, Target
+from slidectl.cli.topic_streams import Event, Stream, find_published_topic, wait_for_topic
 from slidectl.errors import TimedOut, UnknownName, Unused, UsageError
 from slidectl.msgs.field_path import Selection, select
 from slidectl.msgs.message_text import CsvForm, YamlForm

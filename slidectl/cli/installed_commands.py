@@ -7,7 +7,8 @@ from typing import Any
 
 import click
 
-from slidectl.cli.command_table import COMMANDS, load
+from slidectl.cli.command_table import COMMANDS
+from slidectl.cli.commands import load
 from slidectl.cli.output import ClosedPipe
 from slidectl.entry_points import Part, Registry
 
@@ -25,7 +26,7 @@ class _NamesOfOurs:
 
 
 def _group_of(name: str) -> click.Group | None:
-    command = load(name, COMMANDS[name]) if name in COMMANDS else None
+    command = load(name) if name in COMMANDS else None
     return command if isinstance(command, click.Group) else None
 
 

@@ -17,8 +17,8 @@ import click
 
 from slidectl import __version__
 from slidectl.cli import output
-from slidectl.cli.command_table import COMMANDS, WINDOWS, load
-from slidectl.cli.commands import Group, environment_namespace
+from slidectl.cli.command_table import COMMANDS, WINDOWS
+from slidectl.cli.commands import Group, full_namespace, load
 from slidectl.cli.context import Context, paint
 from slidectl.errors import (
     EXIT_DONE,
@@ -80,8 +80,7 @@ class Root(Group):
         return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
-        entry = COMMANDS.get(cmd_name)
-        return self.find_installed(cmd_name) if entry is None else load(cmd_name, entry)
+        return load(cmd_name) if cmd_name in COMMANDS else self.find_installed(cmd_name)
 
     def entry_point(self, name: str) -> str:
         return name
@@ -159,7 +158,8 @@ def run(argv: Sequence[str]) -> int:
         stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
 
     def act() -> None:
-        context.namespace = environment_namespace()
+        if namespace := os.environ.get("SLIDECTL_NAMESPACE"):
+            context.namespace = full_namespace(namespace)
         invoke(argv, context)
 
     return guard(act, context, argv)

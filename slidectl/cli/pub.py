@@ -16,8 +16,8 @@ import click
 from slidectl import names
 from slidectl.cli import completion
 from slidectl.cli.commands import Command, command, positive_seconds
-from slidectl.cli.context import Context
-from slidectl.cli.topic_streams import SUBSCRIBERS, Target, details, find_topic, users_of
+from slidectl.cli.context import Context, Target
+from slidectl.cli.topic_streams import SUBSCRIBERS, details, users_of
 from slidectl.errors import BadFile, SlidectlError, TimedOut, UnknownName, Unused, UsageError
 from slidectl.msgs.fill import fill, mentions_clock
 from slidectl.msgs.schema import Schema
@@ -101,8 +101,9 @@ def pub(
     from_documents = file is not None or stdin
     target, given, is_new = _target(ctx, name, given, allow_unheard, from_documents)
     given, marked = without_once(given, 0 if from_documents else len(target.typedefs[0]["fieldnames"]))
-    once = once or marked
-    _check_options(words, once, rate, file, stdin)
+    if marked:
+        once = True
+        _check_options(words, once, rate, file, stdin)
     sources = _from_documents(target, file, rate) if from_documents else _from_words(target, given, rate, count)
     source = islice(sources, 1 if once else count)
     advertise, stays = allow_unheard or latch or is_new, latch and not once
@@ -127,11 +128,11 @@ def _target(
     """The topic, the words without TYPE, and whether the topic is new. Raises as `find_topic` does."""
     is_new = False
     try:
-        target = find_topic(ctx, name, SUBSCRIBERS, with_field=False)
+        target = ctx.find_topic(name, SUBSCRIBERS, with_field=False)
     except Unused as error:
         if not allow_unheard:
             raise _with_next_step(ctx, name, error, "--allow-unheard publishes all the same") from None
-        target = find_topic(ctx, name, None, with_field=False)
+        target = ctx.find_topic(name, None, with_field=False)
     except UnknownName as error:
         full = names.join(ctx.namespace, name)
         waiting = users_of(ctx, [full], SUBSCRIBERS)[full]  # as of 'echo --wait'

@@ -15,9 +15,9 @@ import click
 
 from slidectl.cli import completion, output
 from slidectl.cli.commands import command, finite, simulated_seconds
-from slidectl.cli.context import Context
+from slidectl.cli.context import Context, Target
 from slidectl.cli.echo import predicate
-from slidectl.cli.topic_streams import PUBLISHERS, Event, Stream, Target, find_topic
+from slidectl.cli.topic_streams import PUBLISHERS, Event, Stream
 from slidectl.client.rate_meter import RateMeter
 from slidectl.errors import NoDaemon, Refused, TimedOut
 from slidectl.msgs.schema import Schema, nanoseconds
@@ -350,7 +350,7 @@ def hz(
     computer's clock. A report is printed each second of wall time. Exits 1 when it ends and not one message has come.
     JSON keys: topic, rate (Hz), min, max, std_dev, p50, p99 (of the intervals, s), window, new (since the last report).
     """
-    targets = [find_topic(ctx, text, PUBLISHERS) for text in topics]
+    targets = [ctx.find_topic(text, PUBLISHERS) for text in topics]
     stream, meters = rates(ctx, targets, window, condition, wall_time, sim_seconds)
     measure(ctx, stream, meters, rates_text, ctx.say, reports)
     limits = [f"{word} {limit:g}" for word, limit in (("at least", least), ("at most", most)) if limit is not None]
@@ -371,7 +371,7 @@ def bw(ctx: Context, topic: str, window: int, reports: int | None, sim_seconds: 
     Counted are the bytes of ROS 1's serialisation, as rostopic does, per second of simulated time; on the socket
     messages are JSON. JSON keys: topic, rate (bytes/s), mean, min, max (bytes), window, new.
     """
-    target = find_topic(ctx, topic, PUBLISHERS)
+    target = ctx.find_topic(topic, PUBLISHERS)
     pack = packer(target.schema.root, target.schema.fields)
     stream = Stream(ctx, [target.topic], with_clock=not wall_time, sim_seconds=sim_seconds)
     now = monotonic if wall_time else lambda: stream.time_ns / 1e9
@@ -389,7 +389,7 @@ def delay(ctx: Context, topic: str, window: int, reports: int | None, sim_second
     The topic's type must have a header. JSON keys: topic, delay (the mean), min, max, std_dev, p50, p99, window, new;
     times in s.
     """
-    target = find_topic(ctx, topic, PUBLISHERS)
+    target = ctx.find_topic(topic, PUBLISHERS)
     if not target.schema.has_header:
         raise Refused(f"{target.topic} has no header ({target.type}), so there is no stamp to measure from")
     stream = Stream(ctx, [target.topic], with_clock=True, sim_seconds=sim_seconds)

@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from slidectl import names
 from slidectl.cli.output import check_reader
 from slidectl.errors import TimedOut, UnknownName
-from slidectl.msgs.schema import Schema, Typedefs, from_typedefs, nanoseconds
+from slidectl.msgs.schema import Typedefs, nanoseconds
 
 if TYPE_CHECKING:
-    from slidectl.cli.context import Context
+    from slidectl.cli.context import Context, Target
     from slidectl.client import Subscription
 
 PUBLISHERS = "publishers"
@@ -34,34 +34,10 @@ ANY_TYPE = "*"
 # --- names ----------------------------------------------------------------------------------------------------------
 
 
-class Target(NamedTuple):
-    """A topic with its type, the field path behind its name, rosapi's typedefs, and the nodes in the requested role."""
-
-    topic: str
-    type: str
-    field: str
-    typedefs: Typedefs
-    users: list[str]
-
-    @property
-    def schema(self) -> Schema:
-        return from_typedefs(self.typedefs)
-
-
-def find_topic(ctx: Context, text: str, role: str | None, *, with_field: bool = True) -> Target:
-    """The topic that `text` means among those with `role` (None: any), and the field behind its name.
-
-    Raises:
-        UnknownName: no such topic. Unused: it exists, but no node has that role. AmbiguousName: several topics match.
-    """
-    found = ctx.resolve("topic", text, role=role or "", with_field=with_field)
-    return Target(found["name"], found["type"], found["field"], found["typedefs"], found["nodes"])
-
-
 def find_published_topic(ctx: Context, text: str) -> Target:
     """The topic, and its field, that `text` means among those that somebody publishes. Raises as `find_topic`."""
     try:
-        return find_topic(ctx, text, PUBLISHERS)
+        return ctx.find_topic(text, PUBLISHERS)
     except UnknownName as error:
         if re.search(r"(^|/)joint_?states?(/|\[|$)", text):
             from slidectl.cli.controller import step_to_joint_states
@@ -80,7 +56,7 @@ def wait_for_topic(ctx: Context, name: str, tell: Callable[[str], None]) -> tupl
         TimedOut: the topic does not exist after `--timeout`; without it the wait has no limit. AmbiguousName.
     """
     try:
-        return find_topic(ctx, name, None), []
+        return ctx.find_topic(name, None), []
     except UnknownName:
         tell(name)
     limit = ctx.wait_limit(math.inf)
@@ -92,7 +68,7 @@ def wait_for_topic(ctx: Context, name: str, tell: Callable[[str], None]) -> tupl
     begun = {topic: ctx.client.subscribe(topic, ANY_TYPE) for topic in possible}
     while True:
         try:
-            target = find_topic(ctx, name, None)  # its publisher may have gone again
+            target = ctx.find_topic(name, None)  # its publisher may have gone again
         except UnknownName as error:
             if ctx.client.monotonic() >= deadline:
                 raise TimedOut(f"nobody published {name} within {limit:g} s", error.hint) from None

@@ -13,12 +13,10 @@ from time import monotonic
 from typing import TYPE_CHECKING
 
 from slidectl.cli import output
-from slidectl.cli.context import Context
+from slidectl.cli.context import Context, Target
 from slidectl.cli.topic_streams import (
     PUBLISHERS,
     SUBSCRIBERS,
-    Target,
-    find_topic,
     usage_of_topic,
     usage_of_topics,
     users_of,
@@ -97,7 +95,7 @@ def type_of(ctx: Context, argv: Sequence[str]) -> None:
     given = parser.parse(without_remappings(argv), 1, 1, *complaints)
     full = resolve(ctx, given.words[0], "rostopic")
     try:
-        found = find_topic(ctx, full, None)
+        found = ctx.find_topic(full, None)
         if not found.field:
             return output.write(found.type)
         from slidectl.msgs.field_path import select

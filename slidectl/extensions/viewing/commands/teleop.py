@@ -14,7 +14,7 @@ import click
 from slidectl.cli import completion, output
 from slidectl.cli.commands import command, finite, positive_seconds
 from slidectl.cli.context import Context
-from slidectl.cli.topic_streams import SUBSCRIBERS, find_topic, paused, resume_hint, users_of
+from slidectl.cli.topic_streams import SUBSCRIBERS, paused, resume_hint, users_of
 from slidectl.errors import Refused, SlidectlError, UsageError
 from slidectl.extensions.viewing.commands.terminal_keys import terminal_keys
 from slidectl.extensions.viewing.teleoperation import TWIST, BaseDriver, Driver, JointDriver
@@ -67,7 +67,7 @@ def teleop(
 def _topic_of_base(ctx: Context, text: str | None) -> str:
     """The topic of Twists that `text` means, or the only one. Raises as `find_topic`; UsageError, Refused."""
     if text is not None:
-        found = find_topic(ctx, text, SUBSCRIBERS, with_field=False)
+        found = ctx.find_topic(text, SUBSCRIBERS, with_field=False)
         if found.type != TWIST:
             raise UsageError(f"{found.topic} takes {found.type}; teleop publishes {TWIST}", "a joint: --joint JOINT")
         return found.topic
