@@ -13,7 +13,7 @@ from slidectl.cli import completion, output, robots
 from slidectl.cli.commands import group
 from slidectl.cli.context import Context
 from slidectl.cli.echo import echo as echo_topic
-from slidectl.cli.topic_streams import paused, resume_hint
+from slidectl.cli.topic_streams import pause_remark
 from slidectl.errors import Refused, TimedOut, UsageError
 
 if TYPE_CHECKING:
@@ -195,7 +195,7 @@ def _follow(ctx: Context, chosen: Action, goal_id: str, print_feedback: bool, de
     limit_s = ctx.wait_limit(math.inf)
     if status["paused"] and limit_s == math.inf:
         limit_s = PAUSED_LIMIT_S
-        ctx.say(f"{paused(status)}; this waits {limit_s:g} s for it to go on: {resume_hint(status)}")
+        ctx.say(pause_remark(status, f"this waits {limit_s:g} s for it to go on"))
     with output.status_line(f"{chosen.name}: the goal is sent", not (print_feedback or ctx.quiet)) as show:
 
         def show_feedback(feedback: Message) -> None:

@@ -41,8 +41,7 @@ _COLOURS = {"used": "green", "converted": "cyan", "ignored": "yellow", "wrong": 
 )
 @click.argument("source", metavar="MODEL|LAUNCH|CONTROLLERS", shell_complete=completion.models)
 @click.argument("arguments", nargs=-1, metavar="[KEY:=VALUE]...")
-@click.option("--controllers", multiple=True, metavar="FILE", shell_complete=completion.files,
-              help="Controllers of the model; may repeat.")  # fmt: skip
+@completion.file_option("--controllers", multiple=True, help="Controllers of the model; may repeat.")
 @click.option(
     "--transmissions", type=click.Choice(["gazebo", "real"]), help="As for spawn: how transmissions of the model count."
 )

@@ -55,17 +55,22 @@ def simulated_seconds(click_context: click.Context, param: click.Parameter, valu
     return positive_seconds(click_context, param, value)
 
 
-def number(name: str, text: str) -> Callable[..., Any]:
-    """An option that takes a finite number, X in its help text."""
-    return click.option(name, type=float, callback=finite, metavar="X", help=text)
+def number(*names: str, **more: Any) -> Callable[..., Any]:
+    """An option that takes a finite number, X in its help text. The arguments are those of `click.option`."""
+    return click.option(*names, **{"type": float, "callback": finite, "metavar": "X", **more})
+
+
+def seconds(*names: str, **more: Any) -> Callable[..., Any]:
+    """An option that takes simulated seconds above 0, S in its help text. The arguments are those of `click.option`."""
+    return click.option(*names, **{"type": float, "callback": simulated_seconds, "metavar": "S", **more})
 
 
 def conditions(equals: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options of a condition: --near, --above, --below, then `equals`, and --tol."""
     options = [
-        number("--near", "Within --tol of X, in the unit of the value: m or rad, say."),
-        number("--above", "Greater than X, in the unit of the value."),
-        number("--below", "Less than X, in the unit of the value."),
+        number("--near", help="Within --tol of X, in the unit of the value: m or rad, say."),
+        number("--above", help="Greater than X, in the unit of the value."),
+        number("--below", help="Less than X, in the unit of the value."),
         equals,
         click.option("--tol", type=click.FloatRange(min=0), callback=finite, metavar="T",
                      help="How far --near may be off, in the unit of the value (0.01)."),

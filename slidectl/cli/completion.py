@@ -108,6 +108,11 @@ def files(_context: click.Context, _param: click.Parameter, incomplete: str) -> 
     return [CompletionItem(incomplete, type="file")]
 
 
+def file_option(*names: str, **more: Any) -> Callable[..., Any]:
+    """An option that takes the name of a file, FILE in its help text. The arguments are those of `click.option`."""
+    return click.option(*names, **{"metavar": "FILE", "shell_complete": files, **more})
+
+
 def models(context: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
     """Shipped models, then files."""
     from slidectl.paths import share

@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from slidectl.cli import completion, robots
-from slidectl.cli.commands import Variadic, finite, group, simulated_seconds, wait_for_world_s
+from slidectl.cli.commands import Variadic, group, number, seconds, wait_for_world_s
 from slidectl.cli.context import Context
 from slidectl.cli.param import store
-from slidectl.cli.topic_streams import paused, resume_hint
+from slidectl.cli.topic_streams import pause_remark
 from slidectl.client.manager import BEST_EFFORT, STARTED, STRICT, UNLOADED, Manager, claimed_text, configured, each
 from slidectl.command_steps import CommandStep, StepEffects
 from slidectl.errors import AmbiguousName, NoDaemon, Refused, TimedOut, UnknownName, UsageError, listing
@@ -296,9 +296,8 @@ def reload(ctx: Context, manager: str | None, names: tuple[str, ...]) -> None:
         state = target.states().get(name, UNLOADED)
         record = {"manager": target.namespace, "name": name, "state": state, "before": before}
         ctx.done(record, f"{name}: reloaded, {state}" + ("" if state == before else f" (was {before})"))
-        status = ctx.call("/slidectl/status")
-        if state == "running" and status["paused"]:
-            ctx.say(f"{paused(status)}; nothing runs until it goes on: {resume_hint(status)}")
+        if state == "running":
+            ctx.say(pause_remark(ctx.call("/slidectl/status"), "nothing runs until it goes on"))
 
 
 @controller.command("unload", examples=["slidectl controller unload joint1_position_controller"])
@@ -459,12 +458,9 @@ def unspawn(ctx: Context, manager: str | None, rest: str | None, names: tuple[st
 )
 @_cm
 @click.argument("name", shell_complete=completion.controllers)
-@click.option("--step", type=float, required=True, callback=finite, metavar="X",
-              help="The new set point: m or rad, m/s or rad/s, N or N m, as the command.")  # fmt: skip
-@click.option("--for", "duration", type=float, callback=simulated_seconds, default=10.0, metavar="S",
-              help="Follow it for S simulated seconds (10).")  # fmt: skip
-@click.option("--save", metavar="FILE", shell_complete=completion.files,
-              help="Into a file: .svg, .png, .pdf, .html or .csv.")  # fmt: skip
+@number("--step", required=True, help="The new set point: m or rad, m/s or rad/s, N or N m, as the command.")
+@seconds("--for", "duration", default=10.0, help="Follow it for S simulated seconds (10).")
+@completion.file_option("--save", help="Into a file: .svg, .png, .pdf, .html or .csv.")
 @click.pass_obj
 def plot(ctx: Context, manager: str | None, name: str, step: float, duration: float, save: str | None) -> None:
     """Give a controller a set point and plot the step response.
@@ -480,8 +476,7 @@ def plot(ctx: Context, manager: str | None, name: str, step: float, duration: fl
     found, (local,), states = owner(ctx, manager, [name])
     if states.get(local) not in STARTED:
         raise Refused(f"{local} does not run", f"start it: slidectl controller spawn {local}")
-    if (status := ctx.call("/slidectl/status"))["paused"]:
-        ctx.say(f"{paused(status)}; this waits until it goes on: {resume_hint(status)}")
+    ctx.say(pause_remark(ctx.call("/slidectl/status")))
     limit = ctx.wait_limit(wait_for_world_s(duration))
     response = step_response(ctx.client, found.namespace, local, step, duration, limit)
     from slidectl.client import steady_error

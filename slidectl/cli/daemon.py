@@ -69,21 +69,14 @@ def _world(function: Callable[..., Any]) -> Callable[..., Any]:
             default="auto",
             help="What runs the cycles: Python, machine code (needs numba), or machine code if possible (auto).",
         ),
-        click.option(
+        completion.file_option(
             "--import",
             "imports",
             multiple=True,
             metavar="MODULE",
-            shell_complete=completion.files,
             help="Import controllers and hardware of your own from this module or FILE.py; may repeat.",
         ),
-        click.option(
-            "--journal",
-            default="",
-            metavar="FILE",
-            shell_complete=completion.files,
-            help="Record all input into FILE, for 'slidectl replay'.",
-        ),
+        completion.file_option("--journal", default="", help="Record all input into FILE, for 'slidectl replay'."),
     ]
     for option in reversed(options):
         function = option(function)

@@ -10,7 +10,7 @@ import click
 
 from slidectl import names
 from slidectl.cli import completion, output
-from slidectl.cli.commands import command, simulated_seconds
+from slidectl.cli.commands import command, seconds
 from slidectl.cli.context import Context, Target
 from slidectl.cli.topic_streams import Event, Stream, find_published_topic, wait_for_topic
 from slidectl.errors import TimedOut, UnknownName, Unused, UsageError
@@ -53,9 +53,7 @@ class MessageFormat(NamedTuple):
 @click.option("--noarr", is_flag=True, help="Leave out the contents of arrays.")
 @click.option("--nostr", is_flag=True, help="Leave out the contents of strings.")
 @click.option("--filter", "condition", metavar="EXPR", help="Only messages for which EXPR is true; m is the message.")
-@click.option(
-    "--for", "sim_seconds", type=float, callback=simulated_seconds, metavar="S", help="End after S simulated seconds."
-)
+@seconds("--for", "sim_seconds", help="End after S simulated seconds.")
 @click.option("-c", "--clear", is_flag=True, help="Clear the screen before each message.")
 @click.option("-w", "width", type=click.IntRange(min=2), metavar="N", help="Characters of a number.")
 @click.option("--offset", is_flag=True, help="Print times relative to now.")

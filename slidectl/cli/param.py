@@ -96,9 +96,7 @@ def as_rosparam(value: Any) -> str:
 )
 @click.argument("name", shell_complete=completion.parameters)
 @click.argument("value", required=False)
-@click.option(
-    "-t", "--textfile", shell_complete=completion.files, metavar="FILE", help="The text of a file as the value."
-)
+@completion.file_option("-t", "--textfile", help="The text of a file as the value.")
 @click.option("--new", is_flag=True, help="Set it even if nobody reads it, or a short NAME means another one.")
 @click.pass_obj
 def set_parameter(ctx: Context, name: str, value: str | None, textfile: str | None, new: bool) -> None:

@@ -67,9 +67,7 @@ def _complete(click_context: click.Context, param: click.Parameter, incomplete: 
 )
 @click.option("-n", "--count", type=click.IntRange(min=1), metavar="COUNT", help="Number of messages.")
 @click.option("--latch", is_flag=True, help="Keep the last message for later subscribers; stays until Ctrl-C.")
-@click.option(
-    "-f", "--file", shell_complete=completion.files, metavar="FILE", help="Values from a YAML or JSON lines file."
-)
+@completion.file_option("-f", "--file", help="Values from a YAML or JSON lines file.")
 @click.option("--stdin", is_flag=True, help="Values from stdin: YAML documents or JSON lines.")
 @click.option("--allow-unheard", is_flag=True, help="Publish even if nobody subscribes.")
 @click.pass_obj

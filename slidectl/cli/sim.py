@@ -202,12 +202,9 @@ def _kept(ctx: Context) -> list[str]:
     return [one["name"] for one in ctx.client.snapshots()]
 
 
-_FILE: dict[str, Any] = {"metavar": "FILE", "shell_complete": completion.files}
-
-
 @sim.command("save", examples=["slidectl sim save before", "slidectl sim save before --to before.snapshot"])
 @click.argument("name")
-@click.option("--to", "file", help="Also write it to this file.", **_FILE)
+@completion.file_option("--to", "file", help="Also write it to this file.")
 @click.pass_obj
 def save(ctx: Context, name: str, file: str | None) -> None:
     """Save the state of the world under a name, until the daemon stops.
@@ -226,7 +223,7 @@ def save(ctx: Context, name: str, file: str | None) -> None:
     examples=["slidectl sim load before", "slidectl sim load --from before.snapshot"],
 )
 @click.argument("name", required=False, shell_complete=_kept)
-@click.option("--from", "file", help="Load it from this file.", **_FILE)
+@completion.file_option("--from", "file", help="Load it from this file.")
 @click.pass_obj
 def load(ctx: Context, name: str | None, file: str | None) -> None:
     """Restore a saved state; the world goes on from there with the same bits.

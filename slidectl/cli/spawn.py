@@ -77,9 +77,7 @@ def _step_effects(parameters: Mapping[str, Any], has_daemon: bool) -> StepEffect
     "--joint", "joints", multiple=True, metavar="JOINT=POSITION", help="Where it starts, rad or m; may repeat."
 )
 @click.option("--fixed/--free", "fixed", default=None, help="Fix the root to the world, or free it.")
-@click.option(
-    "--controllers", metavar="FILE", shell_complete=completion.files, help="Parameters of its controllers (YAML)."
-)
+@completion.file_option("--controllers", help="Parameters of its controllers (YAML).")
 @click.option("--start", cls=Variadic, metavar="CONTROLLER...", help="Load and start these controllers.")
 @click.option(
     "--transmissions",

@@ -14,7 +14,7 @@ from typing import Any
 import click
 
 from slidectl.cli import completion, output
-from slidectl.cli.commands import command, finite, simulated_seconds
+from slidectl.cli.commands import command, number, seconds
 from slidectl.cli.context import Context, Target
 from slidectl.cli.echo import predicate
 from slidectl.cli.topic_streams import PUBLISHERS, Event, Stream
@@ -308,8 +308,7 @@ def _options(function: Callable[..., None]) -> Callable[..., None]:
         click.option("-w", "--window", type=click.IntRange(2, _LARGEST_WINDOW), default=1000, metavar="N",
                      help="Messages to count in (1000)."),
         click.option("-n", "--reports", type=click.IntRange(min=1), metavar="COUNT", help="End after COUNT reports."),
-        click.option("--for", "sim_seconds", type=float, callback=simulated_seconds, metavar="S",
-                     help="Measure for S simulated seconds and report once."),
+        seconds("--for", "sim_seconds", help="Measure for S simulated seconds and report once."),
     ):  # fmt: skip
         function = option(function)
     return function
@@ -326,12 +325,8 @@ def _options(function: Callable[..., None]) -> Callable[..., None]:
 @_options
 @click.option("--filter", "condition", metavar="EXPR", help="Count only messages for which EXPR is true, as in echo.")
 @click.option("--wall-time", is_flag=True, help="Rates on the computer's clock.")
-@click.option(
-    "--min", "least", type=float, callback=finite, metavar="HZ", help="Exit 1 when the last rate is below it, in Hz."
-)
-@click.option(
-    "--max", "most", type=float, callback=finite, metavar="HZ", help="Exit 1 when the last rate is above it, in Hz."
-)
+@number("--min", "least", metavar="HZ", help="Exit 1 when the last rate is below it, in Hz.")
+@number("--max", "most", metavar="HZ", help="Exit 1 when the last rate is above it, in Hz.")
 @click.pass_obj
 def hz(
     ctx: Context,

@@ -203,24 +203,24 @@ class Stream:
         """After some time without a message, ask for the status; print once when the world is paused."""
         if self._status is not None and self._client.is_answered(self._status):
             status, self._status = self._client.answer(self._status), None
-            if status["paused"]:
+            if remark := pause_remark(status, "nothing comes until it goes on"):
                 self._ask_at = math.inf
-                self._ctx.say(f"{paused(status)}; nothing comes until it goes on: {resume_hint(status)}")
+                self._ctx.say(remark)
         if now >= self._ask_at:
             self._ask_at = now + _ASK_AGAIN_S
             self._status = self._client.call_async("/slidectl/status")
 
 
-def paused(status: dict[str, Any]) -> str:
-    """The text that the simulation is paused, with the reason when an error paused it. Takes /slidectl/status."""
-    return "the simulation is paused" + (f" ({status['trouble']})" if status["trouble"] else "")
+def pause_remark(status: dict[str, Any], effect: str = "this waits until it goes on") -> str:
+    """That the world is paused, the effect of that, and the commands that resume it; empty when it runs.
 
-
-def resume_hint(status: dict[str, Any]) -> str:
-    """The commands that resume the paused world."""
+    Takes the answer of /slidectl/status.
+    """
+    if not status["paused"]:
+        return ""
     if status["trouble"]:
-        return "slidectl sim reset, then slidectl sim resume"
-    return "slidectl sim resume, or slidectl sim step"
+        return f"the simulation is paused ({status['trouble']}); {effect}: slidectl sim reset, then slidectl sim resume"
+    return f"the simulation is paused; {effect}: slidectl sim resume, or slidectl sim step"
 
 
 # --- text -----------------------------------------------------------------------------------------------------------

@@ -17,7 +17,7 @@ import click
 from slidectl import names, typed_values
 from slidectl.cli import completion
 from slidectl.cli.action import cancel_goals, run
-from slidectl.cli.commands import Variadic, group, simulated_seconds
+from slidectl.cli.commands import Variadic, group, seconds
 from slidectl.cli.context import Context
 from slidectl.errors import BadFile, UnknownName, UsageError
 
@@ -80,8 +80,7 @@ def send(ctx: Context, controller: str, file: str, wait: bool) -> None:
 @_controller
 @click.option("--to", "targets", cls=Variadic, metavar="JOINT=POSITION...", required=True,
               help="Target positions, rad or m.")  # fmt: skip
-@click.option("--duration", type=float, callback=simulated_seconds, required=True, metavar="S",
-              help="Duration of the motion, simulated s.")  # fmt: skip
+@seconds("--duration", required=True, help="Duration of the motion, simulated s.")
 @_wait
 @click.pass_obj
 def plan(ctx: Context, controller: str, targets: tuple[str, ...], duration: float, wait: bool) -> None:
@@ -210,9 +209,9 @@ def _from_document(document: Any, file: str) -> Message:
 
 def _duration(value: Any, what: str, file: str, line: int | None = None) -> dict[str, Any]:
     """A duration as secs and nsecs: from seconds, or from either of the forms of ROS. Raises BadFile."""
-    for seconds, nanoseconds in _DURATIONS:
-        if isinstance(value, Mapping) and {seconds, nanoseconds}.issuperset(value):
-            parts = value.get(seconds, 0), value.get(nanoseconds, 0)
+    for secs, nsecs in _DURATIONS:
+        if isinstance(value, Mapping) and {secs, nsecs}.issuperset(value):
+            parts = value.get(secs, 0), value.get(nsecs, 0)
             if all(type(part) is int for part in parts):
                 return {"secs": parts[0], "nsecs": parts[1]}
     is_number = isinstance(value, int | float) and not isinstance(value, bool)

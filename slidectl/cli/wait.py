@@ -10,9 +10,9 @@ from typing import Any
 import click
 
 from slidectl.cli import completion, output, robots
-from slidectl.cli.commands import command, conditions, finite, simulated_seconds, wait_for_world_s
+from slidectl.cli.commands import command, conditions, finite, seconds, wait_for_world_s
 from slidectl.cli.context import Context
-from slidectl.cli.topic_streams import find_published_topic, paused, resume_hint
+from slidectl.cli.topic_streams import find_published_topic, pause_remark
 from slidectl.errors import Refused, SlidectlError, TimedOut, UsageError
 from slidectl.msgs.schema import Schema, nanoseconds
 
@@ -51,7 +51,7 @@ def _condition(
     "--for", "hold", type=click.FloatRange(min=0), default=0.0, callback=finite, metavar="S",
     help="Must hold for S simulated seconds.",
 )  # fmt: skip
-@click.option("--within", type=float, callback=simulated_seconds, metavar="S", help="Fail after S simulated seconds.")
+@seconds("--within", help="Fail after S simulated seconds.")
 @click.pass_obj
 def wait(
     ctx: Context,
@@ -86,8 +86,7 @@ def wait(
     call = ctx.client.call_async("/slidectl/wait", request)
     status = ctx.call("/slidectl/status")
     robots.warn_stopped(ctx, status["estop"])
-    if status["paused"]:
-        ctx.say(f"{paused(status)}; this waits until it goes on: {resume_hint(status)}")
+    ctx.say(pause_remark(status))
     deadline = ctx.client.monotonic() + limit
     try:
         if output.is_terminal(sys.stderr) and not ctx.quiet and not ctx.client.is_answered(call):

@@ -13,7 +13,7 @@ import click
 from slidectl.cli import completion, output
 from slidectl.cli.commands import command, finite, pixel_size, simulated_seconds
 from slidectl.cli.context import Context
-from slidectl.cli.topic_streams import paused, resume_hint
+from slidectl.cli.topic_streams import pause_remark
 from slidectl.errors import EXIT_INTERRUPTED, TimedOut, UsageError
 
 if TYPE_CHECKING:
@@ -159,8 +159,11 @@ def _time(ctx: Context, rate: Fraction) -> Iterator[Callable[[int], object]]:
                 with suppress(TimedOut):
                     lock.step(_LOOK_S)
                     return
-                if not is_told and (status := ctx.call("/slidectl/status"))["paused"]:
-                    ctx.warn(f"{paused(status)}; the video waits until it goes on: {resume_hint(status)}")
+                remark = (
+                    "" if is_told else pause_remark(ctx.call("/slidectl/status"), "the video waits until it goes on")
+                )
+                if remark:
+                    ctx.warn(remark)
                     is_told = True
 
         yield advance
