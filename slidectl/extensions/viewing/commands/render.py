@@ -159,11 +159,8 @@ def _time(ctx: Context, rate: Fraction) -> Iterator[Callable[[int], object]]:
                 with suppress(TimedOut):
                     lock.step(_LOOK_S)
                     return
-                remark = (
-                    "" if is_told else pause_remark(ctx.call("/slidectl/status"), "the video waits until it goes on")
-                )
-                if remark:
-                    ctx.warn(remark)
+                if not is_told and (status := ctx.call("/slidectl/status"))["paused"]:
+                    ctx.warn(pause_remark(status, "the video waits until it goes on"))
                     is_told = True
 
         yield advance
