@@ -79,7 +79,7 @@ _SECTIONS = {
         "shell": ("cli.shell", "Run many commands in one process."),
         "doctor": ("cli.doctor", "Check whether slidectl can run here."),
         "completion": ("cli.completion", "Print the completion script of a shell."),
-        "version": ("cli.version", "Print the version."),
+        "version": ("cli.doctor", "Print the version."),
     },
 }
 """Section of the help -> command -> its module, below `slidectl`, and its help."""

@@ -1,14 +1,15 @@
-"""`slidectl doctor`: check whether slidectl can run on this machine, with a remedy for each problem."""
+"""`slidectl doctor` and `slidectl version`: whether slidectl can run on this machine, and what is installed."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from importlib import import_module
 from typing import TYPE_CHECKING
 
 import click
 
-from slidectl import entry_points
+from slidectl import __version__, entry_points
 from slidectl.cli.commands import command
 from slidectl.cli.context import Context
 from slidectl.entry_points import Part, PartError, Registry
@@ -17,6 +18,7 @@ from slidectl.errors import Refused
 if TYPE_CHECKING:
     from slidectl.daemon.health import Finding
 
+_LIBRARIES = ("mujoco", "click", "numpy", "rosbags", "xacro")
 _REGISTRIES = (
     "slidectl.cli.installed_commands:INSTALLED",
     "slidectl.control.registry:INSTALLED",
@@ -82,3 +84,25 @@ def _registry(place: str) -> Registry:
     module, _, attribute = place.partition(":")
     registry: Registry = getattr(import_module(module), attribute)
     return registry
+
+
+@command(step=None, examples=["slidectl version", "slidectl version --json"])
+@click.pass_obj
+def version(ctx: Context) -> None:
+    """Print the version.
+
+    With -v the versions of the libraries too. JSON keys: slidectl, python, and with -v the libraries' names.
+    """
+    record = {"slidectl": __version__, "python": sys.version.split()[0]}
+    if ctx.verbose:
+        record |= {name: _library(name) for name in _LIBRARIES}
+    ctx.emit(record, None if ctx.verbose else f"slidectl {__version__}")
+
+
+def _library(name: str) -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "not installed"
