@@ -395,7 +395,7 @@ class ControllerCheck:
 
     def _transmissions(self, path: str, value: Any, model: Model | None) -> None:
         """Check the parameter TRANSMISSIONS."""
-        if model is not None and model.says_transmissions:
+        if model is not None and model.sets_transmissions:
             text = "has no effect: <transmissions> of the model, or --transmissions, goes before it"
             self.source.add("ignored", path, text)
             return

@@ -51,7 +51,7 @@ def check(
     packages: Packages,
     findings: Findings,
     text: bytes | None = None,
-    ask_others: bool = False,
+    second_opinion: bool = False,
     strict: bool = False,
 ) -> None:
     """Add findings on launch files; `words` are those of `slidectl launch`, `text` replaces the content of the file.
@@ -60,7 +60,7 @@ def check(
         UsageError, UnknownName, UnknownPackage, BadFile: there is no such file, or no such argument.
     """
     sources = find(words, packages) if text is None else [LaunchFile(Path.cwd() / words[0], text, words[0])]
-    run = _LaunchCheck(arguments, packages, findings, ask_others, strict)
+    run = _LaunchCheck(arguments, packages, findings, second_opinion, strict)
     try:
         run.plan = loader.load(sources, arguments, packages, parse=run.parse, missing=findings.missing)
     except BadFile as error:
@@ -93,12 +93,12 @@ class _LaunchCheck:
     """One check. `given` are the arguments of the command line. The loader parses files with `parse`."""
 
     def __init__(
-        self, given: Mapping[str, str], packages: Packages, findings: Findings, ask_others: bool, strict: bool
+        self, given: Mapping[str, str], packages: Packages, findings: Findings, second_opinion: bool, strict: bool
     ) -> None:
         self.given = given
         self.packages = packages
         self.findings = findings
-        self.ask_others = ask_others
+        self.second_opinion = second_opinion
         self.strict = strict
         self.plan = LaunchPlan()
         self.trace = Trace()
@@ -138,7 +138,7 @@ class _LaunchCheck:
             is_it = written.strip() == remap.source or "$(" in written
             if is_it and (element.file, element.line) == (remap.place.file, remap.place.line):
                 notice = Notice(verdict, element.title, text, element.file, element.line)
-                self.trace.said.setdefault(id(element), []).append((None, notice))
+                self.trace.notices.setdefault(id(element), []).append((None, notice))
 
     def text_at(self, place: Location) -> str:
         """The text of the `<rosparam>` at a place, with newlines before it which keep its line numbers right."""
@@ -165,7 +165,7 @@ class _LaunchCheck:
         for element in (element for root in self.roots for element in root.walk()):
             for notice in by_place.get((element.file, element.line, element.title), ()):
                 match = _ATTRIBUTE.match(notice.text)
-                self.trace.said.setdefault(id(element), []).append((match[1] if match else None, notice))
+                self.trace.notices.setdefault(id(element), []).append((match[1] if match else None, notice))
 
     def _explain(self, element: Element, _: str) -> Iterator[Notice] | None:
         """Explain an argument that was given: its tag shows another value."""
@@ -251,20 +251,20 @@ class _LaunchCheck:
                 xml = description.load(xml, {}, self.packages, missing=self.findings.missing).xml
         own = Findings()
         self.descriptions[name] = model.check_text(
-            xml, file, own, self.ask_others, self.packages, self.strict,
-            self._asked([task for task in self._spawns if task.parameter == name]),
+            xml, file, own, self.second_opinion, self.packages, self.strict,
+            self._transmission_values([task for task in self._spawns if task.parameter == name]),
         )  # fmt: skip
         self.findings.extend(replace(notice, file=shown(notice.file)) for notice in own.sorted())
         self.findings.broken += own.broken
 
-    def _asked(self, spawns: Sequence[SpawnModel]) -> model.TransmissionValues:
+    def _transmission_values(self, spawns: Sequence[SpawnModel]) -> model.TransmissionValues:
         """Give the values of TRANSMISSIONS for a robot that these nodes spawn."""
 
-        def asked(robot: Robot) -> Iterator[object]:
+        def values(robot: Robot) -> Iterator[object]:
             homes = [task.home(robot, self.tasks) for task in spawns] or [description.namespace_of(robot, robot.name)]
             return (self.values.get(names.join(home, TRANSMISSIONS)) for home in homes)
 
-        return asked
+        return values
 
     # --- nodes ----------------------------------------------------------------------------------------------------
 
@@ -329,7 +329,12 @@ class _LaunchCheck:
             path = Path(task.words.one("-file"))
             if is_file(path):
                 return model.check(
-                    path, {}, self.packages, self.findings, strict=self.strict, asked=self._asked([task])
+                    path,
+                    {},
+                    self.packages,
+                    self.findings,
+                    strict=self.strict,
+                    transmission_values=self._transmission_values([task]),
                 )
             error = task.node.place.absence(
                 f"node {task.node.full_name}: there is no file {path}", thing=f"file {path}"

@@ -74,7 +74,7 @@ class Model:
 
     robot: Robot
     namespace: str
-    says_transmissions: bool = False
+    sets_transmissions: bool = False
     """True when the model sets how its transmissions count: then the parameter has no effect."""
 
     @cached_property
@@ -88,20 +88,20 @@ def check(
     arguments: Mapping[str, str],
     packages: Packages,
     findings: Findings,
-    ask_others: bool = False,
+    second_opinion: bool = False,
     title: str | None = None,
     strict: bool = False,
     transmissions: str | None = None,
-    asked: TransmissionValues | None = None,
+    transmission_values: TransmissionValues | None = None,
 ) -> Model | None:
     """Add findings on a model (as description.load takes it). Returns the robot, or None when it cannot be read.
 
     Args:
-        ask_others: compare with yourdfpy too, which takes half a second.
+        second_opinion: compare with yourdfpy too, which takes half a second.
         title: the name of a text in messages.
         strict: refuse impossible masses, inertias and shapes instead of correcting them, as `slidectl spawn --strict`.
         transmissions: how they count; overrides the model.
-        asked: gives the values of the parameter, which counts if the model sets nothing.
+        transmission_values: gives the values of the parameter, which counts if the model sets nothing.
 
     Raises:
         BadFile: there is no such file. UnknownName: no such shipped model.
@@ -126,17 +126,17 @@ def check(
     xml = document.xml
     if transmissions is not None:
         xml = description.with_transmissions(xml, transmissions, document.file)
-    return check_text(xml, document.file, findings, ask_others, packages, strict, asked)
+    return check_text(xml, document.file, findings, second_opinion, packages, strict, transmission_values)
 
 
 def check_text(
     xml: str,
     file: str,
     findings: Findings,
-    ask_others: bool = False,
+    second_opinion: bool = False,
     packages: Packages | None = None,
     strict: bool = False,
-    asked: TransmissionValues | None = None,
+    transmission_values: TransmissionValues | None = None,
 ) -> Model | None:
     """As check, for plain URDF text; `file` is its name in findings, unless the text has a note of its sources."""
     try:
@@ -147,7 +147,7 @@ def check_text(
     base = Path(file).absolute().parent if is_file(Path(file)) else None
     packages = packages or Packages()
     meshes = MeshFiles(packages.starting_at(base) if base is not None else packages, base)
-    is_applied = asked is not None and _apply_transmissions(root, meshes, asked)
+    is_applied = transmission_values is not None and _apply_transmissions(root, meshes, transmission_values)
     trace = Trace()
     report = TracedReport(trace)
     traced = TracedElement(root, trace)
@@ -168,20 +168,20 @@ def check_text(
     joints = _Joints(robot, trace)
     Tags(trace, findings, joints.explain).classify(traced)
     joints.check(findings)
-    says_transmissions = robot.plugin is not None and robot.plugin.transmissions is not None and not is_applied
-    model = Model(robot, _namespace(robot, root, findings), says_transmissions)
+    sets_transmissions = robot.plugin is not None and robot.plugin.transmissions is not None and not is_applied
+    model = Model(robot, _namespace(robot, root, findings), sets_transmissions)
     _check_whole(robot, root, model.namespace, findings)
     bodies.check(robot, findings)
-    if ask_others:
+    if second_opinion:
         _compare_with_yourdfpy(xml, robot, root, findings)
     return model
 
 
-def _apply_transmissions(root: Element, meshes: MeshFiles, asked: TransmissionValues) -> bool:
+def _apply_transmissions(root: Element, meshes: MeshFiles, transmission_values: TransmissionValues) -> bool:
     """Apply the parameter TRANSMISSIONS to the plugin, if the plugin sets nothing. Returns True when it was applied."""
     with contextlib.suppress(SlidectlError):  # errors are reported when the model is checked
         robot = parse_tree(root, meshes, Report())
-        how = next((value for value in asked(robot) if value is not None), None)
+        how = next((value for value in transmission_values(robot) if value is not None), None)
         if how is not None and (robot.plugin is None or robot.plugin.transmissions is None):
             set_transmissions(root, transmissions_named(str(how)))
             return True
@@ -245,7 +245,7 @@ class _Joints:
         return self._attributes(element, joint)
 
     def _attributes(self, element: Element, joint: Joint) -> Iterator[Notice]:
-        said = {attribute for attribute, _ in self.trace.said.get(id(element), [])}
+        said = {attribute for attribute, _ in self.trace.notices.get(id(element), [])}
         for name, value in plain(element).attributes.items():
             # Notices about the whole tag are about its range.
             if name not in said and not (None in said and name in _RANGES):

@@ -91,7 +91,7 @@ def check(
     missing = Missing("all" if keep_going else "nothing")
     modules = [module_or_file(module) for module in imports]
     findings = run(
-        words, given, places, files, text, ask_others=second_opinion, strict=strict, missing=missing,
+        words, given, places, files, text, second_opinion=second_opinion, strict=strict, missing=missing,
         transmissions=transmissions, imports=modules,
     )  # fmt: skip
     report_own_packages(ctx, places)

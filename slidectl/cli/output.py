@@ -57,7 +57,7 @@ def writing_to(path: str) -> Iterator[None]:
         raise BadFile(f"cannot be written: {reason(error, path)}", path, hint=hint(error, path)) from None
 
 
-def reader_has_gone() -> bool:
+def is_reader_gone() -> bool:
     """True when standard output or standard error is a pipe without a reader."""
     import select
 
@@ -69,7 +69,7 @@ def reader_has_gone() -> bool:
 
 def check_reader() -> None:
     """Raise ClosedPipe when the reader is gone. For commands that run without end and may have nothing to write."""
-    if reader_has_gone():
+    if is_reader_gone():
         raise ClosedPipe
 
 

@@ -122,7 +122,7 @@ def _run_script(context: Context, file: str | None, keep_going: bool) -> int:
             if code != EXIT_DONE:
                 context.say(f"{name}, line {number}: {line.strip()}")
                 first_failure = first_failure or code
-            if (first_failure and not keep_going) or code == EXIT_INTERRUPTED or output.reader_has_gone():
+            if (first_failure and not keep_going) or code == EXIT_INTERRUPTED or output.is_reader_gone():
                 break
     return first_failure
 
