@@ -162,7 +162,7 @@ def list_controllers(ctx: Context, manager: str | None, with_unloaded: bool) -> 
             row["update_times"] = times.get((row["manager"], row["name"]))
     stopped = ctx.call("/slidectl/status")["estop"]
     if stopped:
-        spaces = {robot["namespace"] for robot in robots.all_robots(ctx) if robot["name"] in stopped}
+        spaces = {robot["namespace"] for robot in ctx.client.robots() if robot["name"] in stopped}
         robots.warn_stopped(ctx, [one.namespace for one in managers if one.namespace in spaces])
     columns = ["manager", "name", "state", "type"]
     if ctx.verbose and ctx.format != "json":

@@ -22,7 +22,7 @@ def _names(context: Context) -> list[str]:
 
 
 def _targets(context: Context) -> list[str]:
-    present = robots.all_robots(context)
+    present = context.client.robots()
     parts = [f"/{one['name']}/{part}" for one in present for part in (*robots.moving(one), *one["links"])]
     controllers = [f"{one['namespace'].rstrip('/')}/{name}" for one in present for name in one["controllers"]]
     return [*parts, *controllers, *context.names("topic")]

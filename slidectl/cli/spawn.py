@@ -345,7 +345,7 @@ def _spawn_scene(
     spawn = spawning.Spawn(ctx.client, plan, ctx.warn, ctx.wait_limit(spawning.LIMIT_S))
     spawn.check()
     warnings = spawn.put()
-    present = {robot["name"]: robot for robot in robots.all_robots(ctx)}
+    present = {robot["name"]: robot for robot in ctx.client.robots()}
     spawned = [present[model] for model in spawn.names]
     told = [vars(notice) for notice in scene.notices] + [notice for robot in spawned for notice in robot["report"]]
     _warn_notices(ctx, told)
