@@ -10,17 +10,14 @@ from __future__ import annotations
 
 import importlib
 import os
-import signal
 import sys
-from collections.abc import Callable, Container, Iterator
+from collections.abc import Callable, Container, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from operator import attrgetter
+from typing import Any, NamedTuple
 
 from slidectl.errors import Refused, SlidectlError
-
-if TYPE_CHECKING:
-    from types import FrameType
 
 _GROUP = "slidectl."
 
@@ -71,58 +68,30 @@ class Part(NamedTuple):
 
 
 class PartError(Refused):
-    """A part of an installed package cannot be used. The hint says how to remove the package."""
+    """A part of an installed package cannot be used. By default the hint says how to remove the package."""
 
-    def __init__(self, part: Part, message: str) -> None:
-        super().__init__(message, part.removal)
+    def __init__(self, part: Part, kind: str, trouble: str, hint: str | None = None) -> None:
+        super().__init__(f"the {kind} {part.name!r} of {part.owner} {trouble}", hint or part.removal)
         self.part = part
 
 
-class NameOfSlidectl(PartError):
-    """A package claims a name that slidectl has."""
-
-    def __init__(self, part: Part, kind: str) -> None:
-        super().__init__(part, f"the {kind} {part.name!r} of {part.owner} is not used: slidectl has one of that name")
-
-
-class NameClaimedTwice(PartError):
-    """Several packages claim a name."""
-
-    def __init__(self, parts: list[Part], kind: str) -> None:
-        owners = " and ".join(part.owner for part in parts)
-        super().__init__(parts[-1], f"the {kind} {parts[0].name!r} is not used: {owners} claim the name")
-        self.hint = " or ".join(dict.fromkeys(part.removal for part in parts))
-
-
-class BadPartName(PartError):
-    """A package claims a name that no part of this kind can have."""
-
-    def __init__(self, part: Part, kind: str, why: str) -> None:
-        super().__init__(part, f"the {kind} {part.name!r} of {part.owner} is not used: {why}")
+class NameRefused(PartError):
+    """A package claims a name that slidectl has, that another package claims, or that no part of the kind can have."""
 
 
 class BrokenPart(PartError):
     """A part cannot be imported."""
 
-    def __init__(self, part: Part, kind: str, cause: str) -> None:
-        super().__init__(part, f"the {kind} {part.name!r} of {part.owner} cannot be loaded: {cause}")
-
 
 class WrongPart(PartError):
-    """What an entry point names is something else than a part of its kind."""
+    """An entry point names an object that is not a part of its kind."""
 
     def __init__(self, part: Part, kind: str, expected: str) -> None:
-        super().__init__(
-            part, f"the {kind} {part.name!r} of {part.owner} cannot be used: {part.value} is no {expected}"
-        )
+        super().__init__(part, kind, f"cannot be used: {part.value} is not a {expected}")
 
 
 class PartFailed(PartError):
     """The code of a part raised an exception while it ran."""
-
-    def __init__(self, part: Part, kind: str, cause: str) -> None:
-        super().__init__(part, f"the {kind} {part.name!r} of {part.owner} failed: {cause}")
-        self.hint = f"this is a fault of {part.package}; give -v twice to see where it happened"
 
 
 class BadMetadata(Refused):
@@ -180,15 +149,12 @@ class Registry:
         Raises:
             BrokenPart: its module fails or has no such attribute. WrongPart: it is not of this kind.
         """
-        with _interrupts() as interrupted:
-            try:
-                found = _imported(part.module, part.attr)
-            except BaseException as failure:  # a module may raise SystemExit and KeyboardInterrupt too
-                if interrupted:
-                    raise
-                # An error whose cause is no Exception counts as a real interrupt of the program.
-                cause = failure if isinstance(failure, Exception) else None
-                raise BrokenPart(part, self.kind, cause_of(failure)) from cause
+        try:
+            found: Any = importlib.import_module(part.module)
+            if part.attr:
+                found = attrgetter(part.attr)(found)
+        except (Exception, SystemExit) as failure:
+            raise BrokenPart(part, self.kind, f"cannot be loaded: {cause_of(failure)}") from failure
         if expected := self._expected(found):
             raise WrongPart(part, self.kind, expected)
         return found
@@ -201,19 +167,23 @@ class Registry:
         except (Exception, SystemExit) as failure:
             if isinstance(failure, (SlidectlError, *passed)):
                 raise
-            cause = failure if isinstance(failure, Exception) else None
-            raise PartFailed(part, self.kind, cause_of(failure)) from cause
+            hint = f"this is a fault of {part.package}; give -v twice to see where it happened"
+            raise PartFailed(part, self.kind, f"failed: {cause_of(failure)}", hint) from failure
 
     def _claimed(self) -> dict[str, list[Part]]:
         return _installed()[0].get(self.group, {})
 
-    def _refusal(self, parts: list[Part]) -> PartError | None:
-        part = parts[0]
+    def _refusal(self, parts: Sequence[Part]) -> PartError | None:
+        part, *others = parts
         if part.name in self._ours():
-            return NameOfSlidectl(part, self.kind)
+            return NameRefused(part, self.kind, "is not used: slidectl has one of that name")
         if why := self._bad_name(part.name):
-            return BadPartName(part, self.kind, why)
-        return NameClaimedTwice(parts, self.kind) if len(parts) > 1 else None
+            return NameRefused(part, self.kind, f"is not used: {why}")
+        if others:
+            owners = " and ".join(other.owner for other in others)
+            hint = " or ".join(dict.fromkeys(each.removal for each in parts))
+            return NameRefused(part, self.kind, f"is not used: {owners} claims the name, too", hint)
+        return None
 
 
 def unread() -> list[BadMetadata]:
@@ -236,38 +206,31 @@ def unknown_groups(known: Container[str]) -> list[Part]:
 def _installed() -> tuple[dict[str, dict[str, list[Part]]], list[BadMetadata]]:
     """The parts by group and name, and the packages that cannot be read.
 
-    Each file of entry points is looked at by itself: `importlib.metadata.entry_points` fails for all packages where one
-    has a broken file, and to import and ask it takes 30 ms, though few machines have such a package.
+    Each file of entry points is read by itself: `importlib.metadata.entry_points` fails for all packages where one
+    has a broken file, and to import and call it takes 30 ms, though few machines have such a package.
     """
-    parts: list[Part] = []
+    parts: dict[str, list[Part]] = {}
     unreadable: dict[str, BadMetadata] = {}
-    seen: set[str] = set()
     for folder in _metadata_folders():
-        points_file = os.path.join(folder, "entry_points.txt")
-        try:
-            if not os.path.isfile(points_file):  # most packages have none; a FIFO would wait
+        with suppress(OSError), open(os.path.join(folder, "entry_points.txt"), "rb") as file:
+            if f"[{_GROUP}".encode() not in file.read():
                 continue
-            with open(points_file, "rb") as file:
-                if b"[" + _GROUP.encode() not in file.read():
-                    continue
-        except OSError:
-            continue
-        from importlib.metadata import Distribution, distribution
-        from pathlib import Path
+            from importlib.metadata import Distribution
+            from pathlib import Path
 
-        package = folder
-        try:
-            package = Distribution.at(Path(folder)).name or folder
-            if package in seen:
+            found = Distribution.at(Path(folder))
+            if found.name in parts:  # of two versions the first on the path counts, as for an import
                 continue
-            seen.add(package)
-            first = distribution(package)  # of two versions the first on the path counts, as for an import
-            points = [point for point in first.entry_points if point.group.startswith(_GROUP)]
-            parts += (Part(point.group, point.name, point.value, package, first.version or "") for point in points)
-        except Exception as error:  # the files of a package may be broken in any way
-            unreadable[package] = BadMetadata(package, f"{type(error).__name__}: {error}")
+            try:
+                points = [point for point in found.entry_points if point.group.startswith(_GROUP)]
+            except Exception as error:  # the parser raises different exceptions for different faults
+                unreadable[found.name] = BadMetadata(found.name, f"{type(error).__name__}: {error}")
+                continue
+            parts[found.name] = [
+                Part(point.group, point.name, point.value, found.name, found.version) for point in points
+            ]
     by_name: dict[str, dict[str, list[Part]]] = {}
-    for part in sorted(parts):
+    for part in sorted(part for some in parts.values() for part in some):
         by_name.setdefault(part.group, {}).setdefault(part.name, []).append(part)
     return by_name, list(unreadable.values())
 
@@ -283,50 +246,15 @@ def _metadata_folders() -> Iterator[str]:
 # --- code of packages -------------------------------------------------------------------------------------------------
 
 
-def _imported(module: str, attribute: str) -> Any:
-    found: Any = importlib.import_module(module)
-    for name in attribute.split(".") if attribute else ():
-        found = getattr(found, name)
-    return found
-
-
-@contextmanager
-def _interrupts() -> Iterator[list[int]]:
-    """Yield a list that is empty until SIGINT arrives: so a KeyboardInterrupt that code raises itself is known."""
-    received: list[int] = []
-
-    def receive(number: int, frame: FrameType | None) -> None:
-        received.append(number)
-        signal.default_int_handler(number, frame)
-
-    try:
-        is_default = signal.getsignal(signal.SIGINT) is signal.default_int_handler
-        if is_default:
-            signal.signal(signal.SIGINT, receive)
-    except ValueError:  # not the main thread, which alone gets signals
-        is_default = False
-    try:
-        yield received
-    finally:
-        if is_default:
-            signal.signal(signal.SIGINT, signal.default_int_handler)
-
-
 def cause_of(failure: BaseException) -> str:
     """An exception as one line: its class, text, and the file and line of the code that raised it."""
-    try:
-        text = " ".join(f"{type(failure).__name__}: {failure}".split()).removesuffix(":")
-    except Exception:  # the class may be the package's too
-        text = type(failure).__name__
-    if isinstance(failure, SyntaxError):  # its text says where
+    text = " ".join(f"{type(failure).__name__}: {failure}".split()).removesuffix(":")
+    if isinstance(failure, SyntaxError):  # its text has the place
         return text
     trace, where = failure.__traceback__, ""
     while trace is not None:
         file = trace.tb_frame.f_code.co_filename
-        if not file.startswith("<") and file not in _NOT_BLAMED:
+        if not file.startswith("<") and file not in (__file__, importlib.__file__):
             where = f" ({file}:{trace.tb_lineno})"
         trace = trace.tb_next
     return text + where
-
-
-_NOT_BLAMED = (__file__, importlib.__file__)

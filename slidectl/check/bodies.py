@@ -30,70 +30,56 @@ Bounds = tuple[Vector, Vector]
 """The smallest and the largest corner of a box, m."""
 
 
-def tell(robot: Robot, findings: Findings) -> None:
+def check(robot: Robot, findings: Findings) -> None:
     """Add findings on every link with an inertia, and on meshes that cannot be read."""
     around = surroundings(robot)
     for link in robot.links.values():
         corners = list(_corners(link, link.name in around, findings))
-        if link.inertial is not None and not link.inertial.mended:
-            _Body(link, link.inertial, corners, findings).tell()
+        inertial = link.inertial
+        if inertial is None or inertial.mended:
+            continue
+        line = inertial.line if inertial.line is not None else link.line
+        for is_wrong, text in _contradictions(inertial, corners):
+            verdict: Verdict = "wrong" if is_wrong else "used"
+            text = text if is_wrong else f"note: {text}"
+            findings.add(verdict, f"link {link.name!r}/<inertial>", text, link.file or "", line)
 
 
-class _Body:
-    """The mass and moments of a link; `corners` are those of the boxes around its shapes."""
+def _contradictions(inertial: Inertial, corners: list[Vector]) -> Iterator[tuple[bool, str]]:
+    """Values that contradict each other, as text, each with whether it is wrong or only unlikely.
 
-    def __init__(self, link: Link, inertial: Inertial, corners: list[Vector], findings: Findings) -> None:
-        self.link = link
-        self.inertial = inertial
-        self.mass = inertial.mass
-        self.largest = principal_moments(inertial.inertia)[2]
-        self.corners = corners
-        self.findings = findings
-
-    def tell(self) -> None:
-        """Add findings on values that contradict each other."""
-        least = densest_ball(self.mass)
-        if self.largest * _SLACK < least:
-            text = f"moments of at most {self.largest:.3g} kg·m²: no matter is so dense that {self.mass:g} kg have less"
-            self._add(f"{text} than {least:.3g}", is_wrong=True)
-        if self.corners:
-            self._tell_moments()
-            self._tell_density_and_centre()
-        elif (reach := math.sqrt(self.largest / self.mass)) > _FAR:
-            text = f"{self.mass:g} kg with moments of {self.largest:.3g} kg·m² lie {reach:.3g} m away from their centre"
-            self._add(text)
-
-    def _tell_moments(self) -> None:
-        reach = max(math.dist(self.inertial.origin.xyz, corner) for corner in self.corners)
-        most = self.mass * reach * reach
-        # If the product overflows or is 0 there is nothing to compare.
-        times = self.largest / most if 0.0 < most < math.inf else 0.0
-        if times > _SLACK:
-            text = f"{self.mass:g} kg within its shapes have moments of at most {most:.3g} kg·m²"
-            text = f"{text}; the largest here is {self.largest:.3g}, {times:.3g} times as much"
-            self._add(text, is_wrong=times > _SLIP)
-
-    def _tell_density_and_centre(self) -> None:
-        """Find masses in grams, wrong decimal points, and centres of mass outside of the box around all shapes."""
-        box = [(min(values), max(values)) for values in zip(*self.corners, strict=True)]
-        volume = math.prod(high - low for low, high in box)
-        density = self.mass / volume if 0.0 < volume < math.inf else DENSEST
-        if density > DENSEST:
-            text = f"{self.mass:g} kg in at most {volume:.3g} m³ are {density / DENSEST:.3g} times as dense as osmium"
-            self._add(text, is_wrong=density > _SLIP * DENSEST)
-        elif 0.0 < density < _THINNEST:
-            self._add(f"{self.mass:g} kg in {volume:.3g} m³ are {AIR / density:.3g} times as thin as air")
-        slack = 0.1 * math.dist(*zip(*box, strict=True))
-        centre = self.inertial.origin.xyz
-        if not all(low - slack <= value <= high + slack for value, (low, high) in zip(centre, box, strict=True)):
-            x, y, z = centre
-            self._add(f"the centre of mass, {x:g} {y:g} {z:g}, lies outside of its shapes")
-
-    def _add(self, text: str, is_wrong: bool = False) -> None:
-        line = self.inertial.line if self.inertial.line is not None else self.link.line
-        verdict: Verdict = "wrong" if is_wrong else "used"
-        text = text if is_wrong else f"note: {text}"
-        self.findings.add(verdict, f"link {self.link.name!r}/<inertial>", text, self.link.file or "", line)
+    `corners` are those of the boxes around the link's shapes.
+    """
+    mass, largest = inertial.mass, principal_moments(inertial.inertia)[2]
+    least = densest_ball(mass)
+    if largest * _SLACK < least:
+        text = f"moments of at most {largest:.3g} kg·m²: no matter is so dense that {mass:g} kg have less"
+        yield True, f"{text} than {least:.3g}"
+    if not corners:
+        if (reach := math.sqrt(largest / mass)) > _FAR:
+            yield False, f"{mass:g} kg with moments of {largest:.3g} kg·m² lie {reach:.3g} m away from their centre"
+        return
+    centre = inertial.origin.xyz
+    reach = max(math.dist(centre, corner) for corner in corners)
+    most = mass * reach * reach
+    # If the product overflows or is 0 there is nothing to compare.
+    times = largest / most if 0.0 < most < math.inf else 0.0
+    if times > _SLACK:
+        text = f"{mass:g} kg within its shapes have moments of at most {most:.3g} kg·m²"
+        yield times > _SLIP, f"{text}; the largest here is {largest:.3g}, {times:.3g} times as much"
+    # Masses in grams, wrong decimal points, and centres of mass outside of the box around all shapes.
+    box = [(min(values), max(values)) for values in zip(*corners, strict=True)]
+    volume = math.prod(high - low for low, high in box)
+    density = mass / volume if 0.0 < volume < math.inf else DENSEST
+    if density > DENSEST:
+        text = f"{mass:g} kg in at most {volume:.3g} m³ are {density / DENSEST:.3g} times as dense as osmium"
+        yield density > _SLIP * DENSEST, text
+    elif 0.0 < density < _THINNEST:
+        yield False, f"{mass:g} kg in {volume:.3g} m³ are {AIR / density:.3g} times as thin as air"
+    slack = 0.1 * math.dist(*zip(*box, strict=True))
+    if not all(low - slack <= value <= high + slack for value, (low, high) in zip(centre, box, strict=True)):
+        x, y, z = centre
+        yield False, f"the centre of mass, {x:g} {y:g} {z:g}, lies outside of its shapes"
 
 
 def _corners(link: Link, is_around: bool, findings: Findings) -> Iterator[Vector]:

@@ -47,7 +47,7 @@ _LONGEST = 60
 _PLANNERS = "planner_configs"
 # Parameters that programs other than controllers read, in any namespace.
 _OTHERS = {
-    "robot_description": "the robot, for whoever draws or plans",
+    "robot_description": "the robot, for viewers and planners",
     "use_sim_time": "time is always simulated here",
 }
 _HARDWARE = ("joint_limits", "gazebo_ros_control")
@@ -395,7 +395,7 @@ class ControllerCheck:
 
     def _transmissions(self, path: str, value: Any, model: Model | None) -> None:
         """Check the parameter TRANSMISSIONS."""
-        if model is not None and model.says_transmissions:
+        if model is not None and model.sets_transmissions:
             text = "has no effect: <transmissions> of the model, or --transmissions, goes before it"
             self.source.add("ignored", path, text)
             return
@@ -572,7 +572,7 @@ def judge_gains(values: Mapping[str, Any]) -> Iterator[Judgement]:
     numbers = {name: number for name in values if (number := as_number(values[name])) is not None}
     for name, number in numbers.items():
         if isnan(number) or (name in ("p", "i", "d") and not isfinite(number)):
-            yield name, "wrong", f"{number} is no finite number: the gains are refused"
+            yield name, "wrong", f"{number} is not a finite number: the gains are refused"
             return
     gains = {name: numbers[name] for name in ("p", "i", "d") if name in numbers}
     if "p" in gains and not any(gains.values()):

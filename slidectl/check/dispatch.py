@@ -25,7 +25,7 @@ def check(
     packages: Packages,
     parameter_files: Sequence[Path] = (),
     text: bytes | None = None,
-    ask_others: bool = False,
+    second_opinion: bool = False,
     strict: bool = False,
     missing: Missing | None = None,
     transmissions: str | None = None,
@@ -38,7 +38,7 @@ def check(
         arguments: of xacro or of the launch file.
         parameter_files: files of controllers for a model.
         text: the content of the file, if it is not read from a file.
-        ask_others: compare models with the reading of yourdfpy too.
+        second_opinion: compare models with the reading of yourdfpy too.
         strict: refuse masses, inertias and shapes of models that a spawn would correct.
         missing: collects things that the files name and that do not exist.
         transmissions: how a model's transmissions count; overrides the model.
@@ -57,23 +57,27 @@ def check(
     if kind == "launch":
         from slidectl.check import launch_check
 
-        launch_check.check(words, arguments, packages, findings, text, ask_others, strict)
+        launch_check.check(words, arguments, packages, findings, text, second_opinion, strict)
     elif kind == "controllers":
         controllers.check(source, None, findings, text)
     elif kind == "scene":
         findings.is_drivable = scenes.check(sdf.find(source, packages), packages, findings, text, strict)
-        findings.tell_missing()
+        findings.add_missing()
     else:
         title = source if text is not None else None
         read = text.decode("utf-8", "replace") if text is not None else source
         if text is None and (path := models.shipped().get(source)) is not None:
             read = shown(path)  # the path in its shortest form
         texts = {file: models.read_file(file, pipes=True) for file in parameter_files}
-        asked = _asked([tree for file, content in texts.items() if (tree := _tree(content, str(file))) is not None])
-        robot = model.check(read, arguments, packages, findings, ask_others, title, strict, transmissions, asked)
+        transmission_values = _transmission_values(
+            [tree for file, content in texts.items() if (tree := _tree(content, str(file))) is not None]
+        )
+        robot = model.check(
+            read, arguments, packages, findings, second_opinion, title, strict, transmissions, transmission_values
+        )
         usable = [controllers.check(file, robot, findings, content) for file, content in texts.items()]
         findings.is_drivable = robot is not None and (any(usable) or not usable)
-        findings.tell_missing()
+        findings.add_missing()
     return findings
 
 
@@ -108,16 +112,16 @@ def _refuse_what_does_not_fit(
             raise UsageError(f"{name}:= has no meaning for {takes_none[kind]}")
 
 
-def _asked(trees: Sequence[Tree]) -> model.TransmissionValues:
+def _transmission_values(trees: Sequence[Tree]) -> model.TransmissionValues:
     """Give the values of TRANSMISSIONS in parameter files, the last file first."""
 
-    def asked(robot: Robot) -> Iterator[object]:
+    def values(robot: Robot) -> Iterator[object]:
         namespace = namespace_of(robot, robot.name)
         for tree in reversed(trees):
             placed, _ = controllers_file.retarget(tree, namespace)
             yield controllers_file.at(placed, names.join(namespace, TRANSMISSIONS))
 
-    return asked
+    return values
 
 
 def _tree(text: bytes, file: str) -> Tree | None:

@@ -37,5 +37,5 @@ def of_text(text: bytes, file: str) -> Kind:
     tag = root.group(1).decode() if root else ""
     if tag in _ROOTS:
         return _ROOTS[tag]
-    what = f"the outermost element is <{tag}>" if tag else "it is no XML"
+    what = f"the outermost element is <{tag}>" if tag else "it is not XML"
     raise BadFile(f"{what}, expected <robot>, <launch> or <sdf>", file, 1)

@@ -44,7 +44,7 @@ class Findings:
         for notice in notices:
             self._notices.setdefault(replace(notice, text=one_line(notice.text)))
 
-    def tell_missing(self) -> None:
+    def add_missing(self) -> None:
         """Add a finding for each missing thing: "ignored" if it is left out, else "wrong"."""
         for absence in self.missing.absences:
             error = absence.error

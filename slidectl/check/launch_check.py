@@ -51,7 +51,7 @@ def check(
     packages: Packages,
     findings: Findings,
     text: bytes | None = None,
-    ask_others: bool = False,
+    second_opinion: bool = False,
     strict: bool = False,
 ) -> None:
     """Add findings on launch files; `words` are those of `slidectl launch`, `text` replaces the content of the file.
@@ -60,7 +60,7 @@ def check(
         UsageError, UnknownName, UnknownPackage, BadFile: there is no such file, or no such argument.
     """
     sources = find(words, packages) if text is None else [LaunchFile(Path.cwd() / words[0], text, words[0])]
-    run = _LaunchCheck(arguments, packages, findings, ask_others, strict)
+    run = _LaunchCheck(arguments, packages, findings, second_opinion, strict)
     try:
         run.plan = loader.load(sources, arguments, packages, parse=run.parse, missing=findings.missing)
     except BadFile as error:
@@ -73,9 +73,9 @@ def check(
     models = [robot.model for robot in run.robots if robot.model]
     controllers = ControllerCheck(source, models, run.reader, run.hint)
     controllers.check(run.tree)
-    run.tell(controllers.found, controllers.claims)
+    run.check_contradictions(controllers.found, controllers.claims)
     run.classify()
-    findings.tell_missing()
+    findings.add_missing()
     findings.is_drivable = run.has_programs or bool(controllers.found) or bool(models)
 
 
@@ -93,12 +93,12 @@ class _LaunchCheck:
     """One check. `given` are the arguments of the command line. The loader parses files with `parse`."""
 
     def __init__(
-        self, given: Mapping[str, str], packages: Packages, findings: Findings, ask_others: bool, strict: bool
+        self, given: Mapping[str, str], packages: Packages, findings: Findings, second_opinion: bool, strict: bool
     ) -> None:
         self.given = given
         self.packages = packages
         self.findings = findings
-        self.ask_others = ask_others
+        self.second_opinion = second_opinion
         self.strict = strict
         self.plan = LaunchPlan()
         self.trace = Trace()
@@ -131,14 +131,14 @@ class _LaunchCheck:
                 if element.tag == tag and id(element) in self.trace.read and (not read or read - {"if", "unless"}):
                     yield element
 
-    def say_of_remap(self, verdict: Verdict, remap: Remap, text: str) -> None:
+    def judge_remap(self, verdict: Verdict, remap: Remap, text: str) -> None:
         """Set the verdict on a `<remap>`, which replaces that from its trace."""
         for element in self.elements("remap"):
             written = plain(element).get("from") or ""
             is_it = written.strip() == remap.source or "$(" in written
             if is_it and (element.file, element.line) == (remap.place.file, remap.place.line):
                 notice = Notice(verdict, element.title, text, element.file, element.line)
-                self.trace.said.setdefault(id(element), []).append((None, notice))
+                self.trace.notices.setdefault(id(element), []).append((None, notice))
 
     def text_at(self, place: Location) -> str:
         """The text of the `<rosparam>` at a place, with newlines before it which keep its line numbers right."""
@@ -165,7 +165,7 @@ class _LaunchCheck:
         for element in (element for root in self.roots for element in root.walk()):
             for notice in by_place.get((element.file, element.line, element.title), ()):
                 match = _ATTRIBUTE.match(notice.text)
-                self.trace.said.setdefault(id(element), []).append((match[1] if match else None, notice))
+                self.trace.notices.setdefault(id(element), []).append((match[1] if match else None, notice))
 
     def _explain(self, element: Element, _: str) -> Iterator[Notice] | None:
         """Explain an argument that was given: its tag shows another value."""
@@ -180,7 +180,7 @@ class _LaunchCheck:
     def read_parameters(self) -> None:
         """Read all parameters."""
         for setting in self.plan.settings:
-            self._take(setting)
+            self._read(setting)
         if self.is_complete:
             try:  # this reports parameters that replace each other
                 self.plan.parameters(gather=True)
@@ -202,7 +202,7 @@ class _LaunchCheck:
                 branch[last] = value
         return tree
 
-    def _take(self, setting: Setting) -> None:
+    def _read(self, setting: Setting) -> None:
         place = (setting.place.file, setting.place.line)
         if setting.runs_command:
             self._miss(setting)
@@ -251,20 +251,20 @@ class _LaunchCheck:
                 xml = description.load(xml, {}, self.packages, missing=self.findings.missing).xml
         own = Findings()
         self.descriptions[name] = model.check_text(
-            xml, file, own, self.ask_others, self.packages, self.strict,
-            self._asked([task for task in self._spawns if task.parameter == name]),
+            xml, file, own, self.second_opinion, self.packages, self.strict,
+            self._transmission_values([task for task in self._spawns if task.parameter == name]),
         )  # fmt: skip
         self.findings.extend(replace(notice, file=shown(notice.file)) for notice in own.sorted())
         self.findings.broken += own.broken
 
-    def _asked(self, spawns: Sequence[SpawnModel]) -> model.TransmissionValues:
+    def _transmission_values(self, spawns: Sequence[SpawnModel]) -> model.TransmissionValues:
         """Give the values of TRANSMISSIONS for a robot that these nodes spawn."""
 
-        def asked(robot: Robot) -> Iterator[object]:
+        def values(robot: Robot) -> Iterator[object]:
             homes = [task.home(robot, self.tasks) for task in spawns] or [description.namespace_of(robot, robot.name)]
             return (self.values.get(names.join(home, TRANSMISSIONS)) for home in homes)
 
-        return asked
+        return values
 
     # --- nodes ----------------------------------------------------------------------------------------------------
 
@@ -296,7 +296,7 @@ class _LaunchCheck:
                 self.findings.fail(f"node {task.node.full_name}", error)
                 continue
             if task.scene is not None:
-                scenes.tell_scene(task.scene, self.findings, self.strict)
+                scenes.check_scene(task.scene, self.findings, self.strict)
 
     def _task(self, node: Node) -> Task | None:
         """Make the task of a node, and add a finding about it."""
@@ -329,7 +329,12 @@ class _LaunchCheck:
             path = Path(task.words.one("-file"))
             if is_file(path):
                 return model.check(
-                    path, {}, self.packages, self.findings, strict=self.strict, asked=self._asked([task])
+                    path,
+                    {},
+                    self.packages,
+                    self.findings,
+                    strict=self.strict,
+                    transmission_values=self._transmission_values([task]),
                 )
             error = task.node.place.absence(
                 f"node {task.node.full_name}: there is no file {path}", thing=f"file {path}"
@@ -341,7 +346,7 @@ class _LaunchCheck:
             hint = did_you_mean(name, self.descriptions, "{}")
             self._add("wrong", task.node, f"the launch does not set the parameter {name}{hint}")
         elif name not in self.descriptions and self.values.get(name) is not None:
-            self._add("wrong", task.node, f"the parameter {name} holds no robot")
+            self._add("wrong", task.node, f"the parameter {name} does not hold a robot")
         return self.descriptions.get(name)
 
     def _withdraw_starts(self) -> None:
@@ -387,30 +392,30 @@ class _LaunchCheck:
                 return f"; {WITHOUT_EFFECT[own]}" if own in WITHOUT_EFFECT else did_you_mean(own, known)
         return ""
 
-    def tell(self, controllers: Mapping[str, str], claims: Mapping[str, set[str]]) -> None:
+    def check_contradictions(self, controllers: Mapping[str, str], claims: Mapping[str, set[str]]) -> None:
         """Add findings on contradictions. `controllers` maps full names to types, `claims` maps them to joints."""
-        self._tell_same_names()
-        self._tell_namespaces(controllers)
+        self._check_same_names()
+        self._check_namespaces(controllers)
         for task in self.tasks:
             if isinstance(task, Spawner):
-                self._tell_spawner(task, controllers)
-                self._tell_same_joints(task, claims)
+                self._check_spawner(task, controllers)
+                self._check_same_joints(task, claims)
             elif isinstance(task, RobotStatePublisher):
-                self._tell_joint_states(task, controllers)
-        self._tell_loaded_twice()
-        self._tell_remaps()
+                self._check_joint_states(task, controllers)
+        self._check_loaded_twice()
+        self._check_remaps()
 
-    def _tell_loaded_twice(self) -> None:
+    def _check_loaded_twice(self) -> None:
         """Find controllers that two spawners load: the second load is refused."""
         seen: dict[str, Node] = {}
         for task in self.tasks:
             for name in _loaded(task):
                 other = seen.setdefault(name, task.node)
                 if other is not task.node:
-                    text = f"loads {name}, which the node at {other.place} loads too: whoever is second is refused"
+                    text = f"loads {name}, which the node at {other.place} loads too: the second one is refused"
                     self._add("wrong", task.node, text)
 
-    def _tell_same_names(self) -> None:
+    def _check_same_names(self) -> None:
         """Find robots with the same name or the same namespace."""
         for what in ("name", "namespace"):
             seen: dict[str, Node] = {}
@@ -424,7 +429,7 @@ class _LaunchCheck:
     def _namespaces(self) -> list[str]:
         return [robot.namespace for robot in self.robots if robot.namespace is not None]
 
-    def _tell_namespaces(self, controllers: Mapping[str, str]) -> None:
+    def _check_namespaces(self, controllers: Mapping[str, str]) -> None:
         """Find controllers in a namespace without a robot."""
         homes = self._namespaces()
         if not homes or len(homes) != len(self.robots):
@@ -437,7 +442,7 @@ class _LaunchCheck:
             place = self.places.get(namespace) or (shown(self.plan.files[0]), None)
             self.findings.add("wrong", f"namespace {namespace}", text, *place)
 
-    def _tell_spawner(self, task: Spawner, controllers: Mapping[str, str]) -> None:
+    def _check_spawner(self, task: Spawner, controllers: Mapping[str, str]) -> None:
         homes = self._namespaces()
         if homes and len(homes) == len(self.robots) and task.namespace not in homes:
             near = closest(task.namespace, homes) or homes[0]
@@ -450,7 +455,7 @@ class _LaunchCheck:
                 hint = did_you_mean(name, inside or controllers, "{}") or f"; controllers: {listing(controllers)}"
                 self._add("wrong", task.node, f"the launch sets no controller {name}{hint}")
 
-    def _tell_same_joints(self, task: Spawner, claims: Mapping[str, set[str]]) -> None:
+    def _check_same_joints(self, task: Spawner, claims: Mapping[str, set[str]]) -> None:
         """Find controllers of one spawner that claim the same joint."""
         holders: dict[str, str] = {}
         for name in [] if task.words.has("--stopped") else _loaded(task):
@@ -460,7 +465,7 @@ class _LaunchCheck:
                     text = f"cannot start {name} beside {holder}: both want joint {joint!r} for themselves"
                     self._add("wrong", task.node, text)
 
-    def _tell_joint_states(self, task: RobotStatePublisher, controllers: Mapping[str, str]) -> None:
+    def _check_joint_states(self, task: RobotStatePublisher, controllers: Mapping[str, str]) -> None:
         """Find a robot_state_publisher whose joint states are not published."""
         topic = task.node.resolve("joint_states")
         there = sorted({names.join(names.parent(name), "joint_states") for name in self._publishers(controllers)})
@@ -476,27 +481,27 @@ class _LaunchCheck:
         if remap is None:
             self._add("wrong", task.node, f"it listens to {end}")
         else:
-            self.say_of_remap("wrong", remap, f"{task.node.full_name} listens to {end}")
+            self.judge_remap("wrong", remap, f"{task.node.full_name} listens to {end}")
 
     def _publishers(self, controllers: Mapping[str, str]) -> Iterator[str]:
         """The joint state controllers that a spawner of the launch starts."""
         for task in self.tasks:
             yield from (name for name in _loaded(task) if controllers.get(name) == _JOINT_STATES)
 
-    def _tell_remaps(self) -> None:
+    def _check_remaps(self) -> None:
         """Find remaps that no node uses."""
         used = {remap for task in self.tasks for remap in _used_remaps(task)}
         there = {remap for node in self.plan.nodes for remap in node.remaps}
         known = {name for task in self.tasks for name in _names_of(task)}
         for remap in there - used:
             hint = did_you_mean(remap.source, known)
-            self.say_of_remap("ignored", remap, f"no node that it is for has the name {remap.source!r}{hint}")
+            self.judge_remap("ignored", remap, f"no node that it is for has the name {remap.source!r}{hint}")
         places = {(remap.place.file, remap.place.line) for remap in there}
         for element in self.elements("remap"):
             if (element.file, element.line) not in places:
                 source = plain(element).get("from") or ""
                 lonely = Remap(source.strip(), "", Location(element.file, element.line))
-                self.say_of_remap("ignored", lonely, "no node comes after it")
+                self.judge_remap("ignored", lonely, "no node comes after it")
 
 
 def _is_robot(text: str) -> bool:

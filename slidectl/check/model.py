@@ -6,10 +6,12 @@ robot as a whole (limits, masses, namespaces) is judged only when no part is bro
 
 from __future__ import annotations
 
+import contextlib
+import io
+import logging
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -72,7 +74,7 @@ class Model:
 
     robot: Robot
     namespace: str
-    says_transmissions: bool = False
+    sets_transmissions: bool = False
     """True when the model sets how its transmissions count: then the parameter has no effect."""
 
     @cached_property
@@ -86,20 +88,20 @@ def check(
     arguments: Mapping[str, str],
     packages: Packages,
     findings: Findings,
-    ask_others: bool = False,
+    second_opinion: bool = False,
     title: str | None = None,
     strict: bool = False,
     transmissions: str | None = None,
-    asked: TransmissionValues | None = None,
+    transmission_values: TransmissionValues | None = None,
 ) -> Model | None:
     """Add findings on a model (as description.load takes it). Returns the robot, or None when it cannot be read.
 
     Args:
-        ask_others: compare with yourdfpy too, which takes half a second.
+        second_opinion: compare with yourdfpy too, which takes half a second.
         title: the name of a text in messages.
         strict: refuse impossible masses, inertias and shapes instead of correcting them, as `slidectl spawn --strict`.
         transmissions: how they count; overrides the model.
-        asked: gives the values of the parameter, which counts if the model sets nothing.
+        transmission_values: gives the values of the parameter, which counts if the model sets nothing.
 
     Raises:
         BadFile: there is no such file. UnknownName: no such shipped model.
@@ -119,22 +121,22 @@ def check(
             text = f"{arguments[name]!r}, as given" if name in arguments else default
             findings.add("used", f"argument {name}", text, element.file, element.line)
         if written.is_whole:
-            _tell_unused(written, findings)
+            _check_unused(written, findings)
     findings.extend(document.report)
     xml = document.xml
     if transmissions is not None:
         xml = description.with_transmissions(xml, transmissions, document.file)
-    return check_text(xml, document.file, findings, ask_others, packages, strict, asked)
+    return check_text(xml, document.file, findings, second_opinion, packages, strict, transmission_values)
 
 
 def check_text(
     xml: str,
     file: str,
     findings: Findings,
-    ask_others: bool = False,
+    second_opinion: bool = False,
     packages: Packages | None = None,
     strict: bool = False,
-    asked: TransmissionValues | None = None,
+    transmission_values: TransmissionValues | None = None,
 ) -> Model | None:
     """As check, for plain URDF text; `file` is its name in findings, unless the text has a note of its sources."""
     try:
@@ -145,7 +147,7 @@ def check_text(
     base = Path(file).absolute().parent if is_file(Path(file)) else None
     packages = packages or Packages()
     meshes = MeshFiles(packages.starting_at(base) if base is not None else packages, base)
-    is_told = asked is not None and _tell_transmissions(root, meshes, asked)
+    is_applied = transmission_values is not None and _apply_transmissions(root, meshes, transmission_values)
     trace = Trace()
     report = TracedReport(trace)
     traced = TracedElement(root, trace)
@@ -154,7 +156,7 @@ def check_text(
         robot = parse_tree(traced, meshes, report, strict)
     except BadFile as error:
         has_stopped = error not in report.faults
-        report.take(error)
+        report.collect(error)
     for fault in report.faults:
         findings.refuse(fault)
     if robot is None:
@@ -162,26 +164,24 @@ def check_text(
         text = "note: limits, masses and transmissions are not judged together while a part is broken"
         findings.add("used", root.title, text, root.file, root.line)
         return None
-    _say(robot, traced, report)
+    _report_converted(robot, traced, report)
     joints = _Joints(robot, trace)
     Tags(trace, findings, joints.explain).classify(traced)
-    joints.tell(findings)
-    says_transmissions = robot.plugin is not None and robot.plugin.transmissions is not None and not is_told
-    model = Model(robot, _namespace(robot, root, findings), says_transmissions)
-    _tell_whole(robot, root, model.namespace, findings)
-    bodies.tell(robot, findings)
-    if ask_others:
-        from slidectl.check import yourdfpy_comparison
-
-        yourdfpy_comparison.tell(xml, robot, root, findings)
+    joints.check(findings)
+    sets_transmissions = robot.plugin is not None and robot.plugin.transmissions is not None and not is_applied
+    model = Model(robot, _namespace(robot, root, findings), sets_transmissions)
+    _check_whole(robot, root, model.namespace, findings)
+    bodies.check(robot, findings)
+    if second_opinion:
+        _compare_with_yourdfpy(xml, robot, root, findings)
     return model
 
 
-def _tell_transmissions(root: Element, meshes: MeshFiles, asked: TransmissionValues) -> bool:
+def _apply_transmissions(root: Element, meshes: MeshFiles, transmission_values: TransmissionValues) -> bool:
     """Apply the parameter TRANSMISSIONS to the plugin, if the plugin sets nothing. Returns True when it was applied."""
-    with suppress(SlidectlError):  # errors are reported when the model is checked
+    with contextlib.suppress(SlidectlError):  # errors are reported when the model is checked
         robot = parse_tree(root, meshes, Report())
-        how = next((value for value in asked(robot) if value is not None), None)
+        how = next((value for value in transmission_values(robot) if value is not None), None)
         if how is not None and (robot.plugin is None or robot.plugin.transmissions is None):
             set_transmissions(root, transmissions_named(str(how)))
             return True
@@ -200,7 +200,7 @@ def _namespace(robot: Robot, root: Element, findings: Findings) -> str:
         return f"/{robot.name}"
 
 
-def _tell_unused(written: Written, findings: Findings) -> None:
+def _check_unused(written: Written, findings: Findings) -> None:
     """Find unused properties and macros of the model's own file, which have no effect on the robot."""
     used: set[str] = set()
     for element in written.elements:
@@ -245,7 +245,7 @@ class _Joints:
         return self._attributes(element, joint)
 
     def _attributes(self, element: Element, joint: Joint) -> Iterator[Notice]:
-        said = {attribute for attribute, _ in self.trace.said.get(id(element), [])}
+        said = {attribute for attribute, _ in self.trace.notices.get(id(element), [])}
         for name, value in plain(element).attributes.items():
             # Notices about the whole tag are about its range.
             if name not in said and not (None in said and name in _RANGES):
@@ -271,7 +271,7 @@ class _Joints:
             return "ignored", f"only an {interfaces.EFFORT.name} has a use for it, the joint's is a {own}"
         return "used", _MEANINGS[name][2]
 
-    def tell(self, findings: Findings) -> None:
+    def check(self, findings: Findings) -> None:
         """Add findings on missing limits and transmissions, and on limits that look like degrees."""
         for joint in self.robot.joints.values():
             for text in self._missing(joint) if joint.type in MOVING else ():
@@ -296,20 +296,20 @@ class _Joints:
 # --- what the simulation makes of it ----------------------------------------------------------------------------------
 
 
-def _say(robot: Robot, root: Element, report: Report) -> None:
+def _report_converted(robot: Robot, root: Element, report: Report) -> None:
     """Report single tags that the simulation changes or ignores. This does not count as reading the elements."""
     plugin = robot.plugin or ControlPlugin()
     tags = {element.tag: element for element in reversed(list(root.walk()))}
     if plugin.control_period is not None:
         steps = max(1, math.ceil(plugin.control_period / _TIMESTEP_S - 1e-6))
         if not math.isclose(steps * _TIMESTEP_S, plugin.control_period, rel_tol=1e-6):
-            text = f"{plugin.control_period:g} s is no whole number of the simulation's steps of {_TIMESTEP_S:g} s"
+            text = f"{plugin.control_period:g} s is not a whole number of the simulation's steps of {_TIMESTEP_S:g} s"
             report.converted(tags["controlPeriod"], f"{text}; controllers run every {steps * _TIMESTEP_S:g} s")
     if plugin.robot_param != ControlPlugin.robot_param:
         text = f"{plugin.robot_param} is not looked for: the robot is what is spawned, and NAMESPACE/robot_description"
         report.converted(tags["robotParam"], text)
     for transmission in robot.transmissions:
-        _say_actuators(transmission, root, report)
+        _report_actuators(transmission, root, report)
     for tag in _inside(root, "gazebo"):
         link = robot.links.get(plain(tag).get("reference") or "")
         if link is None or None in (link.surface.mu1, link.surface.mu2) or link.surface.mu1 == link.surface.mu2:
@@ -319,7 +319,7 @@ def _say(robot: Robot, root: Element, report: Report) -> None:
             report.ignored(place, text, f"link {link.name!r}/<mu2>")
 
 
-def _say_actuators(transmission: TransmissionInfo, root: Element, report: Report) -> None:
+def _report_actuators(transmission: TransmissionInfo, root: Element, report: Report) -> None:
     """Report interfaces of actuators that differ from the joint's, which counts."""
     counts = transmission.joints[0].hardware_interfaces[0]
     whole = (tag for tag in _inside(root, "transmission") if _is_of(tag, transmission))
@@ -348,7 +348,7 @@ def _inside(element: Element, tag: str) -> list[Element]:
     return plain(element).find_all(tag)
 
 
-def _tell_whole(robot: Robot, root: Element, namespace: str, findings: Findings) -> None:
+def _check_whole(robot: Robot, root: Element, namespace: str, findings: Findings) -> None:
     """Add findings on the root, the plugin, and on what the parser accepts with a notice and the simulation refuses."""
     if not robot.is_fixed_to_world:
         link = robot.links[robot.root]
@@ -388,3 +388,49 @@ def _tell_whole(robot: Robot, root: Element, namespace: str, findings: Findings)
             written = ", ".join(joint.hardware_interfaces)
             text = f"transmission {transmission.name!r}: {written} is not an interface of simulated joints"
             findings.refuse(BadFile(text, transmission.file, transmission.line))
+
+
+# --- a second opinion -------------------------------------------------------------------------------------------------
+
+
+def _compare_with_yourdfpy(xml: str, robot: Robot, root: Element, findings: Findings) -> None:
+    """Add a remark for each difference to the reading of yourdfpy, an independent parser, or one that there is none.
+
+    It compares the tree, masses and limits. `xml` is the text that `root` was read from.
+    """
+    whole = f"robot {robot.name!r}"
+    before = logging.root.manager.disable
+    logging.disable(logging.CRITICAL)  # yourdfpy logs, and it prints
+    try:
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+            remarks = list(_differences_to_yourdfpy(robot, xml, whole))
+    except Exception as error:  # any exception of its parsers means that it cannot read the file
+        remarks = [(whole, f"cannot read it: {' '.join(str(error).split()) or type(error).__name__}")]
+    finally:
+        logging.disable(before)
+    for subject, text in remarks or [(whole, "reads the same tree, masses and limits")]:
+        findings.add("used", subject, f"note: yourdfpy {text}", root.file, root.line)
+
+
+def _differences_to_yourdfpy(robot: Robot, xml: str, whole: str) -> Iterator[tuple[str, str]]:
+    """Subject and text of each difference between the two readings."""
+    import yourdfpy  # a heavy import
+
+    other = yourdfpy.URDF.load(io.BytesIO(xml.encode()), load_meshes=False)
+    if other.base_link != robot.root:
+        yield whole, f"takes {other.base_link!r} for the root, not {robot.root!r}"
+    for error in other.errors if not other.validate() else ():
+        yield whole, f"says: {error}"
+    for link in robot.links.values():
+        theirs = other.link_map.get(link.name)
+        mass = theirs.inertial.mass if theirs is not None and theirs.inertial is not None else None
+        if mass != (link.inertial.mass if link.inertial is not None else None):
+            yield f"link {link.name!r}", f"reads a mass of {mass}"
+    for joint in robot.joints.values():
+        theirs = other.joint_map.get(joint.name)
+        if theirs is None or (theirs.parent, theirs.child, theirs.type) != (joint.parent, joint.child, joint.type):
+            yield f"joint {joint.name!r}", f"does not read it as a {joint.type} joint of the same two links"
+        elif joint.limit is not None and joint.type != "continuous":
+            pair = (theirs.limit.lower or 0.0, theirs.limit.upper or 0.0)
+            if sorted(pair) != [joint.limit.lower, joint.limit.upper]:
+                yield f"joint {joint.name!r}", f"reads the limits {pair[0]:g} and {pair[1]:g}"

@@ -29,11 +29,11 @@ def check(path: Path, packages: Packages, findings: Findings, text: bytes | None
             if value is not None and name != "paused":  # a file cannot set that
                 said = f"{value}" if name != "ground" else "a plane" if value else "none"
                 findings.add("used", f"{name} of the world", said, world.file, 1)
-    tell_scene(scene, findings, strict)
+    check_scene(scene, findings, strict)
     return bool(scene.models)
 
 
-def tell_scene(scene: sdf.Scene, findings: Findings, strict: bool = False) -> None:
+def check_scene(scene: sdf.Scene, findings: Findings, strict: bool = False) -> None:
     """Add findings on each model: how it is converted, and whether it makes sense."""
     findings.extend(scene.notices)
     for model in scene.models:
@@ -47,4 +47,4 @@ def tell_scene(scene: sdf.Scene, findings: Findings, strict: bool = False) -> No
             findings.fail(f"model {model.name!r}", error)
             continue
         findings.extend(robot.report)
-        bodies.tell(robot, findings)
+        bodies.check(robot, findings)

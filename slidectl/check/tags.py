@@ -31,7 +31,7 @@ class Trace:
     def __init__(self) -> None:
         self.read: set[int] = set()
         self.read_attributes: dict[int, set[str]] = {}
-        self.said: dict[int, list[tuple[str | None, Notice]]] = {}
+        self.notices: dict[int, list[tuple[str | None, Notice]]] = {}
         """For each element the notices about it, each with the name of the attribute or None."""
         self.unused: set[int] = set()
         """Elements that were dropped, left out or broken."""
@@ -113,20 +113,20 @@ class TracedReport(Report):
         self, verdict: Verdict, element: Element, text: str, subject: str | None = None, attribute: str | None = None
     ) -> None:
         notice = Notice(verdict, subject or element.title, text, element.file, element.line)
-        self.trace.said.setdefault(id(element), []).append((attribute, notice))
+        self.trace.notices.setdefault(id(element), []).append((attribute, notice))
 
     def attempt(self, read: Callable[..., Any], element: Element, *values: Any) -> Any:
         """Call `read` for an element; a BadFile is collected, and None is returned."""
         try:
             result = read(element, *values)
         except BadFile as error:
-            self.take(error)
+            self.collect(error)
             result = None
         if result is None and element.tag not in _ROOTS:
             self.trace.unused.add(id(element))
         return result
 
-    def take(self, error: BadFile) -> None:
+    def collect(self, error: BadFile) -> None:
         """Add an error as a fault and as a notice, once."""
         if error not in self.faults:
             assert self.trace.at_fault is not None
@@ -149,7 +149,7 @@ class Tags:
         self._element(root, "", "")
 
     def _element(self, element: Element, above: str, owner: str) -> None:
-        said = self.trace.said.get(id(element), [])
+        said = self.trace.notices.get(id(element), [])
         self.findings.extend(notice for _, notice in said)
         if any(attribute is None and notice.verdict == "ignored" for attribute, notice in said):
             return
@@ -160,7 +160,7 @@ class Tags:
         subject = f"{above}/{subject}" if above else subject
         if id(element) in self.trace.unused:
             for below in element.walk():
-                self.findings.extend(notice for _, notice in self.trace.said.get(id(below), []))
+                self.findings.extend(notice for _, notice in self.trace.notices.get(id(below), []))
             return
         if id(element) not in self.trace.read:
             if self.is_whole and not any(attribute is None for attribute, _ in said):
@@ -180,7 +180,7 @@ class Tags:
         if explained is not None:
             self.findings.extend(explained)
             return
-        spoken = {attribute for attribute, _ in self.trace.said.get(id(element), [])}
+        spoken = {attribute for attribute, _ in self.trace.notices.get(id(element), [])}
         read = self.trace.read_attributes.get(id(element), ())
         for name in bare.attributes if self.is_whole else ():
             if name not in {*spoken, *read} and (element.tag, name) not in _HARMLESS and not is_namespace(name):

@@ -13,8 +13,7 @@ from slidectl.cli import completion, output, robots
 from slidectl.cli.commands import group
 from slidectl.cli.context import Context
 from slidectl.cli.echo import echo as echo_topic
-from slidectl.cli.terminal_progress import status_line
-from slidectl.cli.topic_streams import paused, resume_hint
+from slidectl.cli.topic_streams import pause_remark
 from slidectl.errors import Refused, TimedOut, UsageError
 
 if TYPE_CHECKING:
@@ -61,7 +60,7 @@ def list_actions(ctx: Context) -> None:
 
     known = goal_topics(ctx.client.topics())
     rows = [{"action": name, "type": kind} for name, kind in known.items()]
-    ctx.emit_rows(rows, ["action", "type"], empty="no action is there; a trajectory or gripper controller brings one")
+    ctx.emit_rows(rows, ["action", "type"], empty="no actions; a trajectory or gripper controller provides one")
 
 
 @action.command("info", examples=["slidectl action info arm_controller"])
@@ -106,9 +105,9 @@ def send(ctx: Context, name: str, goal: str, wait: bool, feedback: bool) -> None
     """
     fields = typed_values.read(goal)
     if not isinstance(fields, dict):
-        raise UsageError(f"the GOAL {goal!r} is no mapping of fields", "write '{field: value}'; {} for the defaults")
+        raise UsageError(f"the GOAL {goal!r} is not a mapping of fields", "write '{field: value}'; {} for the defaults")
     with _open(ctx, name) as chosen:
-        run(ctx, chosen, fields, wait=wait or feedback, tell_feedback=feedback)
+        run(ctx, chosen, fields, wait=wait or feedback, print_feedback=feedback)
 
 
 @action.command("cancel", examples=["slidectl action cancel arm_controller"])
@@ -127,7 +126,7 @@ def cancel(ctx: Context, name: str, goal_id: str | None) -> None:
 @action.command("echo", examples=["slidectl action echo arm_controller result -n 1"])
 @_name
 @click.argument("topic", type=click.Choice(TOPICS), default="feedback")
-@click.option("-n", "--count", type=click.IntRange(min=0), metavar="COUNT", help="End after so many messages.")
+@click.option("-n", "--count", type=click.IntRange(min=0), metavar="COUNT", help="End after COUNT messages.")
 @click.pass_context
 def echo(click_context: click.Context, name: str, topic: str, count: int | None) -> None:
     """Print the messages of one of an action's topics, the feedback by default.
@@ -160,7 +159,7 @@ def run(
     goal: Message,
     *,
     wait: bool,
-    tell_feedback: bool = False,
+    print_feedback: bool = False,
     describe: Describe = lambda _feedback: "the goal is active",
 ) -> None:
     """Send a goal; with `wait`, follow it to its end. `describe` turns a feedback into the terminal's status line.
@@ -178,56 +177,56 @@ def run(
             for reason in reasons:
                 ctx.warn(reason)
             if wait:
-                ended = _follow(ctx, chosen, goal_id, tell_feedback, describe)
+                ended = _follow(ctx, chosen, goal_id, print_feedback, describe)
     except KeyboardInterrupt:
         if wait:
             chosen.cancel(goal_id)
             ctx.say(f"{chosen.name}: the goal is cancelled")
         raise
     if ended is not None:
-        _tell(ctx, chosen, goal_id, ended, reasons)
+        _print_outcome(ctx, chosen, goal_id, ended, reasons)
     else:
         ctx.emit({"id": goal_id}, goal_id)
 
 
-def _follow(ctx: Context, chosen: Action, goal_id: str, tell_feedback: bool, describe: Describe) -> ActionResult:
+def _follow(ctx: Context, chosen: Action, goal_id: str, print_feedback: bool, describe: Describe) -> ActionResult:
     status = ctx.call("/slidectl/status")
     robots.warn_stopped(ctx, status["estop"])
     limit_s = ctx.wait_limit(math.inf)
     if status["paused"] and limit_s == math.inf:
         limit_s = PAUSED_LIMIT_S
-        ctx.say(f"{paused(status)}; this waits {limit_s:g} s for it to go on: {resume_hint(status)}")
-    with status_line(ctx, f"{chosen.name}: the goal is sent", wanted=not tell_feedback) as show:
+        ctx.say(pause_remark(status, f"this waits {limit_s:g} s for it to go on"))
+    with output.status_line(f"{chosen.name}: the goal is sent", not (print_feedback or ctx.quiet)) as show:
 
-        def take(feedback: Message) -> None:
-            if tell_feedback:
+        def show_feedback(feedback: Message) -> None:
+            if print_feedback:
                 ctx.emit(feedback, output.as_yaml(feedback) + "---")
             else:
                 show(f"{chosen.name}: {describe(feedback)}")
 
         try:
-            return _ended(chosen, goal_id, limit_s, take)
+            return _ended(chosen, goal_id, limit_s, show_feedback)
         except TimedOut as error:
             now = ctx.call("/slidectl/status")
             stands = now["paused"] and now["time"] == status["time"]
             if ctx.timeout is not None or stands:
                 hint = error.hint or f"it goes on; to end it: slidectl action cancel {chosen.name}"
                 raise TimedOut(error.message, hint) from None
-        return _ended(chosen, goal_id, math.inf, take)  # somebody steps the world, or it goes on
+        return _ended(chosen, goal_id, math.inf, show_feedback)  # somebody steps the world, or it goes on
 
 
-def _ended(chosen: Action, goal_id: str, limit_s: float, take: Callable[[Message], None]) -> ActionResult:
-    """Pass feedback to `take` until the goal has ended. Raises TimedOut."""
+def _ended(chosen: Action, goal_id: str, limit_s: float, on_feedback: Callable[[Message], None]) -> ActionResult:
+    """Pass feedback to `on_feedback` until the goal has ended. Raises TimedOut."""
     from slidectl.client.action_client import ActionResult
 
     for event in chosen.follow(goal_id, limit_s):
         if isinstance(event, ActionResult):
             return event
-        take(event)
+        on_feedback(event)
     raise AssertionError("follow ends with a result")
 
 
-def _tell(ctx: Context, chosen: Action, goal_id: str, ended: ActionResult, reasons: Sequence[str]) -> None:
+def _print_outcome(ctx: Context, chosen: Action, goal_id: str, ended: ActionResult, reasons: Sequence[str]) -> None:
     """Print the outcome of a goal. Raises Refused unless it succeeded."""
     result = dict(ended.result)
     code, text = result.pop("error_code", 0), result.pop("error_string", "")

@@ -17,9 +17,9 @@ import numpy as np
 
 from slidectl import traces
 from slidectl.cli import completion
-from slidectl.cli.commands import command, conditions, finite, number, simulated_seconds, wait_for_world_s
+from slidectl.cli.commands import command, conditions, finite, number, seconds, wait_for_world_s
 from slidectl.cli.context import Context
-from slidectl.cli.topic_streams import paused, resume_hint
+from slidectl.cli.topic_streams import pause_remark
 from slidectl.errors import Refused, UsageError
 from slidectl.extensions.recording.commands.bag import open_recording
 from slidectl.measures import NoMeasure, measure_text
@@ -55,10 +55,10 @@ def _bound(_click: click.Context, _param: click.Parameter, text: str | None) -> 
         return None
     match = _BOUND.match(text)
     if match is None:
-        raise click.BadParameter(f"{text!r} is no condition: write '<5', '>=0.5' or '==0', in quotes for the shell")
+        raise click.BadParameter(f"{text!r} is not a condition: write '<5', '>=0.5' or '==0', in quotes for the shell")
     relation, number, unit = match.groups()
     if unit and unit not in _UNITS:
-        raise click.BadParameter(f"{unit!r} is no unit; there are: {', '.join(_UNITS)}")
+        raise click.BadParameter(f"{unit!r} is not a unit; there are: {', '.join(_UNITS)}")
     return _Bound(text.strip(), relation, float(number), unit)
 
 
@@ -121,9 +121,9 @@ def _conditions(
     if not values and not bounds:
         raise UsageError("no condition", f"give --near, --above, --below, --equals, --{', --'.join(MEASURES)}")
     if given["tol"] is not None and "near" not in values:
-        raise UsageError("--tol goes with --near only")
+        raise UsageError("--tol needs --near")
     if duration and (last or file):
-        raise UsageError("--for is of the time to come; it goes with neither --last nor --from")
+        raise UsageError("--for measures the time to come; it excludes --last and --from")
     if bounds and not (last or duration or file):
         raise UsageError(
             f"--{next(iter(bounds))} is measured over a time", "give --last S, --for S, or --from FILE of a recording"
@@ -142,30 +142,28 @@ def _conditions(
     ],
 )
 @click.argument("target", shell_complete=completion.topics_and_fields)
-@conditions(number("--equals", "Exactly X, in the unit of the value."))
+@conditions(number("--equals", help="Exactly X, in the unit of the value."))
 @_measure_options
 @click.option("--set-point", callback=_set_point, metavar="X|FIELD",
               help="What the value is to be: a number in its unit, or a field of the same topic.")  # fmt: skip
-@click.option("--since", type=float, callback=finite, metavar="T",
-              help="Simulated time of the step, s; else when the motion began.")  # fmt: skip
+@number("--since", metavar="T", help="Simulated time of the step, s; else when the motion began.")
 @click.option("--band", type=click.FloatRange(0, 100, min_open=True), default=2.0, callback=finite, metavar="PERCENT",
               help="Half the width of the band of --settling, % of the step (2).")  # fmt: skip
-@number("--effort-limit", "Of --saturation, N or N m; else the joint's.")
-@number("--lower", "Bound of --limit-hits, in the unit of the value; else the joint's.")
-@number("--upper", "Bound of --limit-hits, in the unit of the value; else the joint's.")
-@click.option("--last", type=float, callback=simulated_seconds, metavar="S", help="Of the last S simulated seconds.")
-@click.option("--for", "duration", type=float, callback=simulated_seconds, metavar="S",
-              help="Of the next S simulated seconds.")  # fmt: skip
-@click.option("--from", "file", metavar="FILE", shell_complete=completion.files, help="Of a recording.")
+@number("--effort-limit", help="Of --saturation, N or N m; else the joint's.")
+@number("--lower", help="Bound of --limit-hits, in the unit of the value; else the joint's.")
+@number("--upper", help="Bound of --limit-hits, in the unit of the value; else the joint's.")
+@seconds("--last", help="Of the last S simulated seconds.")
+@seconds("--for", "duration", help="Of the next S simulated seconds.")
+@completion.file_option("--from", "file", help="Of a recording.")
 @click.pass_obj
 def assert_(
     ctx: Context, /, target: str, last: float | None, duration: float | None, file: str | None, **given: Any
 ) -> None:
-    """Tell whether conditions hold, and measure motions.
+    """Check conditions, and measure motions.
 
     TARGET is a joint (joint1, slider/joint1, joint1/velocity, joint1/effort) or TOPIC/FIELD[I]. --near, --above,
     --below and --equals are of this moment, or of the end of a recording; with --last or --for of every sample of that
-    time. COND is a relation, a number and, if you like, its unit: '<5%', '>=0.2s', '==0'. All conditions are told;
+    time. COND is a relation, a number and, if you like, its unit: '<5%', '>=0.2s', '==0'. All conditions are printed;
     exits 1 when one does not hold, or cannot be measured. docs/measures.md has the definitions. JSON keys, a line a
     condition: target, condition, expected, holds, measured, unit, time (when it was so), start, end, message.
     """
@@ -197,9 +195,7 @@ def _trace(
         with open_recording(ctx, file) as recording:
             return traces.recorded(recording, name, last=last, set_point=field, namespace=ctx.namespace)
     if duration:
-        status = ctx.call("/slidectl/status")
-        if status["paused"]:
-            ctx.say(f"{paused(status)}; this waits until it goes on: {resume_hint(status)}")
+        ctx.say(pause_remark(ctx.call("/slidectl/status")))
     limit = ctx.wait_limit(wait_for_world_s(duration) if duration else ctx.client.timeout)
     how: dict[str, Any] = {"set_point": field, "namespace": ctx.namespace, "timeout": limit}
     return traces.live(ctx.client, name, last=last, duration=duration, **how)

@@ -15,7 +15,7 @@ from slidectl import input_files
 from slidectl.cli import completion, output
 from slidectl.cli.commands import command
 from slidectl.cli.context import Context
-from slidectl.cli.spawn import package_lookup, pairs, parameter_text, tell_own_packages
+from slidectl.cli.spawn import package_lookup, pairs, parameter_text, report_own_packages
 from slidectl.client import spawning
 from slidectl.errors import EXIT_REFUSED, Refused
 
@@ -41,17 +41,16 @@ _COLOURS = {"used": "green", "converted": "cyan", "ignored": "yellow", "wrong": 
 )
 @click.argument("source", metavar="MODEL|LAUNCH|CONTROLLERS", shell_complete=completion.models)
 @click.argument("arguments", nargs=-1, metavar="[KEY:=VALUE]...")
-@click.option("--controllers", multiple=True, metavar="FILE", shell_complete=completion.files,
-              help="Controllers of the model; may repeat.")  # fmt: skip
+@completion.file_option("--controllers", multiple=True, help="Controllers of the model; may repeat.")
 @click.option(
     "--transmissions", type=click.Choice(["gazebo", "real"]), help="As for spawn: how transmissions of the model count."
 )
 @click.option("--import", "imports", multiple=True, metavar="MODULE", shell_complete=completion.files,
-              help="Know the controllers and hardware of your own in this module or FILE.py; may repeat.")  # fmt: skip
-@click.option("--strict", is_flag=True, help="Exit 1 when anything is ignored, too, and refuse what spawn mends.")
+              help="Use the controllers and hardware in this module or FILE.py; may repeat.")  # fmt: skip
+@click.option("--strict", is_flag=True, help="Also exit 1 when anything is ignored, and refuse what spawn corrects.")
 @click.option("--only", multiple=True, type=click.Choice(_VERDICTS), help="Print findings of this kind; may repeat.")
-@click.option("--keep-going", is_flag=True, help="Leave out what is not there, as launch and spawn do with it.")
-@click.option("--second-opinion", is_flag=True, help="Ask yourdfpy about models, too; takes half a second more.")
+@click.option("--keep-going", is_flag=True, help="Leave out missing parts, as launch and spawn do.")
+@click.option("--second-opinion", is_flag=True, help="Also compare models with yourdfpy; takes half a second more.")
 @click.option("--package", "packages", multiple=True, metavar="NAME=PATH", help="Where a ROS package is; may repeat.")
 @click.pass_context
 def check(
@@ -92,10 +91,10 @@ def check(
     missing = Missing("all" if keep_going else "nothing")
     modules = [module_or_file(module) for module in imports]
     findings = run(
-        words, given, places, files, text, ask_others=second_opinion, strict=strict, missing=missing,
+        words, given, places, files, text, second_opinion=second_opinion, strict=strict, missing=missing,
         transmissions=transmissions, imports=modules,
     )  # fmt: skip
-    tell_own_packages(ctx, places)
+    report_own_packages(ctx, places)
     _print(ctx, findings, only)
     if lines := missing.lines():
         ctx.say("\n".join(["left out:", *lines]))

@@ -5,12 +5,7 @@ The module of a command has a click command of the command's name (`assert_`: a 
 
 from __future__ import annotations
 
-from importlib import import_module
-from keyword import iskeyword
-from typing import TYPE_CHECKING, NamedTuple
-
-if TYPE_CHECKING:
-    import click
+from typing import NamedTuple
 
 
 class Entry(NamedTuple):
@@ -35,7 +30,7 @@ _SECTIONS = {
         "delete": ("cli.robots", "Take robots out of the world."),
         "robots": ("cli.robots", "List the robots, or show one with its joints."),
         "estop": ("cli.robots", "Stop robots at once, or release them."),
-        "fault": ("cli.fault", "Faults on purpose, of joints, links, controllers and topics."),
+        "fault": ("cli.fault", "Inject faults into joints, links, controllers and topics."),
         "check": ("cli.check", "Check a model, a launch file or controllers, without a daemon."),
         "urdf": ("cli.spawn", "Print the URDF that xacro makes of a model, without a daemon."),
         "controller": ("cli.controller", "Load, start, stop and list controllers."),
@@ -46,7 +41,7 @@ _SECTIONS = {
         "pub": ("cli.pub", "Publish a message."),
         "echo": ("cli.echo", "Print the messages of a topic."),
         "wait": ("cli.wait", "Wait until a field of a topic has a value."),
-        "assert": ("cli.assertion", "Tell whether conditions hold, and measure motions."),
+        "assert": ("cli.assertion", "Check conditions, and measure motions."),
         "record": ("extensions.recording.commands.record", "Record topics into a file."),
         "play": ("extensions.recording.commands.play", "Publish the messages of recordings again."),
         "bag": ("extensions.recording.commands.bag", "Recordings: info, diff, filter, export, reindex."),
@@ -82,9 +77,9 @@ _SECTIONS = {
     "slidectl": {
         "test": ("extensions.scenarios.commands.test", "Run scenarios: files of steps that a robot must pass."),
         "shell": ("cli.shell", "Run many commands in one process."),
-        "doctor": ("cli.doctor", "Look whether slidectl can run here."),
+        "doctor": ("cli.doctor", "Check whether slidectl can run here."),
         "completion": ("cli.completion", "Print the completion script of a shell."),
-        "version": ("cli.version", "Print the version."),
+        "version": ("cli.doctor", "Print the version."),
     },
 }
 """Section of the help -> command -> its module, below `slidectl`, and its help."""
@@ -95,9 +90,14 @@ COMMANDS = {
     for name, (module, text) in commands.items()
 }
 
-
-def load(name: str, entry: Entry) -> click.Command:
-    """Import the module of a command and return the command."""
-    attribute = name.replace("-", "_") + "_" * iskeyword(name)
-    command: click.Command = getattr(import_module(entry.module), attribute)
-    return command
+WINDOWS = {
+    "rviz": ("rviz", "rviz"),
+    "rqt": ("rqt_gui", "rqt_gui"),
+    "rqt_gui": ("rqt_gui", "rqt_gui"),
+    **{
+        name: (name, name)
+        for name in ("rqt_plot", "rqt_graph", "rqt_console", "rqt_bag", "rqt_reconfigure", "rqt_controller_manager")
+    },
+    "gzclient": ("gazebo_ros", "gzclient"),
+}
+"""Windows of ROS and Gazebo that have commands of their own in a shell: command -> package and program."""

@@ -7,17 +7,19 @@ an Examples section, negative numbers as plain values, and options that take val
 from __future__ import annotations
 
 import math
-import os
 import re
 from collections.abc import Callable, Sequence
 from functools import cache
+from importlib import import_module
 from itertools import takewhile
+from keyword import iskeyword
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from slidectl import names
 from slidectl.cli import output
+from slidectl.cli.command_table import COMMANDS
 from slidectl.cli.context import Context
 from slidectl.command_steps import CommandStep
 
@@ -53,17 +55,22 @@ def simulated_seconds(click_context: click.Context, param: click.Parameter, valu
     return positive_seconds(click_context, param, value)
 
 
-def number(name: str, text: str) -> Callable[..., Any]:
-    """An option that takes a finite number, X in its help text."""
-    return click.option(name, type=float, callback=finite, metavar="X", help=text)
+def number(*names: str, **more: Any) -> Callable[..., Any]:
+    """An option that takes a finite number, X in its help text. The arguments are those of `click.option`."""
+    return click.option(*names, **{"type": float, "callback": finite, "metavar": "X", **more})
+
+
+def seconds(*names: str, **more: Any) -> Callable[..., Any]:
+    """An option that takes simulated seconds above 0, S in its help text. The arguments are those of `click.option`."""
+    return click.option(*names, **{"type": float, "callback": simulated_seconds, "metavar": "S", **more})
 
 
 def conditions(equals: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options of a condition: --near, --above, --below, then `equals`, and --tol."""
     options = [
-        number("--near", "Within --tol of X, in the unit of the value: m or rad, say."),
-        number("--above", "Greater than X, in the unit of the value."),
-        number("--below", "Less than X, in the unit of the value."),
+        number("--near", help="Within --tol of X, in the unit of the value: m or rad, say."),
+        number("--above", help="Greater than X, in the unit of the value."),
+        number("--below", help="Less than X, in the unit of the value."),
         equals,
         click.option("--tol", type=click.FloatRange(min=0), callback=finite, metavar="T",
                      help="How far --near may be off, in the unit of the value (0.01)."),
@@ -85,7 +92,7 @@ def pixel_size(smallest: int, largest: int) -> Callback:
             return None
         match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", value)
         if match is None or not all(smallest <= int(side) <= largest for side in match.groups()):
-            raise click.BadParameter(f"{value!r} is no size from {smallest}x{smallest} to {largest}x{largest}")
+            raise click.BadParameter(f"{value!r} is not a size from {smallest}x{smallest} to {largest}x{largest}")
         return int(match[1]), int(match[2])
 
     return parse
@@ -104,62 +111,63 @@ def full_namespace(value: str) -> str:
     return names.check(names.join("/", value.rstrip("/") or "/"))
 
 
-def environment_namespace() -> str:
-    """`SLIDECTL_NAMESPACE` as an absolute name, else the root."""
-    return full_namespace(os.environ.get("SLIDECTL_NAMESPACE", "/"))
-
-
 # --- the common options ---------------------------------------------------------------------------------------------
 
 
-def _store(attribute: str, convert: Callable[[Any], Any] = lambda value: value) -> Callback:
-    def callback(click_context: click.Context, _param: click.Parameter, value: Any) -> None:
-        context = click_context.find_object(Context)
-        if value not in (None, False, 0) and context is not None:
-            setattr(context, attribute, convert(value))
-
-    return callback
-
-
-def _store_timeout(click_context: click.Context, param: click.Parameter, value: float | None) -> None:
-    _store("timeout")(click_context, param, positive_seconds(click_context, param, value))
-
-
-def _add_verbosity(click_context: click.Context, _param: click.Parameter, value: int) -> None:
+def _store(click_context: click.Context, param: click.Parameter, value: Any) -> None:
+    """Store the value of a common option in the Context; one that is not given leaves it as it is."""
     context = click_context.find_object(Context)
-    if context is not None:
-        context.verbose += value
+    if value in (None, False, 0) or context is None:
+        return
+    match param.name:
+        case "common_ns":
+            context.namespace = full_namespace(value)
+        case "common_output":
+            context.format = value
+        case "common_json":
+            context.format = "json"
+        case "common_verbose":
+            context.verbose += value
+        case "common_timeout":
+            context.timeout = positive_seconds(click_context, param, value)
+        case "common_instance" | "common_socket" | "common_quiet":
+            setattr(context, param.name.removeprefix("common_"), value)
 
 
 @cache
 def common_options() -> tuple[click.Option, ...]:
     """The shared options, in the order of the help. The daemon's options come first."""
-    rows: list[tuple[list[str], str, Callback, dict[str, Any]]] = [
-        (["-i", "--instance"], "Which daemon, by name.", _store("instance"), {"metavar": "NAME"}),
-        (["--socket"], "Which daemon, by its socket.", _store("socket"), {"metavar": "PATH"}),
-        (
-            ["--ns"], "Where relative names are tried first.",
-            _store("namespace", full_namespace), {"metavar": "NAMESPACE"},
-        ),
-        (["-o", "--output"], "Format of the results.", _store("format"), {"type": click.Choice(output.FORMATS)}),
-        (["--json"], "The same as -o json: one object a line.", _store("format", lambda _: "json"), {"is_flag": True}),
-        (["-q", "--quiet"], "Only results and errors.", _store("quiet"), {"is_flag": True}),
-        (["-v", "--verbose"], "Say more; twice shows tracebacks.", _add_verbosity, {"count": True}),
-        (["--timeout"], "Wait at most so long, s of wall time.", _store_timeout, {"type": float, "metavar": "SECONDS"}),
-    ]  # fmt: skip
+    rows: list[tuple[list[str], str, dict[str, Any]]] = [
+        (["-i", "--instance"], "Which daemon, by name.", {"metavar": "NAME"}),
+        (["--socket"], "Which daemon, by its socket.", {"metavar": "PATH"}),
+        (["--ns"], "Where relative names are tried first.", {"metavar": "NAMESPACE"}),
+        (["-o", "--output"], "Format of the results.", {"type": click.Choice(output.FORMATS)}),
+        (["--json"], "The same as -o json: one object a line.", {"is_flag": True}),
+        (["-q", "--quiet"], "Only results and errors.", {"is_flag": True}),
+        (["-v", "--verbose"], "Print more; twice shows tracebacks.", {"count": True}),
+        (["--timeout"], "Longest wait, s of wall time.", {"type": float, "metavar": "SECONDS"}),
+    ]
     # `common_` gives a parameter name that no command uses.
-    return tuple(
+    options = [
         click.Option(
-            [*flags, "common_" + flags[-1].lstrip("-")], help=text, callback=callback, expose_value=False, **more
+            [*flags, "common_" + flags[-1].lstrip("-")], help=text, callback=_store, expose_value=False, **more
         )
-        for flags, text, callback, more in rows
-    )
+        for flags, text, more in rows
+    ]
+    return tuple(options)
+
+
+def load(name: str) -> click.Command:
+    """Import the module of a command in the command table, and return the command."""
+    attribute = name.replace("-", "_") + "_" * iskeyword(name)
+    found: click.Command = getattr(import_module(COMMANDS[name].module), attribute)
+    return found
 
 
 # --- commands -------------------------------------------------------------------------------------------------------
 
 
-def looks_like_number(token: str) -> bool:
+def is_number(token: str) -> bool:
     """True for a number as a user writes it: `-5`, `1e-3`, `.5`, `-inf`, and YAML's `-.inf`."""
     try:
         float(token.replace(".inf", "inf").replace(".nan", "nan"))
@@ -197,14 +205,17 @@ class _Shared(click.Command):
         super().__init__(*args, **attributes)
         self.examples = tuple(examples)
         self.step = step
+        self._all_params: list[click.Parameter] | None = None
 
     def get_help_option_names(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
         return ["-h", "--help"]
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
-        own = super().get_params(ctx)
-        taken = {name for param in own for name in param.opts}
-        return own + [option for option in common_options() if taken.isdisjoint(option.opts)]
+        if self._all_params is None:  # click asks several times in each run
+            own = super().get_params(ctx)
+            taken = {name for param in own for name in param.opts}
+            self._all_params = own + [option for option in common_options() if taken.isdisjoint(option.opts)]
+        return self._all_params
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         common = common_options()
@@ -239,7 +250,7 @@ class Command(_Shared):
 
     def is_value(self, token: str) -> bool:
         """True when `token`, which begins with `-` and is no option of this command, is a value."""
-        return looks_like_number(token)
+        return is_number(token)
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse the arguments with click's parser, in the unambiguous order of `_ordered`.
@@ -257,8 +268,6 @@ class Command(_Shared):
         every = [param for param in self.get_params(ctx) if isinstance(param, click.Option)]
         named = {name: param for param in every for name in (*param.opts, *param.secondary_opts)}
         takes = {name: 0 if param.is_flag or param.count else param.nargs for name, param in named.items()}
-        # click's options that may stand without their value have the value for that case; the others have none.
-        optional = {name for name, param in named.items() if takes[name] and isinstance(param.flag_value, int | str)}
         options: list[str] = []
         values: list[str] = []
         while rest:
@@ -279,7 +288,9 @@ class Command(_Shared):
                 options += [token[:2], token[3:]]
             else:
                 count = takes.get(token, 0)
-                if token in optional and rest and rest[0].startswith("-") and not looks_like_number(rest[0]):
+                # click's options that may stand without their value have the value for that case; the others have none.
+                is_optional = param is not None and isinstance(param.flag_value, int | str)
+                if is_optional and rest and rest[0].startswith("-") and not is_number(rest[0]):
                     count = 0  # the next word is an option, not this one's value
                 flags, last = token[1:-1], token[-1]
                 if param is None and all(takes.get(f"-{flag}") == 0 for flag in flags):  # several in one word: -vn 5
@@ -315,16 +326,19 @@ class Group(_Shared, click.Group):
         return f"{self.name}.{name}"
 
     def installed(self) -> dict[str, Part]:
-        """The commands of this group that installed packages add."""
-        from slidectl.cli import installed_commands
+        """The commands of this group that installed packages add, by name."""
+        from slidectl.cli.installed_commands import INSTALLED
 
-        return installed_commands.below(self.entry_point(""))
+        begin = self.entry_point("")
+        parts = {name.removeprefix(begin): part for name, part in INSTALLED.parts().items() if name.startswith(begin)}
+        return {name: part for name, part in parts.items() if "." not in name}
 
     def refused(self) -> list[PartError]:
         """The commands of installed packages that are not used because of their names, with the reasons."""
-        from slidectl.cli import installed_commands
+        from slidectl.cli.installed_commands import INSTALLED
 
-        return installed_commands.refusals(self.entry_point(""))
+        begin = self.entry_point("").rstrip(".")
+        return [error for error in INSTALLED.refused() if error.part.name.rpartition(".")[0] == begin]
 
     def find_installed(self, name: str) -> click.Command | None:
         """The command that an installed package adds; None: there is none. Raises PartError: it cannot be used."""
@@ -332,20 +346,8 @@ class Group(_Shared, click.Group):
 
         return installed_commands.find(self.entry_point(name))
 
-    def get_installed(self, ctx: click.Context, name: str) -> click.Command | None:
-        """As `find_installed`, but without an error in completion, where a command that cannot be used is None."""
-        from slidectl.entry_points import PartError
-
-        try:
-            return self.find_installed(name)
-        except PartError:
-            if ctx.resilient_parsing:
-                return None
-            raise
-
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        found = super().get_command(ctx, cmd_name)
-        return self.get_installed(ctx, cmd_name) if found is None else found
+        return super().get_command(ctx, cmd_name) or self.find_installed(cmd_name)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         super().format_commands(ctx, formatter)
@@ -353,14 +355,13 @@ class Group(_Shared, click.Group):
 
     def format_installed(self, formatter: click.HelpFormatter, width: int) -> None:
         """The section of the commands that installed packages add, with names at least so wide; nothing if none is."""
-        from slidectl.cli import installed_commands
-
-        rows = installed_commands.rows(self.installed())
-        notes = self.refused()
-        if rows or notes:
+        parts, notes = self.installed(), self.refused()
+        if parts or notes:
             with formatter.section("Installed packages"):
-                if rows:
-                    formatter.write_dl([(name.ljust(width), text) for name, text in rows])
+                # What the package says of itself: none of its code runs for a help.
+                texts = {name: ": ".join(filter(None, [part.owner, part.summary])) for name, part in parts.items()}
+                if texts:
+                    formatter.write_dl([(name.ljust(width), text) for name, text in texts.items()])
                 for note in notes:
                     formatter.write_text(note.message)
 
@@ -380,9 +381,7 @@ class Group(_Shared, click.Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         name, known = args[0], self.list_commands(ctx)
-        if ctx.resilient_parsing or name.startswith("-") or name in known:
-            return super().resolve_command(ctx, args)
-        if self.get_installed(ctx, name) is not None:
+        if ctx.resilient_parsing or name.startswith("-") or name in known or self.find_installed(name) is not None:
             return super().resolve_command(ctx, args)
         known += self.installed()
         if meant := self.elsewhere(ctx, name):

@@ -7,6 +7,7 @@ return no names.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from functools import partial
 from typing import Any
 
 import click
@@ -53,19 +54,18 @@ def fitting(names: Iterable[str], incomplete: str) -> list[str]:
 
 def completer(ask: Callable[[Context], Iterable[str]]) -> Completer:
     """A click `shell_complete` callback from a function that asks the daemon for names."""
-
-    def complete(click_context: click.Context, _param: click.Parameter, incomplete: str) -> list[str]:
-        context = click_context.find_object(Context) or Context()
-        context.timeout = LIMIT_S
-        try:
-            return fitting(ask(context), incomplete)
-        except (SlidectlError, OSError):
-            return []
-
-    return complete
+    return partial(_complete, lambda context, incomplete: fitting(ask(context), incomplete))
 
 
-topics = completer(lambda context: context.names("topic"))
+def _complete(
+    find: Callable[[Context, str], list[str]], click_context: click.Context, _param: click.Parameter, incomplete: str
+) -> list[str]:
+    context = click_context.find_object(Context) or Context()
+    context.timeout = LIMIT_S
+    try:
+        return find(context, incomplete)
+    except (SlidectlError, OSError):
+        return []
 
 
 def _topics_and_fields(context: Context, incomplete: str) -> list[str]:
@@ -92,16 +92,8 @@ def _topics_and_fields(context: Context, incomplete: str) -> list[str]:
     return words
 
 
-def topics_and_fields(click_context: click.Context, _param: click.Parameter, incomplete: str) -> list[str]:
-    """Complete a topic, and then its fields."""
-    context = click_context.find_object(Context) or Context()
-    context.timeout = LIMIT_S
-    try:
-        return _topics_and_fields(context, incomplete)
-    except (SlidectlError, OSError):
-        return []
-
-
+topics = completer(lambda context: context.names("topic"))
+topics_and_fields = partial(_complete, _topics_and_fields)
 services = completer(lambda context: context.names("service"))
 parameters = completer(lambda context: context.names("parameter"))
 robots = completer(lambda context: [robot["name"] for robot in context.client.robots()])
@@ -114,6 +106,11 @@ def files(_context: click.Context, _param: click.Parameter, incomplete: str) -> 
     from click.shell_completion import CompletionItem
 
     return [CompletionItem(incomplete, type="file")]
+
+
+def file_option(*names: str, **more: Any) -> Callable[..., Any]:
+    """An option that takes the name of a file, FILE in its help text. The arguments are those of `click.option`."""
+    return click.option(*names, **{"metavar": "FILE", "shell_complete": files, **more})
 
 
 def models(context: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from slidectl.cli import output
 from slidectl.errors import UsageError
@@ -16,6 +16,7 @@ from slidectl.errors import UsageError
 if TYPE_CHECKING:
     from slidectl.client import Client
     from slidectl.client.manager import Manager
+    from slidectl.msgs.schema import Schema, Typedefs
     from slidectl.msgs.typed import Call, ResolveResponseMsg
     from slidectl.paths import InstancePaths
 
@@ -28,6 +29,22 @@ _LISTS = {
     "parameter": ("/rosapi/get_param_names", "names"),
     "node": ("/rosapi/nodes", "nodes"),
 }
+
+
+class Target(NamedTuple):
+    """A topic with its type, the field path behind its name, rosapi's typedefs, and the nodes in the requested role."""
+
+    topic: str
+    type: str
+    field: str
+    typedefs: Typedefs
+    users: list[str]
+
+    @property
+    def schema(self) -> Schema:
+        from slidectl.msgs.schema import from_typedefs
+
+        return from_typedefs(self.typedefs)
 
 
 class Context:
@@ -131,9 +148,18 @@ class Context:
         service, key = _LISTS[kind]
         return sorted(self.call(service)[key])
 
-    def resolve(self, kind: str, name: str, role: str = "", with_field: bool = False) -> ResolveResponseMsg:
+    def resolve(self, kind: str, name: str) -> ResolveResponseMsg:
         """The response of /slidectl/resolve for a name from the user. Raises as Client.resolve does."""
-        return self.client.resolve(kind, name, namespace=self.namespace, role=role, with_field=with_field)
+        return self.client.resolve(kind, name, namespace=self.namespace)
+
+    def find_topic(self, text: str, role: str | None, *, with_field: bool = True) -> Target:
+        """The topic that `text` means among those with `role` (None: any), and the field behind its name.
+
+        Raises:
+            UnknownName: no such topic. Unused: no node has that role. AmbiguousName: several topics match.
+        """
+        found = self.client.resolve("topic", text, namespace=self.namespace, role=role or "", with_field=with_field)
+        return Target(found["name"], found["type"], found["field"], found["typedefs"], found["nodes"])
 
     # --- printing -----------------------------------------------------------------------------------------------
 

@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from slidectl.cli import completion, robots
-from slidectl.cli.commands import Variadic, finite, group, simulated_seconds, wait_for_world_s
+from slidectl.cli.commands import Variadic, group, number, seconds, wait_for_world_s
 from slidectl.cli.context import Context
 from slidectl.cli.param import store
-from slidectl.cli.topic_streams import paused, resume_hint
+from slidectl.cli.topic_streams import pause_remark
 from slidectl.client.manager import BEST_EFFORT, STARTED, STRICT, UNLOADED, Manager, claimed_text, configured, each
 from slidectl.command_steps import CommandStep, StepEffects
 from slidectl.errors import AmbiguousName, NoDaemon, Refused, TimedOut, UnknownName, UsageError, listing
@@ -50,7 +50,7 @@ _names: Decorator = click.argument(
 
 def _strictness(function: Any) -> Any:
     strict = click.option(
-        "--strict/--best-effort", "strict", default=True, help="All or nothing (default), or what goes."
+        "--strict/--best-effort", "strict", default=True, help="All or nothing (default), or as many as possible."
     )
     asap = click.option("--asap", is_flag=True, help="Start each one as soon as its joints are ready.")
     return strict(asap(function))
@@ -62,11 +62,11 @@ def _stop_command_options(function: Any) -> Any:
     @functools.wraps(function)
     def with_rest(*given: Any, zero: bool, hold: bool, **named: Any) -> Any:
         if zero and hold:
-            raise UsageError("--zero and --hold contradict each other", "give one of them")
+            raise UsageError("--zero and --hold exclude each other", "give one of them")
         return function(*given, rest="zero" if zero else "hold" if hold else None, **named)
 
-    zero = click.option("--zero", is_flag=True, help="Then let their joints go: efforts and velocities of 0.")
-    hold = click.option("--hold", is_flag=True, help="Then keep their joints in place: positions and velocities only.")
+    zero = click.option("--zero", is_flag=True, help="Then command efforts and velocities of 0.")
+    hold = click.option("--hold", is_flag=True, help="Then hold their joints in place: positions and velocities only.")
     return zero(hold(with_rest))
 
 
@@ -145,7 +145,7 @@ def controller() -> None:
 
 @controller.command("list", examples=["slidectl controller list", "slidectl controller list -v --json"])
 @_cm
-@click.option("--all", "with_unloaded", is_flag=True, help="Those too that have parameters but are not loaded.")
+@click.option("--all", "with_unloaded", is_flag=True, help="Also those that have parameters but are not loaded.")
 @click.pass_obj
 def list_controllers(ctx: Context, manager: str | None, with_unloaded: bool) -> None:
     """List the loaded controllers with their states.
@@ -162,7 +162,7 @@ def list_controllers(ctx: Context, manager: str | None, with_unloaded: bool) -> 
             row["update_times"] = times.get((row["manager"], row["name"]))
     stopped = ctx.call("/slidectl/status")["estop"]
     if stopped:
-        spaces = {robot["namespace"] for robot in robots.all_robots(ctx) if robot["name"] in stopped}
+        spaces = {robot["namespace"] for robot in ctx.client.robots() if robot["name"] in stopped}
         robots.warn_stopped(ctx, [one.namespace for one in managers if one.namespace in spaces])
     columns = ["manager", "name", "state", "type"]
     if ctx.verbose and ctx.format != "json":
@@ -230,7 +230,7 @@ def types(ctx: Context, manager: str | None) -> None:
     "source",
     metavar="FILE.py[:CLASS]",
     shell_complete=completion.files,
-    help="One of your own: this class in this file.",
+    help="A controller of your own: this class in this file.",
 )
 @_names
 @click.pass_obj
@@ -244,11 +244,9 @@ def load(ctx: Context, manager: str | None, source: str | None, names: tuple[str
         _load_file(ctx, manager, source, names)
         return
     target, local, before = owner(ctx, manager, names)
-    asked = _ask_for_parameters(target, local)
-    loads = target.ask_to_load(local)
-    _warn_unknown(ctx, target, asked)
+    _warn_unknown(ctx, target, local)
     with _changes(ctx, target, local, before):
-        target.loaded(loads)
+        target.loaded(target.ask_to_load(local))
 
 
 def _load_file(ctx: Context, manager: str | None, source: str, names: Sequence[str]) -> None:
@@ -273,7 +271,7 @@ def _place_for(ctx: Context, manager: str | None, controller: str) -> tuple[Mana
         return inside[0], controller.removeprefix(inside[0].namespace.rstrip("/") + "/")
     if inside and not _places(_known(candidates)[1], [controller])[controller]:
         spaces = ", ".join(one.namespace for one in candidates)
-        raise UsageError(f"which robot is {controller} for?", f"say it with --cm: {spaces}")
+        raise UsageError(f"which robot is {controller} for?", f"choose one with --cm: {spaces}")
     target, [name], _ = owner(ctx, manager, [controller])
     return target, name
 
@@ -283,7 +281,7 @@ def _place_for(ctx: Context, manager: str | None, controller: str) -> tuple[Mana
 @_names
 @click.pass_obj
 def reload(ctx: Context, manager: str | None, names: tuple[str, ...]) -> None:
-    """Put controllers of your own in their place as their files are now.
+    """Reload controllers of your own from their files.
 
     Each is stopped if it runs, loaded anew, and started again if it ran or was aborted. Name, parameters and topics
     stay. When the edited file is broken nothing changes. Fails when it is aborted by its first update.
@@ -295,9 +293,8 @@ def reload(ctx: Context, manager: str | None, names: tuple[str, ...]) -> None:
         state = target.states().get(name, UNLOADED)
         record = {"manager": target.namespace, "name": name, "state": state, "before": before}
         ctx.done(record, f"{name}: reloaded, {state}" + ("" if state == before else f" (was {before})"))
-        status = ctx.call("/slidectl/status")
-        if state == "running" and status["paused"]:
-            ctx.say(f"{paused(status)}; nothing runs until it goes on: {resume_hint(status)}")
+        if state == "running":
+            ctx.say(pause_remark(ctx.call("/slidectl/status"), "nothing runs until it goes on"))
 
 
 @controller.command("unload", examples=["slidectl controller unload joint1_position_controller"])
@@ -410,7 +407,7 @@ def _switch(
 )
 @_cm
 @click.option("--stopped", is_flag=True, help="Load only.")
-@click.option("--wait", is_flag=True, help="Wait until the robot is there (at most --timeout, 30 s).")
+@click.option("--wait", is_flag=True, help="Wait until the robot exists (at most --timeout, 30 s).")
 @_names
 @click.pass_obj
 def spawn(ctx: Context, manager: str | None, stopped: bool, wait: bool, names: tuple[str, ...]) -> None:
@@ -421,11 +418,9 @@ def spawn(ctx: Context, manager: str | None, stopped: bool, wait: bool, names: t
     if wait:
         wait_for_owner(ctx, manager, names)
     target, local, before = owner(ctx, manager, names)
-    asked = _ask_for_parameters(target, local)
-    loads = target.ask_to_load([name for name in local if name not in before])
-    _warn_unknown(ctx, target, asked)
+    _warn_unknown(ctx, target, local)
     with _changes(ctx, target, local, before) as after:
-        after |= target.bring_up(local, start=not stopped, states=before, loads=loads)
+        after |= target.bring_up(local, start=not stopped, states=before)
 
 
 @controller.command("unspawn", examples=["slidectl controller unspawn joint1_position_controller"])
@@ -458,12 +453,9 @@ def unspawn(ctx: Context, manager: str | None, rest: str | None, names: tuple[st
 )
 @_cm
 @click.argument("name", shell_complete=completion.controllers)
-@click.option("--step", type=float, required=True, callback=finite, metavar="X",
-              help="The new set point: m or rad, m/s or rad/s, N or N m, as the command.")  # fmt: skip
-@click.option("--for", "duration", type=float, callback=simulated_seconds, default=10.0, metavar="S",
-              help="Follow it for S simulated seconds (10).")  # fmt: skip
-@click.option("--save", metavar="FILE", shell_complete=completion.files,
-              help="Into a file: .svg, .png, .pdf, .html or .csv.")  # fmt: skip
+@number("--step", required=True, help="The new set point: m or rad, m/s or rad/s, N or N m, as the command.")
+@seconds("--for", "duration", default=10.0, help="Follow it for S simulated seconds (10).")
+@completion.file_option("--save", help="Into a file: .svg, .png, .pdf, .html or .csv.")
 @click.pass_obj
 def plot(ctx: Context, manager: str | None, name: str, step: float, duration: float, save: str | None) -> None:
     """Give a controller a set point and plot the step response.
@@ -479,8 +471,7 @@ def plot(ctx: Context, manager: str | None, name: str, step: float, duration: fl
     found, (local,), states = owner(ctx, manager, [name])
     if states.get(local) not in STARTED:
         raise Refused(f"{local} does not run", f"start it: slidectl controller spawn {local}")
-    if (status := ctx.call("/slidectl/status"))["paused"]:
-        ctx.say(f"{paused(status)}; this waits until it goes on: {resume_hint(status)}")
+    ctx.say(pause_remark(ctx.call("/slidectl/status")))
     limit = ctx.wait_limit(wait_for_world_s(duration))
     response = step_response(ctx.client, found.namespace, local, step, duration, limit)
     from slidectl.client import steady_error
@@ -515,7 +506,7 @@ def config(ctx: Context, manager: str | None, file: str) -> None:
 # --- parameter files --------------------------------------------------------------------------------------------------
 
 
-def read_parameters(ctx: Context, file: str, namespaces: Sequence[str], tells_moves: bool = False) -> Tree:
+def read_parameters(ctx: Context, file: str, namespaces: Sequence[str], reports_moves: bool = False) -> Tree:
     """The parameters of a file by full name, moved to the robot's namespace where the file is for another one.
 
     Names that no controller knows, such as `kd` for a gain, are printed as warnings, as in `check`. When the robot
@@ -523,7 +514,7 @@ def read_parameters(ctx: Context, file: str, namespaces: Sequence[str], tells_mo
 
     Args:
         namespaces: namespaces of the robots that the file may be for.
-        tells_moves: print it when the file is for another namespace; else only with -v.
+        reports_moves: print it when the file is for another namespace; else only with -v.
 
     Raises:
         BadFile: the file is missing or holds no parameters. UsageError: the robot is ambiguous.
@@ -545,22 +536,18 @@ def read_parameters(ctx: Context, file: str, namespaces: Sequence[str], tells_mo
     if moved and len(namespaces) > 1:
         raise UsageError(f"{path} fits none of {', '.join(namespaces)} by its top key", "say which with --cm")
     if remark:
-        (ctx.warn if tells_moves or not moved else ctx.detail)(f"{path}: {remark}")
+        (ctx.warn if reports_moves or not moved else ctx.detail)(f"{path}: {remark}")
     return dict(leaves(placed))
 
 
-def _ask_for_parameters(manager: Manager, controllers: Sequence[str]) -> dict[str, str]:
-    """Send the requests for what `_warn_unknown` looks at: the parameters, before loading a controller adds to them."""
-    requests = {name: {"name": join(manager.namespace, name), "default": "null"} for name in controllers}
-    return {name: manager.client.call_async("/rosapi/get_param", request) for name, request in requests.items()}
-
-
-def _warn_unknown(ctx: Context, manager: Manager, asked: Mapping[str, str]) -> None:
-    """Warn of parameter names that no controller knows. `asked` has the calls of `_ask_for_parameters`."""
+def _warn_unknown(ctx: Context, manager: Manager, controllers: Sequence[str]) -> None:
+    """Warn of parameter names that no controller knows. It comes before a load, which adds parameters."""
     from slidectl.check.controllers import ParameterFile, unknown
     from slidectl.check.findings import Findings
 
-    for name, call_id in asked.items():
+    requests = {name: {"name": join(manager.namespace, name), "default": "null"} for name in controllers}
+    calls = {name: ctx.client.call_async("/rosapi/get_param", request) for name, request in requests.items()}
+    for name, call_id in calls.items():
         tree = json.loads(ctx.client.answer(call_id)["value"])
         for part in reversed(name.split("/")):
             tree = {part: tree}
@@ -611,7 +598,7 @@ def owner(context: Context, wanted: str | None, controllers: Sequence[str]) -> _
             error.hint = f"{error.hint}\nload its configuration first: slidectl controller config FILE.yaml"
             raise error
     listed = "; ".join(f"{name} of {', '.join(sorted(found))}" for name, found in places.items())
-    raise UsageError(f"no controller manager has all of these: {listed}", "one command for each robot, please")
+    raise UsageError(f"no controller manager has all of these: {listed}", "use one command for each robot")
 
 
 def manager_of_some(context: Context, wanted: str | None, controllers: Sequence[str]) -> _Owner:

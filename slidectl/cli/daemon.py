@@ -47,7 +47,7 @@ def _world(function: Callable[..., Any]) -> Callable[..., Any]:
             "--rtf",
             default="1.0",
             metavar="FACTOR|max",
-            help="Simulated s in an s of wall time, or as fast as possible.",
+            help="Simulated seconds per second of wall time, or as fast as possible.",
         ),
         click.option("--paused/--running", default=False, help="Begin paused, or running (the default)."),
         click.option(
@@ -59,7 +59,7 @@ def _world(function: Callable[..., Any]) -> Callable[..., Any]:
             nargs=3,
             default=(0.0, 0.0, -9.8),
             metavar="X Y Z",
-            help="In the axes of the world, m/s^2 (0 0 -9.8).",
+            help="Gravity in the axes of the world, m/s^2 (0 0 -9.8).",
         ),
         click.option("--ground/--no-ground", default=True, help="With a floor at height 0, or without."),
         click.option("--strict", is_flag=True, help="Stop the world when a robot diverges; else that robot is frozen."),
@@ -67,23 +67,16 @@ def _world(function: Callable[..., Any]) -> Callable[..., Any]:
             "--engine",
             type=click.Choice(["plain", "compiled", "auto"]),
             default="auto",
-            help="Who runs the cycles: Python, machine code (needs numba), or the latter if it can be (auto).",
+            help="What runs the cycles: Python, machine code (needs numba), or machine code if possible (auto).",
         ),
-        click.option(
+        completion.file_option(
             "--import",
             "imports",
             multiple=True,
             metavar="MODULE",
-            shell_complete=completion.files,
             help="Import controllers and hardware of your own from this module or FILE.py; may repeat.",
         ),
-        click.option(
-            "--journal",
-            default="",
-            metavar="FILE",
-            shell_complete=completion.files,
-            help="Write all that comes from outside into FILE, for 'slidectl replay'.",
-        ),
+        completion.file_option("--journal", default="", help="Record all input into FILE, for 'slidectl replay'."),
     ]
     for option in reversed(options):
         function = option(function)
@@ -281,7 +274,7 @@ def status(ctx: Context) -> None:
 
 
 @daemon.command("logs", examples=["slidectl daemon logs -n 20", "slidectl daemon logs -f"])
-@click.option("-f", "--follow", "following", is_flag=True, help="Go on with what is logged later, until Ctrl-C.")
+@click.option("-f", "--follow", "following", is_flag=True, help="Follow the log until Ctrl-C.")
 @click.option("-n", "--lines", type=click.IntRange(min=0), metavar="N", help="Begin with the last N lines.")
 @click.pass_obj
 def logs(ctx: Context, following: bool, lines: int | None) -> None:

@@ -1,27 +1,24 @@
-"""`slidectl doctor`: check whether slidectl can run on this machine, with a remedy for each problem."""
+"""`slidectl doctor` and `slidectl version`: whether slidectl can run on this machine, and what is installed."""
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from importlib import import_module
 from typing import TYPE_CHECKING
 
 import click
 
-from slidectl import entry_points
+from slidectl import __version__, entry_points
 from slidectl.cli.commands import command
 from slidectl.cli.context import Context
 from slidectl.entry_points import Part, PartError, Registry
 from slidectl.errors import Refused
-from slidectl.paths import with_package
 
 if TYPE_CHECKING:
     from slidectl.daemon.health import Finding
 
+_LIBRARIES = ("mujoco", "click", "numpy", "rosbags", "xacro")
 _REGISTRIES = (
     "slidectl.cli.installed_commands:INSTALLED",
     "slidectl.control.registry:INSTALLED",
@@ -32,16 +29,12 @@ _REGISTRIES = (
     "slidectl.simulation.feature:INSTALLED",
 )
 """What installed packages may add to, as `module:attribute`."""
-_IMPORT_LIMIT_S = 20.0
-"""Wall seconds for the imports of one package."""
-_MARK = "slidectl doctor: "
-"""The beginning of a line about a part: the code of a package may print lines, too."""
 
 
 @command(step=None, examples=["slidectl doctor", "slidectl doctor --json"])
 @click.pass_obj
 def doctor(ctx: Context) -> None:
-    """Look whether slidectl can run here.
+    """Check whether slidectl can run here.
 
     Python and libraries, folders and their rights, disk, descriptors, the daemon and those that were left, how
     punctually this machine wakes a process, package paths and variables of ROS, and what installed packages add to
@@ -64,21 +57,20 @@ def _extensions() -> Iterator[Finding]:
     """What installed packages add: a line for each package, and one for each part that cannot be used."""
     from slidectl.daemon.health import BROKEN, LOOK, OK, Finding
 
-    registries = {registry.group: place for place in _REGISTRIES for registry in (_registry(place),)}
+    registries = {registry.group: registry for registry in map(_registry, _REGISTRIES)}
     by_owner: dict[str, list[Part]] = {}
-    for place in registries.values():
-        for refusal in _registry(place).refused():
-            yield Finding("extensions", LOOK, refusal.message, refusal.hint or "")
-        for part in _registry(place).parts().values():
+    for registry in registries.values():
+        yield from (Finding("extensions", LOOK, refusal.message, refusal.hint or "") for refusal in registry.refused())
+        for part in registry.parts().values():
             by_owner.setdefault(part.owner, []).append(part)
     for owner, parts in sorted(by_owner.items()):
         usable = []
-        for part, trouble in _tried(parts, registries):
-            kind = _registry(registries[part.group]).kind
-            if trouble:
-                yield Finding("extensions", BROKEN, trouble, part.removal)
-            else:
-                usable.append(f"{kind} {part.name}")
+        for part in parts:
+            try:
+                registries[part.group].load(part)
+                usable.append(f"{registries[part.group].kind} {part.name}")
+            except PartError as error:
+                yield Finding("extensions", BROKEN, error.message, part.removal)
         if usable:
             yield Finding("extensions", OK, f"{owner}: {', '.join(usable)}")
     for part in entry_points.unknown_groups(registries):
@@ -94,41 +86,23 @@ def _registry(place: str) -> Registry:
     return registry
 
 
-def _tried(parts: Sequence[Part], registries: Mapping[str, str]) -> Iterator[tuple[Part, str]]:
-    """Each part with what is wrong with it; an empty text if nothing is.
+@command(step=None, examples=["slidectl version", "slidectl version --json"])
+@click.pass_obj
+def version(ctx: Context) -> None:
+    """Print the version.
 
-    A process of its own imports them, since an import may do anything. One that ends the process, or takes too long,
-    is blamed, and another process imports those behind it.
+    With -v the versions of the libraries too. JSON keys: slidectl, python, and with -v the libraries' names.
     """
-    left = list(parts)
-    while left:
-        code = f"import sys; from {__name__} import {try_parts.__name__} as run; run(sys.argv[1:])"
-        argv = [sys.executable, "-P", "-c", code, *(f"{registries[part.group]} {part.name}" for part in left)]
-        try:
-            done = subprocess.run(
-                argv, stdin=subprocess.DEVNULL, capture_output=True, timeout=_IMPORT_LIMIT_S, check=False,
-                env=with_package(os.environ),
-            )  # fmt: skip
-            output, end = done.stdout, f"its import ends the process, with exit code {done.returncode}"
-        except subprocess.TimeoutExpired as error:
-            output, end = error.stdout or b"", f"its import takes longer than {_IMPORT_LIMIT_S:g} s"
-        lines = output.decode("utf-8", "replace").splitlines()
-        for line in [line.removeprefix(_MARK) for line in lines if line.startswith(_MARK)]:
-            yield left.pop(0), json.loads(line)
-        if left:
-            part = left.pop(0)
-            what = f"the {_registry(registries[part.group]).kind} {part.name!r} of {part.owner} cannot be loaded"
-            yield part, f"{what}: {end}"
+    record = {"slidectl": __version__, "python": sys.version.split()[0]}
+    if ctx.verbose:
+        record |= {name: _library(name) for name in _LIBRARIES}
+    ctx.emit(record, None if ctx.verbose else f"slidectl {__version__}")
 
 
-def try_parts(words: Sequence[str]) -> None:
-    """Import parts in this process, each given as the place of its registry and its name. Print a line for each with
-    what is wrong with it."""
-    for word in words:
-        place, _, name = word.partition(" ")
-        registry, trouble = _registry(place), ""
-        try:
-            registry.load(registry.parts()[name])
-        except PartError as error:
-            trouble = error.message
-        print(f"\n{_MARK}{json.dumps(trouble)}", flush=True)
+def _library(name: str) -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "not installed"

@@ -10,10 +10,9 @@ import click
 
 from slidectl import names
 from slidectl.cli import completion, output
-from slidectl.cli.commands import command, simulated_seconds
-from slidectl.cli.context import Context
-from slidectl.cli.published_topics import look_up_published
-from slidectl.cli.topic_streams import Event, Stream, Target, look_up_when_there
+from slidectl.cli.commands import command, seconds
+from slidectl.cli.context import Context, Target
+from slidectl.cli.topic_streams import Event, Stream, find_published_topic, wait_for_topic
 from slidectl.errors import TimedOut, UnknownName, Unused, UsageError
 from slidectl.msgs.field_path import Selection, select
 from slidectl.msgs.message_text import CsvForm, YamlForm
@@ -49,18 +48,16 @@ class MessageFormat(NamedTuple):
     ]
 )
 @click.argument("target", metavar="TOPIC[/FIELD[I]]", shell_complete=completion.topics_and_fields)
-@click.option("-n", "--count", type=click.IntRange(min=0), metavar="COUNT", help="End after so many messages.")
+@click.option("-n", "--count", type=click.IntRange(min=0), metavar="COUNT", help="End after COUNT messages.")
 @click.option("-p", "plot", is_flag=True, help="CSV for plotting: %time in nanoseconds, then the fields.")
 @click.option("--noarr", is_flag=True, help="Leave out the contents of arrays.")
 @click.option("--nostr", is_flag=True, help="Leave out the contents of strings.")
-@click.option("--filter", "condition", metavar="EXPR", help="Only messages for which it is true; m is the message.")
-@click.option(
-    "--for", "sim_seconds", type=float, callback=simulated_seconds, metavar="S", help="End after S simulated seconds."
-)
+@click.option("--filter", "condition", metavar="EXPR", help="Only messages for which EXPR is true; m is the message.")
+@seconds("--for", "sim_seconds", help="End after S simulated seconds.")
 @click.option("-c", "--clear", is_flag=True, help="Clear the screen before each message.")
 @click.option("-w", "width", type=click.IntRange(min=2), metavar="N", help="Characters of a number.")
-@click.option("--offset", is_flag=True, help="Times as difference from now.")
-@click.option("--wait", is_flag=True, help="Wait for a topic that is not there yet, and miss none of its messages.")
+@click.option("--offset", is_flag=True, help="Print times relative to now.")
+@click.option("--wait", is_flag=True, help="Wait for a topic that does not exist yet; no message is missed.")
 @click.pass_obj
 def echo(
     ctx: Context,
@@ -88,16 +85,16 @@ def echo(
     """
     if plot and ctx.format not in ("text", "csv"):
         raise UsageError(f"-p and -o {ctx.format} exclude each other")
-    look = MessageFormat("csv" if plot else ctx.format, not noarr, not nostr, width, clear, offset)
+    style = MessageFormat("csv" if plot else ctx.format, not noarr, not nostr, width, clear, offset)
     begun: list[Subscription] = []
     try:
-        topic = look_up_published(ctx, target)
+        topic = find_published_topic(ctx, target)
     except (UnknownName, Unused):
         if not wait:
             raise
         full = names.join(ctx.namespace, target)
-        topic, begun = look_up_when_there(ctx, full, lambda name: ctx.say(f"{name} is not there yet; waiting for it"))
-    print_messages(ctx, topic, look, condition, count, sim_seconds, begun)
+        topic, begun = wait_for_topic(ctx, full, lambda name: ctx.say(f"{name} is not there yet; waiting for it"))
+    print_messages(ctx, topic, style, condition, count, sim_seconds, begun)
 
 
 def predicate(condition: str | None, schema: Schema) -> Keep:
@@ -112,7 +109,7 @@ def predicate(condition: str | None, schema: Schema) -> Keep:
 def print_messages(
     ctx: Context,
     target: Target,
-    look: MessageFormat,
+    style: MessageFormat,
     condition: str | None,
     count: int | None,
     sim_seconds: float | None = None,
@@ -126,10 +123,10 @@ def print_messages(
         TimedOut: no message comes for `--timeout`. UsageError: the field is unknown or the condition is not valid.
     """
     schema, patience = target.schema, math.inf if ctx.timeout is None else ctx.timeout
-    write, keep = writer(ctx, schema, target.field, look), predicate(condition, schema)
+    write, keep = writer(ctx, schema, target.field, style), predicate(condition, schema)
     if count is not None and count <= 0:
         return
-    needs_clock = look.offset or (look.form == "csv" and not schema.has_header)
+    needs_clock = style.offset or (style.form == "csv" and not schema.has_header)
     printed = 0
     with Stream(ctx, [target.topic], with_clock=needs_clock, sim_seconds=sim_seconds, begun=begun) as stream:
         while printed != count:
@@ -146,45 +143,47 @@ def print_messages(
                 printed += 1
 
 
-def writer(ctx: Context, schema: Schema, field: str, look: MessageFormat) -> Write:
+def writer(ctx: Context, schema: Schema, field: str, style: MessageFormat) -> Write:
     """The function that prints one message, or a field of it, in the requested form."""
     selection = select(schema.fields, schema.root, field)
-    if look.form == "csv":
-        return _csv_writer(ctx, schema, selection, look)
-    if look.form == "json":
+    if style.form == "csv":
+        return _csv_writer(ctx, schema, selection, style)
+    if style.form == "json":
         return lambda event: output.write(
-            output.as_json(_pruned(schema, selection.type, selection.depth, selection.read(event.message), look))
+            output.as_json(_pruned(schema, selection.type, selection.depth, selection.read(event.message), style))
         )
-    form = YamlForm(schema, look.width, look.arrays, look.strings)
-    text = form.printer(selection.type, selection.depth, full=look.from_bag)
+    form = YamlForm(schema, style.width, style.arrays, style.strings)
+    text = form.printer(selection.type, selection.depth, full=style.from_bag)
 
     def write(event: Event) -> None:
-        form.offset_ns = event.time_ns if look.offset else 0
-        output.write(f"{_CLEAR if look.clear else ''}{text(selection.read(event.message))}\n---\n")
+        form.offset_ns = event.time_ns if style.offset else 0
+        output.write(f"{_CLEAR if style.clear else ''}{text(selection.read(event.message))}\n---\n")
 
     return write
 
 
-def _pruned(schema: Schema, type_name: str, depth: int, value: Any, look: MessageFormat) -> Any:
-    """The value, without its arrays or strings when `look` leaves them out."""
-    if look.arrays and look.strings:
+def _pruned(schema: Schema, type_name: str, depth: int, value: Any, style: MessageFormat) -> Any:
+    """The value, without its arrays or strings when `style` leaves them out."""
+    if style.arrays and style.strings:
         return value
     if depth:
-        return [_pruned(schema, type_name, depth - 1, element, look) for element in value]
+        return [_pruned(schema, type_name, depth - 1, element, style) for element in value]
     if type_name not in schema.types:
         return value
-    kept = (f for f in schema.types[type_name] if (look.arrays or f.array < 0) and (look.strings or f.type != "string"))
-    return {f.name: _pruned(schema, f.type, int(f.array >= 0), value[f.name], look) for f in kept}
+    kept = (
+        f for f in schema.types[type_name] if (style.arrays or f.array < 0) and (style.strings or f.type != "string")
+    )
+    return {f.name: _pruned(schema, f.type, int(f.array >= 0), value[f.name], style) for f in kept}
 
 
-def _csv_writer(ctx: Context, schema: Schema, selection: Selection, look: MessageFormat) -> Write:
-    form = CsvForm(schema, look.arrays, look.strings)
-    stamped = schema.has_header and not look.from_bag
+def _csv_writer(ctx: Context, schema: Schema, selection: Selection, style: MessageFormat) -> Write:
+    form = CsvForm(schema, style.arrays, style.strings)
+    stamped = schema.has_header and not style.from_bag
     header = ""
 
     def write(event: Event) -> None:
         nonlocal header
-        form.offset_ns = event.time_ns if look.offset else 0
+        form.offset_ns = event.time_ns if style.offset else 0
         time_ns = nanoseconds(event.message["header"]["stamp"]) if stamped else event.time_ns
         row = form.row(selection.read(event.message), selection.type, selection.depth, time_ns)
         if row.header != header:

@@ -22,7 +22,7 @@ def _names(context: Context) -> list[str]:
 
 
 def _targets(context: Context) -> list[str]:
-    present = robots.all_robots(context)
+    present = context.client.robots()
     parts = [f"/{one['name']}/{part}" for one in present for part in (*robots.moving(one), *one["links"])]
     controllers = [f"{one['namespace'].rstrip('/')}/{name}" for one in present for name in one["controllers"]]
     return [*parts, *controllers, *context.names("topic")]
@@ -49,7 +49,7 @@ def _kind_options(command: Callable[..., None]) -> Callable[..., None]:
     ]
 )
 def fault() -> None:
-    """Faults on purpose, of joints, links, controllers and topics."""
+    """Inject faults into joints, links, controllers and topics."""
 
 
 def _check_words(kind: str, start: float | None, end: float | None, **given: Any) -> None:
@@ -70,7 +70,7 @@ def _check_words(kind: str, start: float | None, end: float | None, **given: Any
 )
 @click.argument("target", shell_complete=completion.completer(_targets))
 @click.option("--kind", required=True, metavar="KIND", shell_complete=completion.completer(lambda _: KINDS),
-              help="What goes wrong; 'slidectl fault kinds' lists them.")  # fmt: skip
+              help="The kind of fault; 'slidectl fault kinds' lists them.")  # fmt: skip
 @click.option("--from", "start", type=float, metavar="TIME",
               help="When it begins, simulated s (default: the next cycle).")  # fmt: skip
 @click.option("--to", "end", type=float, metavar="TIME",
@@ -80,7 +80,7 @@ def _check_words(kind: str, start: float | None, end: float | None, **given: Any
 @_kind_options
 @click.pass_obj
 def add(ctx: Context, /, target: str, kind: str, start: float | None, end: float | None, **given: Any) -> None:
-    """Let something go wrong from one simulated time to another.
+    """Add a fault that acts from one simulated time to another.
 
     TARGET is a joint or link (ROBOT/JOINT), a controller or a topic, as the kind needs it; the unique end of the name
     is enough. The fault acts in the cycles with a time from --from on and before --to. JSON keys: as fault list.
@@ -121,7 +121,7 @@ def _shown(options: dict[str, Any]) -> str:
 @click.argument("names", nargs=-1, required=True, metavar="NAME...", shell_complete=completion.completer(_names))
 @click.pass_obj
 def remove(ctx: Context, names: tuple[str, ...]) -> None:
-    """Take faults back: what they have changed is as it was.
+    """Remove faults; what they changed is restored.
 
     All of them or, with a name that is not there, none. JSON key: name.
     """
@@ -132,7 +132,7 @@ def remove(ctx: Context, names: tuple[str, ...]) -> None:
 @fault.command("clear", examples=["slidectl fault clear"])
 @click.pass_obj
 def clear(ctx: Context) -> None:
-    """Take all faults back.
+    """Remove all faults.
 
     JSON key: name.
     """

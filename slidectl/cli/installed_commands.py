@@ -7,9 +7,10 @@ from typing import Any
 
 import click
 
-from slidectl.cli.command_table import COMMANDS, load
+from slidectl.cli.command_table import COMMANDS
+from slidectl.cli.commands import load
 from slidectl.cli.output import ClosedPipe
-from slidectl.entry_points import Part, PartError, Registry
+from slidectl.entry_points import Part, Registry
 
 _NOT_BLAMED = (click.ClickException, click.Abort, click.exceptions.Exit, ClosedPipe, OSError)
 """Exceptions by which a command ends on purpose, or because of its output."""
@@ -25,7 +26,7 @@ class _NamesOfOurs:
 
 
 def _group_of(name: str) -> click.Group | None:
-    command = load(name, COMMANDS[name]) if name in COMMANDS else None
+    command = load(name) if name in COMMANDS else None
     return command if isinstance(command, click.Group) else None
 
 
@@ -46,17 +47,6 @@ def _expected(found: Any) -> str:
 INSTALLED = Registry("slidectl.commands", "command", _NamesOfOurs, _expected, _bad_name)
 
 
-def below(begin: str) -> dict[str, Part]:
-    """The commands that installed packages add to a group, by name. `begin` is `GROUP.`; empty: top-level commands."""
-    parts = {name.removeprefix(begin): part for name, part in INSTALLED.parts().items() if name.startswith(begin)}
-    return {name: part for name, part in parts.items() if "." not in name}
-
-
-def refusals(begin: str) -> list[PartError]:
-    """The commands of a group that are not used because of their names. `begin` is as above."""
-    return [one for one in INSTALLED.refused() if one.part.name.rpartition(".")[0] == begin.rstrip(".")]
-
-
 def find(name: str) -> click.Command | None:
     """The command of an installed package by its name, `COMMAND` or `GROUP.VERB`; None: there is none.
 
@@ -64,11 +54,6 @@ def find(name: str) -> click.Command | None:
     """
     part = INSTALLED.find(name)
     return None if part is None else _load(part)
-
-
-def rows(parts: dict[str, Part]) -> list[tuple[str, str]]:
-    """The rows of a help: a command, and what its package says of itself. No code of the package runs for it."""
-    return [(name, ": ".join(filter(None, [part.owner, part.summary]))) for name, part in parts.items()]
 
 
 @cache

@@ -17,15 +17,14 @@ import click
 
 from slidectl import __version__
 from slidectl.cli import output
-from slidectl.cli.command_table import COMMANDS, load
-from slidectl.cli.commands import Group, environment_namespace
+from slidectl.cli.command_table import COMMANDS, WINDOWS
+from slidectl.cli.commands import Group, full_namespace, load
 from slidectl.cli.context import Context, paint
 from slidectl.errors import (
     EXIT_DONE,
     EXIT_INTERRUPTED,
     EXIT_REFUSED,
     EXIT_USAGE,
-    NoDaemon,
     NoDescriptors,
     Refused,
     SlidectlError,
@@ -80,9 +79,8 @@ class Root(Group):
     def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
         return list(COMMANDS)
 
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        entry = COMMANDS.get(cmd_name)
-        return self.get_installed(ctx, cmd_name) if entry is None else load(cmd_name, entry)
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
+        return load(cmd_name) if cmd_name in COMMANDS else self.find_installed(cmd_name)
 
     def entry_point(self, name: str) -> str:
         return name
@@ -102,13 +100,11 @@ class Root(Group):
         """Raise UsageError for the name of a window of ROS or Gazebo, with the commands that show the same."""
         if args[0] in COMMANDS or args[0].startswith("-"):
             return
-        from slidectl.cli.window_programs import ALONE
-
-        if args[0] in ALONE and args[0] not in self.installed():
+        if args[0] in WINDOWS and args[0] not in self.installed():
             context = ctx.find_object(Context)
             from slidectl.open_page import instead_of_window
 
-            package = ALONE[args[0]][0]
+            package = WINDOWS[args[0]][0]
             hint = instead_of_window(package, args[1:], context.paths if context is not None else None)
             raise UsageError(f"no command {args[0]!r}", "\n".join(hint))
 
@@ -162,7 +158,8 @@ def run(argv: Sequence[str]) -> int:
         stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
 
     def act() -> None:
-        context.namespace = environment_namespace()
+        if namespace := os.environ.get("SLIDECTL_NAMESPACE"):
+            context.namespace = full_namespace(namespace)
         invoke(argv, context)
 
     return guard(act, context, argv)
@@ -187,25 +184,12 @@ def guard(action: Callable[[], None], context: Context, words: Sequence[str] = (
         return EXIT_DONE
     except click.exceptions.Exit as leaving:
         return leaving.exit_code
-    except output.ClosedPipe:
-        return EXIT_INTERRUPTED if output.terminal_is_closed() else EXIT_DONE
+    except (output.ClosedPipe, BrokenPipeError):
+        return EXIT_DONE
     except (KeyboardInterrupt, click.Abort):
         return EXIT_INTERRUPTED
-    except BrokenPipeError as error:
-        if output.reader_has_gone():
-            return EXIT_DONE
-        return _report(NoDaemon(f"the connection broke: {error}"), context, words)
     except Exception as error:
-        if _was_interrupted(error) or output.terminal_is_closed():  # SIGHUP may come after a failed write
-            return EXIT_INTERRUPTED
         return _report(error, context, words)
-
-
-def _was_interrupted(error: BaseException | None) -> bool:
-    """True when an interrupt caused the error: Python turns one during the creation of a class into a RuntimeError."""
-    while isinstance(error, Exception):
-        error = error.__cause__
-    return error is not None
 
 
 def _report(error: Exception, context: Context, words: Sequence[str]) -> int:

@@ -35,10 +35,10 @@ def services() -> TypeFamily:
     return TypeFamily("service type", msgs.service_names, msgs.show_service, msgs.service_definition, msgs.service_md5)
 
 
-def found_types(kind: TypeFamily, name: str) -> list[str]:
+def find_types(kind: TypeFamily, name: str) -> list[str]:
     """The types that a name means: one for `pkg/Name`, those of every package for a bare `Name`."""
     if "::" in name or "." in name:
-        raise UsageError(f"{name!r} is no type: write it as package/Type, or Type alone")
+        raise UsageError(f"{name!r} is not a type: write it as package/Type, or Type alone")
     known = kind.names()
     found = [each for each in known if each == name or ("/" not in name and each.endswith("/" + name))]
     if not found:
@@ -72,7 +72,7 @@ def _verbs(parent: Group, kind: Callable[[], TypeFamily], example: str) -> None:
         wanted, types = sys.stdin.readline().strip() if name is None else name, kind()
         if not wanted:
             raise UsageError("no TYPE given, and none on stdin")
-        for found in found_types(types, wanted):
+        for found in find_types(types, wanted):
             record = {"type": found, "md5": types.md5(found), "definition": types.source(found)}
             ctx.emit(record, definition_text(types, found, wanted, raw))
 
@@ -98,7 +98,7 @@ def _verbs(parent: Group, kind: Callable[[], TypeFamily], example: str) -> None:
 
         JSON keys: type, md5.
         """
-        for found in found_types(kind(), name):
+        for found in find_types(kind(), name):
             text = kind().md5(found)
             ctx.emit({"type": found, "md5": text}, text if "/" in name else f"[{found}]: {text}")
 

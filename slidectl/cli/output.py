@@ -5,11 +5,10 @@ Functions that build text, and that write to stdout and into files. They depend 
 
 from __future__ import annotations
 
-import errno
 import json
 import os
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, TextIO
 
@@ -58,7 +57,7 @@ def writing_to(path: str) -> Iterator[None]:
         raise BadFile(f"cannot be written: {reason(error, path)}", path, hint=hint(error, path)) from None
 
 
-def reader_has_gone() -> bool:
+def is_reader_gone() -> bool:
     """True when standard output or standard error is a pipe without a reader."""
     import select
 
@@ -68,22 +67,9 @@ def reader_has_gone() -> bool:
     return any(event & (select.POLLERR | select.POLLHUP) for _, event in poll.poll(0))
 
 
-def terminal_is_closed() -> bool:
-    """True when standard output is a terminal that was closed."""
-    import termios
-
-    try:
-        termios.tcgetattr(sys.stdout.fileno())
-    except termios.error as error:
-        return bool(error.args[0] == errno.EIO)
-    except (OSError, ValueError):  # stdout is not a file
-        return False
-    return False
-
-
 def check_reader() -> None:
     """Raise ClosedPipe when the reader is gone. For commands that run without end and may have nothing to write."""
-    if reader_has_gone():
+    if is_reader_gone():
         raise ClosedPipe
 
 
@@ -208,3 +194,41 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {key: _plain(item) for key, item in value.items()}
     return [_plain(item) for item in value] if isinstance(value, list | tuple) else value
+
+
+# --- progress ------------------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def status_line(text: str, wanted: bool) -> Iterator[Callable[[str], None]]:
+    """Show a status line on a terminal, and erase it at the end; yields a function that sets its text."""
+    if not wanted or not is_terminal(sys.stderr):
+        yield lambda _: None
+        return
+    from rich.console import Console
+    from rich.text import Text  # rich must not read brackets in a name as styles
+
+    with Console(stderr=True, highlight=False).status(Text(text), spinner="line") as status:
+        yield lambda text: status.update(Text(text))
+
+
+@contextmanager
+def progress_bar(total: int | None, unit: str, wanted: bool) -> Iterator[Callable[[int, str], None]]:
+    """Show a bar up to `total` on a terminal, and erase it at the end.
+
+    Yields a function that takes the count so far and a remark.
+    """
+    if not wanted or not is_terminal(sys.stderr):
+        yield lambda _count, _remark: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (
+        BarColumn(), MofNCompleteColumn(), TextColumn(unit), TimeElapsedColumn(), TextColumn("{task.description}"),
+    )  # fmt: skip
+    console = Console(stderr=True, highlight=False)
+    # No refresh thread: a fork would copy the locks that it holds.
+    with Progress(*columns, console=console, transient=True, auto_refresh=False) as bar:
+        task = bar.add_task("", total=total)
+        yield lambda count, remark: bar.update(task, completed=count, description=remark, refresh=True)

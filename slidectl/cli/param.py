@@ -75,7 +75,7 @@ def get(ctx: Context, name: str, fallback: str | None) -> None:
         full, value, match = names.join(ctx.namespace, name), typed(fallback), None
     for index in map(int, re.findall(r"-?\d+", match["indices"]) if match else ()):
         if not isinstance(value, list):
-            raise UsageError(f"{full} is no list: it has no element [{index}]")
+            raise UsageError(f"{full} is not a list: it has no element [{index}]")
         if not -len(value) <= index < len(value):
             raise Refused(f"{full} has no element [{index}]: it has {len(value)}")
         value = value[index]
@@ -96,10 +96,8 @@ def as_rosparam(value: Any) -> str:
 )
 @click.argument("name", shell_complete=completion.parameters)
 @click.argument("value", required=False)
-@click.option(
-    "-t", "--textfile", shell_complete=completion.files, metavar="FILE", help="The text of a file as the value."
-)
-@click.option("--new", is_flag=True, help="Set it although nobody reads it, or a short NAME says something else.")
+@completion.file_option("-t", "--textfile", help="The text of a file as the value.")
+@click.option("--new", is_flag=True, help="Set it even if nobody reads it, or a short NAME means another one.")
 @click.pass_obj
 def set_parameter(ctx: Context, name: str, value: str | None, textfile: str | None, new: bool) -> None:
     """Set a parameter.
@@ -315,7 +313,7 @@ def settings(content: Any, full: str) -> dict[str, Any]:
     from slidectl.client.spawning import leaves
 
     if content is None:
-        raise UsageError("null is no value of a parameter", f"slidectl param delete {full}")
+        raise UsageError("a parameter cannot be null", f"slidectl param delete {full}")
     return dict(leaves(content, full)) if isinstance(content, dict) and content else {full: content}
 
 

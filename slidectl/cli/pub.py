@@ -16,8 +16,8 @@ import click
 from slidectl import names
 from slidectl.cli import completion
 from slidectl.cli.commands import Command, command, positive_seconds
-from slidectl.cli.context import Context
-from slidectl.cli.topic_streams import SUBSCRIBERS, Target, details, look_up, users_of
+from slidectl.cli.context import Context, Target
+from slidectl.cli.topic_streams import SUBSCRIBERS, details, users_of
 from slidectl.errors import BadFile, SlidectlError, TimedOut, UnknownName, Unused, UsageError
 from slidectl.msgs.fill import fill, mentions_clock
 from slidectl.msgs.schema import Schema
@@ -63,15 +63,13 @@ def _complete(click_context: click.Context, param: click.Parameter, incomplete: 
     type=float,
     callback=positive_seconds,
     metavar="HZ",
-    help="Again and again, at this rate, Hz of wall time.",
+    help="Publish repeatedly at this rate, Hz of wall time.",
 )
-@click.option("-n", "--count", type=click.IntRange(min=1), metavar="COUNT", help="So many messages.")
-@click.option("--latch", is_flag=True, help="Keep the last message for those who come later; stays until Ctrl-C.")
-@click.option(
-    "-f", "--file", shell_complete=completion.files, metavar="FILE", help="Values from a YAML or JSON lines file."
-)
+@click.option("-n", "--count", type=click.IntRange(min=1), metavar="COUNT", help="Number of messages.")
+@click.option("--latch", is_flag=True, help="Keep the last message for later subscribers; stays until Ctrl-C.")
+@completion.file_option("-f", "--file", help="Values from a YAML or JSON lines file.")
 @click.option("--stdin", is_flag=True, help="Values from stdin: YAML documents or JSON lines.")
-@click.option("--allow-unheard", is_flag=True, help="Publish although nobody subscribes.")
+@click.option("--allow-unheard", is_flag=True, help="Publish even if nobody subscribes.")
 @click.pass_obj
 def pub(
     ctx: Context,
@@ -101,8 +99,9 @@ def pub(
     from_documents = file is not None or stdin
     target, given, is_new = _target(ctx, name, given, allow_unheard, from_documents)
     given, marked = without_once(given, 0 if from_documents else len(target.typedefs[0]["fieldnames"]))
-    once = once or marked
-    _check_options(words, once, rate, file, stdin)
+    if marked:
+        once = True
+        _check_options(words, once, rate, file, stdin)
     sources = _from_documents(target, file, rate) if from_documents else _from_words(target, given, rate, count)
     source = islice(sources, 1 if once else count)
     advertise, stays = allow_unheard or latch or is_new, latch and not once
@@ -124,14 +123,14 @@ def _check_options(words: Sequence[str], once: bool, rate: float | None, file: s
 def _target(
     ctx: Context, name: str, given: list[str], allow_unheard: bool, from_documents: bool
 ) -> tuple[Target, list[str], bool]:
-    """The topic, the words without TYPE, and whether the topic is new. Raises as `look_up` does."""
+    """The topic, the words without TYPE, and whether the topic is new. Raises as `find_topic` does."""
     is_new = False
     try:
-        target = look_up(ctx, name, SUBSCRIBERS, with_field=False)
+        target = ctx.find_topic(name, SUBSCRIBERS, with_field=False)
     except Unused as error:
         if not allow_unheard:
             raise _with_next_step(ctx, name, error, "--allow-unheard publishes all the same") from None
-        target = look_up(ctx, name, None, with_field=False)
+        target = ctx.find_topic(name, None, with_field=False)
     except UnknownName as error:
         full = names.join(ctx.namespace, name)
         waiting = users_of(ctx, [full], SUBSCRIBERS)[full]  # as of 'echo --wait'
@@ -147,7 +146,7 @@ def _target(
         raise UsageError(f"{target.topic} has the type {target.type}, not {given[0]}", "TYPE may be left out")
     values = given[1:] if has_type else given
     if from_documents and any(word != _ONCE for word in values):
-        raise UsageError("a VALUE beside -f or --stdin: give one of them")
+        raise UsageError("a VALUE and -f or --stdin exclude each other")
     return target, values, is_new
 
 

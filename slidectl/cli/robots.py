@@ -25,11 +25,6 @@ _JOINT_COLUMNS = (
 )  # fmt: skip
 
 
-def all_robots(ctx: Context) -> list[RobotInfoMsg]:
-    """Every robot (slidectl/RobotInfo), by name."""
-    return sorted(ctx.call("/slidectl/list_robots", {"name": ""})["robots"], key=lambda robot: str(robot["name"]))
-
-
 def find(robots: Sequence[RobotInfoMsg], name: str) -> RobotInfoMsg:
     """The robot of that name, or of that namespace (`/left`). Raises UnknownName."""
     for robot in robots:
@@ -50,7 +45,7 @@ def robots(ctx: Context, name: str | None) -> None:
     type, interface, position, velocity, effort, lower, upper, max_velocity, max_effort), controllers, estop (true in
     an emergency stop), frozen (it diverged), and report (verdict, subject, text, file, line) when a name is given.
     """
-    found = all_robots(ctx) if name is None else [find(all_robots(ctx), name)]
+    found = ctx.client.robots() if name is None else [find(ctx.client.robots(), name)]
     warn_stopped(ctx, [robot["name"] for robot in found if robot["estop"]])
     if name is None:
         rows = [record(robot, with_report=False) for robot in found]
@@ -132,7 +127,7 @@ def delete(ctx: Context, names: tuple[str, ...]) -> None:
 
     All names are looked up before the first robot goes. JSON keys: name, namespace.
     """
-    present = all_robots(ctx)
+    present = ctx.client.robots()
     for robot in [find(present, name) for name in dict.fromkeys(names)]:
         answer = ctx.call("/gazebo/delete_model", {"model_name": robot["name"]})
         if not answer["success"]:
@@ -155,7 +150,7 @@ def estop(ctx: Context, words: tuple[str, ...], namespaces: tuple[str, ...]) -> 
     does the same. JSON keys: name, namespace, estop, before.
     """
     stop = words[:1] != ("release",)
-    present = [robot for robot in all_robots(ctx) if robot["kind"] == "robot"]
+    present = [robot for robot in ctx.client.robots() if robot["kind"] == "robot"]
     asked = [*(words if stop else words[1:]), *(join("/", namespace) for namespace in namespaces)]
     try:
         meant = [find(present, name) for name in asked] or _below(present, ctx.namespace)

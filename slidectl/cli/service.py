@@ -29,7 +29,7 @@ def service() -> None:
 
 @service.command("list", examples=["slidectl service list /slider", "slidectl service list -n"])
 @click.argument("namespace", required=False, shell_complete=completion.services)
-@click.option("-n", "--nodes", is_flag=True, help="The nodes that provide them, too.")
+@click.option("-n", "--nodes", is_flag=True, help="Also the nodes that provide them.")
 @click.pass_obj
 def list_services(ctx: Context, namespace: str | None, nodes: bool) -> None:
     """List the services, all or those below NAMESPACE.
@@ -52,7 +52,7 @@ def list_services(ctx: Context, namespace: str | None, nodes: bool) -> None:
 @click.argument("name", metavar="SERVICE", shell_complete=completion.services)
 @click.pass_obj
 def info(ctx: Context, name: str) -> None:
-    """Show who provides a service, where, its type, its arguments and what it does.
+    """Show the provider of a service, its URI, type, arguments and effects.
 
     The effects are reads, writes (of the world), files or code (that the caller names).
 
@@ -143,7 +143,7 @@ def call(ctx: Context, name: str, given: tuple[str, ...], stdin: bool) -> None:
     fields = parts[0]["fieldnames"]
     check_quotes(given, fields)
     if given and stdin:
-        raise UsageError("a VALUE beside --stdin: give one of them")
+        raise UsageError("a VALUE and --stdin exclude each other")
     if not given and not stdin and fields:
         raise UsageError(
             f"no VALUE given for {full} ({found['type']})", f"the request has the fields: {', '.join(fields)}"

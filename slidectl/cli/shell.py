@@ -48,7 +48,7 @@ def _words(line: str) -> list[str]:
     ],
 )
 @click.argument("file", required=False, shell_complete=completion.files)
-@click.option("--keep-going", is_flag=True, help="Go on after a failure; the exit code is that of the first.")
+@click.option("--keep-going", is_flag=True, help="Continue after a failure; the exit code is that of the first.")
 @click.pass_context
 def shell(click_context: click.Context, file: str | None, keep_going: bool) -> None:
     """Run many commands in one process.
@@ -122,7 +122,7 @@ def _run_script(context: Context, file: str | None, keep_going: bool) -> int:
             if code != EXIT_DONE:
                 context.say(f"{name}, line {number}: {line.strip()}")
                 first_failure = first_failure or code
-            if (first_failure and not keep_going) or code == EXIT_INTERRUPTED or output.reader_has_gone():
+            if (first_failure and not keep_going) or code == EXIT_INTERRUPTED or output.is_reader_gone():
                 break
     return first_failure
 

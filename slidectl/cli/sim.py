@@ -88,17 +88,17 @@ def _micro(seconds: float | None) -> str:
 @sim.command("pause", examples=["slidectl sim pause"])
 @click.pass_obj
 def pause(ctx: Context) -> None:
-    """Hold the world between two cycles."""
+    """Pause the world between two cycles."""
     ctx.call("/gazebo/pause_physics")
-    _tell(ctx, "paused")
+    _print_time(ctx, "paused")
 
 
 @sim.command("resume", examples=["slidectl sim resume"])
 @click.pass_obj
 def resume(ctx: Context) -> None:
-    """Let the world go on."""
+    """Resume the world."""
     ctx.call("/gazebo/unpause_physics")
-    _tell(ctx, "running")
+    _print_time(ctx, "running")
 
 
 @sim.command("reset", examples=["slidectl sim reset", "slidectl sim reset --time"])
@@ -107,14 +107,14 @@ def resume(ctx: Context) -> None:
 def reset(ctx: Context, with_time: bool) -> None:
     """Put every robot back to where it was spawned; controllers stay loaded and running."""
     ctx.call("/gazebo/reset_simulation" if with_time else "/gazebo/reset_world")
-    _tell(ctx, "reset")
+    _print_time(ctx, "reset")
 
 
 @sim.command("speed", examples=["slidectl sim speed 2", "slidectl sim speed max"])
 @click.argument("factor", metavar="FACTOR|max")
 @click.pass_obj
 def speed(ctx: Context, factor: str) -> None:
-    """Run so many times faster than the wall clock, or as fast as possible."""
+    """Set the speed: a factor of the wall clock, or as fast as possible."""
     wanted = parse_speed(factor)
     _demand(ctx.call("/slidectl/set_speed", {"speed": wanted}))
     ctx.done({"speed": wanted}, f"speed {speed_text(wanted)}")
@@ -127,7 +127,7 @@ def parse_speed(text: str) -> float:
     except ValueError:
         value = -1.0
     if text != "max" and not 0 < value < float("inf"):
-        raise UsageError(f"{text!r} is no speed: write a factor above 0, or max")
+        raise UsageError(f"{text!r} is not a speed: write a factor above 0, or max")
     return value
 
 
@@ -149,7 +149,7 @@ def _steps(amount: str | None, until: str | None) -> dict[str, Any]:
 @click.option("--until", metavar="TIME", help="Up to this simulated time, s.")
 @click.pass_obj
 def step(ctx: Context, amount: str | None, until: str | None) -> None:
-    """Do N cycles (1), or so many simulated seconds, or all until a time, and return when they are done.
+    """Do N cycles (1), or some simulated seconds, or all until a time, and return when they are done.
 
     A time is a whole number of cycles (of 0.001 s, unless the daemon was started otherwise); another one is refused.
     Pauses the world first if it runs. Without --timeout it waits a minute longer than the steps take at a tenth of
@@ -189,7 +189,7 @@ def parse_amount(text: str) -> dict[str, Any]:
         if math.isfinite(seconds):
             return {"cycles": 0, "seconds": seconds}
     if not re.fullmatch(_STEPS, text) or int(text) == 0:
-        raise UsageError(f"{text!r} is no amount of steps: write a number of cycles, or a time such as 0.5s")
+        raise UsageError(f"{text!r} is not a number of steps: write a number of cycles, or a time such as 0.5s")
     return {"cycles": int(text), "seconds": 0.0}
 
 
@@ -206,15 +206,12 @@ def _kept(ctx: Context) -> list[str]:
     return [one["name"] for one in ctx.client.snapshots()]
 
 
-_FILE: dict[str, Any] = {"metavar": "FILE", "shell_complete": completion.files}
-
-
 @sim.command("save", examples=["slidectl sim save before", "slidectl sim save before --to before.snapshot"])
 @click.argument("name")
-@click.option("--to", "file", help="Write it to this file, too.", **_FILE)
+@completion.file_option("--to", "file", help="Also write it to this file.")
 @click.pass_obj
 def save(ctx: Context, name: str, file: str | None) -> None:
-    """Keep the whole state of the world under a name, until the daemon stops.
+    """Save the state of the world under a name, until the daemon stops.
 
     One that had the name is replaced. JSON keys: name, time, file (null without --to).
     """
@@ -230,10 +227,10 @@ def save(ctx: Context, name: str, file: str | None) -> None:
     examples=["slidectl sim load before", "slidectl sim load --from before.snapshot"],
 )
 @click.argument("name", required=False, shell_complete=_kept)
-@click.option("--from", "file", help="Load it from this file.", **_FILE)
+@completion.file_option("--from", "file", help="Load it from this file.")
 @click.pass_obj
 def load(ctx: Context, name: str | None, file: str | None) -> None:
-    """Put the world back to what was saved; it goes on from there with the same bits.
+    """Restore a saved state; the world goes on from there with the same bits.
 
     Robots and controllers that are others now are made again. Goals that were sent since end as PREEMPTED.
     JSON keys: time.
@@ -255,7 +252,7 @@ def snapshots(ctx: Context) -> None:
 @click.argument("names", nargs=-1, required=True, metavar="NAME...", shell_complete=_kept)
 @click.pass_obj
 def delete(ctx: Context, names: tuple[str, ...]) -> None:
-    """Forget snapshots: all of these, or none where one is unknown. Files stay. JSON key: names."""
+    """Delete snapshots: all of these, or none if one is unknown. Files stay. JSON key: names."""
     ctx.call("/slidectl/delete_snapshots", {"names": list(names)})
     ctx.done({"names": list(names)}, f"deleted: {', '.join(names)}")
 
@@ -273,7 +270,7 @@ def _refuse_fork(parameters: Mapping[str, Any], has_daemon: bool) -> StepEffects
 @click.option("-i", "--instance", "other", required=True, metavar="NAME", help="The daemon to start.")
 @click.pass_obj
 def fork(ctx: Context, name: str, other: str) -> None:
-    """Start a second daemon that goes on from a snapshot of this one.
+    """Start a second daemon that continues from a snapshot of this one.
 
     It has the options and the speed of this one, and is paused where this one is. Which daemon is forked is said in
     front: 'slidectl -i first sim fork NAME -i other'. JSON keys: instance, pid, socket, time.
@@ -287,7 +284,7 @@ def fork(ctx: Context, name: str, other: str) -> None:
     ctx.done(record, f"daemon {other}: started, process {pid}, from {name} at {time:.3f} s")
 
 
-def _tell(ctx: Context, what: str) -> None:
+def _print_time(ctx: Context, what: str) -> None:
     answer = ctx.call("/slidectl/status")
     record = {"time": answer["time"], "cycles": answer["cycles"], "paused": answer["paused"]}
     ctx.done(record, f"{what} at {answer['time']:.3f} s")

@@ -14,7 +14,7 @@ import click
 
 from slidectl import input_files, names
 from slidectl.cli import completion, output, robots
-from slidectl.cli.commands import Variadic, command, looks_like_number
+from slidectl.cli.commands import Variadic, command, is_number
 from slidectl.cli.context import Context
 from slidectl.cli.controller import read_parameters
 from slidectl.client import spawning
@@ -69,7 +69,7 @@ def _step_effects(parameters: Mapping[str, Any], has_daemon: bool) -> StepEffect
     "--at",
     cls=Variadic,
     type=float,
-    takes=looks_like_number,
+    takes=is_number,
     metavar="X Y Z [R P Y]",
     help="Place in the world, m; roll, pitch and yaw about its axes, rad.",
 )
@@ -77,18 +77,18 @@ def _step_effects(parameters: Mapping[str, Any], has_daemon: bool) -> StepEffect
     "--joint", "joints", multiple=True, metavar="JOINT=POSITION", help="Where it starts, rad or m; may repeat."
 )
 @click.option("--fixed/--free", "fixed", default=None, help="Fix the root to the world, or free it.")
-@click.option(
-    "--controllers", metavar="FILE", shell_complete=completion.files, help="Parameters of its controllers (YAML)."
-)
+@completion.file_option("--controllers", help="Parameters of its controllers (YAML).")
 @click.option("--start", cls=Variadic, metavar="CONTROLLER...", help="Load and start these controllers.")
 @click.option(
     "--transmissions",
     type=click.Choice(["gazebo", "real"]),
     help="Drive joints as gazebo_ros_control does, or through transmissions with their actuators.",
 )
-@click.option("--strict", is_flag=True, help="Refuse impossible masses, inertias and shapes instead of mending them.")
+@click.option(
+    "--strict", is_flag=True, help="Refuse impossible masses, inertias and shapes instead of correcting them."
+)
 @click.option("--package", "packages", multiple=True, metavar="NAME=PATH", help="Where a ROS package is; may repeat.")
-@click.option("--keep-going", is_flag=True, help="Leave out what is not there, and list it at the end.")
+@click.option("--keep-going", is_flag=True, help="Leave out missing parts, and list them at the end.")
 @click.pass_obj
 def spawn(
     ctx: Context,
@@ -124,7 +124,7 @@ def spawn(
     if spawning.is_scene(source):
         spawning.check_scene_options(given, controllers, start, positions, transmissions)
         _spawn_scene(ctx, spawning.scene(source, places, missing), name, at, fixed, strict)
-        _tell_left_out(ctx, missing)
+        _warn_left_out(ctx, missing)
         return
     document = _document(ctx, source, given, name, places, missing)
     plan = spawning.robot_plan(
@@ -144,7 +144,7 @@ def spawn(
     spawn.check()
     if controllers is not None:
         try:
-            plan.parameters = read_parameters(ctx, controllers, [plan.namespace], tells_moves=name is None)
+            plan.parameters = read_parameters(ctx, controllers, [plan.namespace], reports_moves=name is None)
         except NotThere as error:
             missing.note(error, "the parameters of controllers are left out")
             missing.refuse()
@@ -157,7 +157,7 @@ def spawn(
     manager = ctx.manager(plan.namespace)
     loads = spawn.ask_to_load(manager)
     robot = spawn.robot()  # in the same round trip
-    _tell_report(ctx, robot, document, positions)
+    _print_report(ctx, robot, document, positions)
     for slip in slips.of_robot(plan.robot):
         ctx.warn(slip)
     for warning in warnings:
@@ -166,11 +166,11 @@ def spawn(
     try:
         there = spawn.bring_up(manager, loads, left_out)
     except Refused as error:
-        _tell(ctx, robot)
+        _print_robot(ctx, robot)
         next_step = _how_to_go_on(ctx, robot, controllers, start)
         raise Refused(error.message, f"{error.hint}\n{next_step}" if error.hint else next_step) from None
-    _tell(ctx, robot)
-    _tell_left_out(ctx, missing)
+    _print_robot(ctx, robot)
+    _warn_left_out(ctx, missing)
     if start and not there:
         raise Refused(f"nothing is left to drive {robot['name']}: none of its controllers is there")
 
@@ -204,7 +204,7 @@ def urdf(ctx: Context, model: str, arguments: tuple[str, ...], target: str | Non
         title = "<stdin>" if source == "-" else None
         text = standard_input() if source == "-" else source
         document = description.load(text, given, places, title=title, as_written=True)
-    tell_own_packages(ctx, places)
+    report_own_packages(ctx, places)
     for notice in document.report:
         ctx.warn(str(notice))
     if target is None:
@@ -251,7 +251,7 @@ def _document(
         note = ctx.call("/slidectl/sources", {"digest": source_note.digest(text)})["note"]
         text = source_note.join(text, note)
     document = spawning.document(text, given, name, places, missing, title)
-    tell_own_packages(ctx, places)
+    report_own_packages(ctx, places)
     missing.refuse()
     return document
 
@@ -275,7 +275,7 @@ def package_lookup(given: Sequence[str], command: str = "spawn") -> Packages:
     return Packages({name: Path(path) for name, path in pairs(given, "=", command).items()}, Path.cwd())
 
 
-def tell_own_packages(ctx: Context, packages: Packages) -> None:
+def report_own_packages(ctx: Context, packages: Packages) -> None:
     """Print which packages of the user were used in place of shipped ones."""
     for name, folder in packages.own.items():
         ctx.say(f"using package {name} of {folder} (also shipped)")
@@ -314,7 +314,7 @@ def standard_input() -> str:
 def _as_model(content: bytes, title: str) -> str:
     text = parameter_text(content.decode("utf-8", "replace"))
     if not text.lstrip("\ufeff \t\r\n").startswith("<"):
-        raise BadFile("is no XML", title, hint="pipe a URDF in, or name a model")
+        raise BadFile("is not XML", title, hint="pipe a URDF in, or name a model")
     return text
 
 
@@ -345,17 +345,17 @@ def _spawn_scene(
     spawn = spawning.Spawn(ctx.client, plan, ctx.warn, ctx.wait_limit(spawning.LIMIT_S))
     spawn.check()
     warnings = spawn.apply()
-    present = {robot["name"]: robot for robot in robots.all_robots(ctx)}
+    present = {robot["name"]: robot for robot in ctx.client.robots()}
     spawned = [present[model] for model in spawn.names]
-    _tell_notices(ctx, [vars(notice) for notice in scene.notices])
-    _tell_notices(ctx, [notice for robot in spawned for notice in robot["report"]])
+    told = [vars(notice) for notice in scene.notices] + [notice for robot in spawned for notice in robot["report"]]
+    _warn_notices(ctx, told)
     for warning in warnings:
         ctx.warn(warning)
     for robot in spawned:
-        _tell(ctx, robot)
+        _print_robot(ctx, robot)
 
 
-def _tell_left_out(ctx: Context, missing: Missing) -> None:
+def _warn_left_out(ctx: Context, missing: Missing) -> None:
     if lines := missing.lines():
         ctx.warn("\n".join(["left out:", *lines]))
 
@@ -378,19 +378,19 @@ def _how_to_go_on(ctx: Context, robot: RobotInfoMsg, controllers: str | None, st
     return f"the robot stays in the world: {again}\nor take it out again: {typed('delete ' + robot['name'])}"
 
 
-def _tell_report(ctx: Context, robot: RobotInfoMsg, document: Document, positions: Mapping[str, float]) -> None:
+def _print_report(ctx: Context, robot: RobotInfoMsg, document: Document, positions: Mapping[str, float]) -> None:
     """Print the report on the tags: wrong tags and corrected inertias in full, the others counted unless `-v`."""
     from slidectl.description.parser import is_moved_inside
 
     for notice in document.report:
         ctx.warn(str(notice))
     report = [one for one in robot["report"] if not is_moved_inside(one["subject"], one["text"], positions)]
-    _tell_notices(ctx, report)
+    _warn_notices(ctx, report)
     if not ctx.verbose:
         ctx.say(robots.summary(robot["name"], report))
 
 
-def _tell_notices(ctx: Context, notices: Sequence[Mapping[str, Any]]) -> None:
+def _warn_notices(ctx: Context, notices: Sequence[Mapping[str, Any]]) -> None:
     from slidectl.description.report import is_important
 
     for notice in notices:
@@ -398,7 +398,7 @@ def _tell_notices(ctx: Context, notices: Sequence[Mapping[str, Any]]) -> None:
             ctx.warn(robots.notice_text(notice))
 
 
-def _tell(ctx: Context, robot: RobotInfoMsg) -> None:
+def _print_robot(ctx: Context, robot: RobotInfoMsg) -> None:
     # When the physics diverges at once, the pose is NaN, which the protocol sends as null.
     x, y, z = (math.nan if value is None else round(value, 3) + 0.0 for value in robot["pose"][:3])
     joints = " ".join(robots.moving(robot)) or "none"

@@ -49,12 +49,12 @@ class Listener:
             event = self.stream.next(deadline)
             if event is None:
                 return
-            self._take(event.topic, event.message)
+            self._add(event.topic, event.message)
 
     def until(self, deadline: float) -> None:
         """Collect until `deadline` (on the stream's clock)."""
         while (event := self.stream.next(deadline)) is not None:
-            self._take(event.topic, event.message)
+            self._add(event.topic, event.message)
             if self.stream.monotonic() >= deadline:
                 return
 
@@ -67,7 +67,7 @@ class Listener:
                 error.hint = f"{error.hint}\nnothing came on {MOVING}; is the simulation paused? slidectl sim status"
             raise
 
-    def _take(self, topic: str, message: dict[str, Any]) -> None:
+    def _add(self, topic: str, message: dict[str, Any]) -> None:
         self.frames.add(message, topic == STATIC)
         if topic == MOVING:
             self._heard.update(transform["child_frame_id"] for transform in message["transforms"])
@@ -140,8 +140,8 @@ def tree(ctx: Context) -> None:
 @tf.command("echo", examples=["slidectl tf echo base_link link2", "slidectl tf echo world link2 -f --rate 5 --json"])
 @click.argument("reference", metavar="A")
 @click.argument("target", metavar="B")
-@click.option("-n", "--count", type=click.IntRange(min=1), metavar="COUNT", help="So many transforms.")
-@click.option("-f", "--follow", is_flag=True, help="Go on until Ctrl-C.")
+@click.option("-n", "--count", type=click.IntRange(min=1), metavar="COUNT", help="Number of transforms.")
+@click.option("-f", "--follow", is_flag=True, help="Continue until Ctrl-C.")
 @click.option(
     "--rate", type=float, default=1.0, callback=positive_seconds, metavar="HZ", help="How often, Hz of wall time (1)."
 )
@@ -159,7 +159,7 @@ def echo(ctx: Context, reference: str, target: str, count: int | None, follow: b
         due = listener.stream.monotonic()
         reference, target = listener.find(reference, target)
         while True:
-            _tell(ctx, reference, target, listener.frames.transform(reference, target))
+            _print_pose(ctx, reference, target, listener.frames.transform(reference, target))
             left -= 1
             if left <= 0:
                 return
@@ -167,7 +167,7 @@ def echo(ctx: Context, reference: str, target: str, count: int | None, follow: b
             listener.until(due)
 
 
-def _tell(ctx: Context, reference: str, target: str, view: View) -> None:
+def _print_pose(ctx: Context, reference: str, target: str, view: View) -> None:
     pose, rpy = view.pose, roll_pitch_yaw(view.pose.rotation)
     time = None if view.time_ns is None else view.time_ns / 1e9
     record = {

@@ -13,7 +13,7 @@ from slidectl.cli.context import Context
 from slidectl.cli.echo import echo
 from slidectl.cli.pub import pub
 from slidectl.cli.topic_measure import bw, delay, hz
-from slidectl.cli.topic_streams import PUBLISHERS, SUBSCRIBERS, look_up, usage_of_topic, usage_of_topics, users_of
+from slidectl.cli.topic_streams import PUBLISHERS, SUBSCRIBERS, usage_of_topic, usage_of_topics, users_of
 from slidectl.errors import UsageError
 from slidectl.msgs.field_path import select
 
@@ -72,7 +72,7 @@ def info(ctx: Context, name: str) -> None:
 
     JSON keys: topic, type, publishers, subscribers (node names).
     """
-    found = look_up(ctx, name, None, with_field=False)
+    found = ctx.find_topic(name, None, with_field=False)
     publishers, subscribers = (users_of(ctx, [found.topic], role)[found.topic] for role in (PUBLISHERS, SUBSCRIBERS))
     record = {"topic": found.topic, "type": found.type, PUBLISHERS: publishers, SUBSCRIBERS: subscribers}
     ctx.emit(record, usage_of_topic(found.type, publishers, subscribers, ctx.uri))
@@ -86,7 +86,7 @@ def type_(ctx: Context, target: str) -> None:
 
     For a field: the topic's type, the path and the field's type. JSON keys: topic, type, and field, field_type.
     """
-    found = look_up(ctx, target, None)
+    found = ctx.find_topic(target, None)
     record = {"topic": found.topic, "type": found.type}
     if not found.field:
         return ctx.emit(record, found.type)

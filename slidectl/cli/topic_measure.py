@@ -14,10 +14,10 @@ from typing import Any
 import click
 
 from slidectl.cli import completion, output
-from slidectl.cli.commands import command, finite, simulated_seconds
-from slidectl.cli.context import Context
+from slidectl.cli.commands import command, number, seconds
+from slidectl.cli.context import Context, Target
 from slidectl.cli.echo import predicate
-from slidectl.cli.topic_streams import PUBLISHERS, Event, Stream, Target, look_up
+from slidectl.cli.topic_streams import PUBLISHERS, Event, Stream
 from slidectl.client.rate_meter import RateMeter
 from slidectl.errors import NoDaemon, Refused, TimedOut
 from slidectl.msgs.schema import Schema, nanoseconds
@@ -37,7 +37,7 @@ _LARGEST_WINDOW = 10_000_000
 
 
 class Meter:
-    """Figures of the last `window` messages of a topic. `take` gets a message with its simulated arrival time."""
+    """Figures of the last `window` messages of a topic. `add` takes a message with its simulated arrival time."""
 
     _window: Sized
     is_camera = False
@@ -48,7 +48,7 @@ class Meter:
         self.total = self.new = 0
         """Messages in all, and since the last report."""
 
-    def take(self, event: Event) -> None:  # noqa: ARG002
+    def add(self, event: Event) -> None:  # noqa: ARG002
         self.total += 1
         self.new += 1
 
@@ -78,9 +78,9 @@ class IntervalMeter(Meter):
         self._time_ns = time_ns
         self._keep = keep
 
-    def take(self, event: Event) -> None:
+    def add(self, event: Event) -> None:
         if self._keep(event.message):
-            super().take(event)
+            super().add(event)
             self._window.add(self._time_ns(event))
 
     def _figures(self) -> Record:
@@ -102,8 +102,8 @@ class SizeMeter(Meter):
         self._size = size
         self._now = now
 
-    def take(self, event: Event) -> None:
-        super().take(event)
+    def add(self, event: Event) -> None:
+        super().add(event)
         now = self._now()
         if self._window and now < self._window[-1][0]:
             self._window.clear()
@@ -124,8 +124,8 @@ class DelayMeter(Meter):
         super().__init__(topic)
         self._window: deque[float] = deque(maxlen=window)
 
-    def take(self, event: Event) -> None:
-        super().take(event)
+    def add(self, event: Event) -> None:
+        super().add(event)
         self._window.append((event.time_ns - nanoseconds(event.message["header"]["stamp"])) / 1e9)
 
     def _figures(self) -> Record:
@@ -231,7 +231,7 @@ def measure(
             while left > 0 and not stream.ended:
                 event = stream.next(min(due, heard + patience))
                 if event is not None:
-                    by_topic[event.topic].take(event)
+                    by_topic[event.topic].add(event)
                     heard = stream.monotonic()
                 elif stream.monotonic() >= heard + patience:
                     raise TimedOut(f"no message came for {patience:g} s")
@@ -239,7 +239,7 @@ def measure(
                     due += period
                     left -= 1
                     _report(ctx, meters, text)
-                    if cameras and _tell_slow_cameras(ctx, cameras):
+                    if cameras and _warn_slow_cameras(ctx, cameras):
                         cameras = []  # once
         except (KeyboardInterrupt, NoDaemon):
             if any(meter.new for meter in meters):  # the pending report, which rostopic prints on Ctrl-C, too
@@ -249,7 +249,7 @@ def measure(
         raise Refused(f"no messages on {', '.join(by_topic)}", "is the simulation paused? see: slidectl sim status")
 
 
-def _tell_slow_cameras(ctx: Context, topics: Collection[str]) -> bool:
+def _warn_slow_cameras(ctx: Context, topics: Collection[str]) -> bool:
     """Warn of cameras that drawing does not keep up with. True when there was one."""
     status = ctx.call("/slidectl/status")
     found = False
@@ -307,9 +307,8 @@ def _options(function: Callable[..., None]) -> Callable[..., None]:
     for option in (
         click.option("-w", "--window", type=click.IntRange(2, _LARGEST_WINDOW), default=1000, metavar="N",
                      help="Messages to count in (1000)."),
-        click.option("-n", "--reports", type=click.IntRange(min=1), metavar="COUNT", help="End after so many reports."),
-        click.option("--for", "sim_seconds", type=float, callback=simulated_seconds, metavar="S",
-                     help="Measure for S simulated seconds and report once."),
+        click.option("-n", "--reports", type=click.IntRange(min=1), metavar="COUNT", help="End after COUNT reports."),
+        seconds("--for", "sim_seconds", help="Measure for S simulated seconds and report once."),
     ):  # fmt: skip
         function = option(function)
     return function
@@ -324,14 +323,10 @@ def _options(function: Callable[..., None]) -> Callable[..., None]:
 )
 @click.argument("topics", nargs=-1, required=True, metavar="TOPIC...", shell_complete=completion.topics)
 @_options
-@click.option("--filter", "condition", metavar="EXPR", help="Count only messages for which it is true, as in echo.")
+@click.option("--filter", "condition", metavar="EXPR", help="Count only messages for which EXPR is true, as in echo.")
 @click.option("--wall-time", is_flag=True, help="Rates on the computer's clock.")
-@click.option(
-    "--min", "least", type=float, callback=finite, metavar="HZ", help="Exit 1 when the last rate is below it, in Hz."
-)
-@click.option(
-    "--max", "most", type=float, callback=finite, metavar="HZ", help="Exit 1 when the last rate is above it, in Hz."
-)
+@number("--min", "least", metavar="HZ", help="Exit 1 when the last rate is below it, in Hz.")
+@number("--max", "most", metavar="HZ", help="Exit 1 when the last rate is above it, in Hz.")
 @click.pass_obj
 def hz(
     ctx: Context,
@@ -350,7 +345,7 @@ def hz(
     computer's clock. A report is printed each second of wall time. Exits 1 when it ends and not one message has come.
     JSON keys: topic, rate (Hz), min, max, std_dev, p50, p99 (of the intervals, s), window, new (since the last report).
     """
-    targets = [look_up(ctx, text, PUBLISHERS) for text in topics]
+    targets = [ctx.find_topic(text, PUBLISHERS) for text in topics]
     stream, meters = rates(ctx, targets, window, condition, wall_time, sim_seconds)
     measure(ctx, stream, meters, rates_text, ctx.say, reports)
     limits = [f"{word} {limit:g}" for word, limit in (("at least", least), ("at most", most)) if limit is not None]
@@ -371,7 +366,7 @@ def bw(ctx: Context, topic: str, window: int, reports: int | None, sim_seconds: 
     Counted are the bytes of ROS 1's serialisation, as rostopic does, per second of simulated time; on the socket
     messages are JSON. JSON keys: topic, rate (bytes/s), mean, min, max (bytes), window, new.
     """
-    target = look_up(ctx, topic, PUBLISHERS)
+    target = ctx.find_topic(topic, PUBLISHERS)
     pack = packer(target.schema.root, target.schema.fields)
     stream = Stream(ctx, [target.topic], with_clock=not wall_time, sim_seconds=sim_seconds)
     now = monotonic if wall_time else lambda: stream.time_ns / 1e9
@@ -389,7 +384,7 @@ def delay(ctx: Context, topic: str, window: int, reports: int | None, sim_second
     The topic's type must have a header. JSON keys: topic, delay (the mean), min, max, std_dev, p50, p99, window, new;
     times in s.
     """
-    target = look_up(ctx, topic, PUBLISHERS)
+    target = ctx.find_topic(topic, PUBLISHERS)
     if not target.schema.has_header:
         raise Refused(f"{target.topic} has no header ({target.type}), so there is no stamp to measure from")
     stream = Stream(ctx, [target.topic], with_clock=True, sim_seconds=sim_seconds)

@@ -6,6 +6,7 @@ All information is from the daemon (`/slidectl/resolve`, rosapi): no message def
 from __future__ import annotations
 
 import math
+import re
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import TracebackType
@@ -14,10 +15,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from slidectl import names
 from slidectl.cli.output import check_reader
 from slidectl.errors import TimedOut, UnknownName
-from slidectl.msgs.schema import Schema, Typedefs, from_typedefs, nanoseconds
+from slidectl.msgs.schema import Typedefs, nanoseconds
 
 if TYPE_CHECKING:
-    from slidectl.cli.context import Context
+    from slidectl.cli.context import Context, Target
     from slidectl.client import Subscription
     from slidectl.msgs.typed import StatusResponseMsg
 
@@ -34,31 +35,19 @@ ANY_TYPE = "*"
 # --- names ----------------------------------------------------------------------------------------------------------
 
 
-class Target(NamedTuple):
-    """A topic with its type, the field path behind its name, rosapi's typedefs, and the nodes in the requested role."""
+def find_published_topic(ctx: Context, text: str) -> Target:
+    """The topic, and its field, that `text` means among those that somebody publishes. Raises as `find_topic`."""
+    try:
+        return ctx.find_topic(text, PUBLISHERS)
+    except UnknownName as error:
+        if re.search(r"(^|/)joint_?states?(/|\[|$)", text):
+            from slidectl.cli.controller import step_to_joint_states
 
-    topic: str
-    type: str
-    field: str
-    typedefs: Typedefs
-    users: list[str]
-
-    @property
-    def schema(self) -> Schema:
-        return from_typedefs(self.typedefs)
+            error.hint = f"{error.hint}\n{step_to_joint_states(ctx)}"
+        raise
 
 
-def look_up(ctx: Context, text: str, role: str | None, *, with_field: bool = True) -> Target:
-    """The topic that `text` means among those with `role` (None: any), and the field behind its name.
-
-    Raises:
-        UnknownName: no such topic. Unused: it exists, but no node has that role. AmbiguousName: several topics match.
-    """
-    found = ctx.resolve("topic", text, role=role or "", with_field=with_field)
-    return Target(found["name"], found["type"], found["field"], found["typedefs"], found["nodes"])
-
-
-def look_up_when_there(ctx: Context, name: str, tell: Callable[[str], None]) -> tuple[Target, list[Subscription]]:
+def wait_for_topic(ctx: Context, name: str, tell: Callable[[str], None]) -> tuple[Target, list[Subscription]]:
     """The topic that a full name means, with a field behind it, when it exists; its subscription, if it had to wait.
 
     The subscription begins before the topic does, so that no message is missed. `tell` takes the full name, when the
@@ -68,7 +57,7 @@ def look_up_when_there(ctx: Context, name: str, tell: Callable[[str], None]) -> 
         TimedOut: the topic does not exist after `--timeout`; without it the wait has no limit. AmbiguousName.
     """
     try:
-        return look_up(ctx, name, None), []
+        return ctx.find_topic(name, None), []
     except UnknownName:
         tell(name)
     limit = ctx.wait_limit(math.inf)
@@ -80,7 +69,7 @@ def look_up_when_there(ctx: Context, name: str, tell: Callable[[str], None]) -> 
     begun = {topic: ctx.client.subscribe(topic, ANY_TYPE) for topic in possible}
     while True:
         try:
-            target = look_up(ctx, name, None)  # its publisher may have gone again
+            target = ctx.find_topic(name, None)  # its publisher may have gone again
         except UnknownName as error:
             if ctx.client.monotonic() >= deadline:
                 raise TimedOut(f"nobody published {name} within {limit:g} s", error.hint) from None
@@ -174,7 +163,7 @@ class Stream:
         Raises:
             NoDaemon: the daemon ended. Refused: the wait for the simulated time failed. ClosedPipe.
         """
-        while not self._take_in() and not self.ended:
+        while not self._receive() and not self.ended:
             now = self.monotonic()
             if self._sleep is not None and self._client.is_answered(self._sleep):
                 self._client.answer(self._sleep)
@@ -196,9 +185,9 @@ class Stream:
     @property
     def is_drained(self) -> bool:
         """True when all messages that arrived were read; latched messages arrive on entry."""
-        return not self._take_in()
+        return not self._receive()
 
-    def _take_in(self) -> bool:
+    def _receive(self) -> bool:
         """Queue the messages that have arrived. True when there is a message to read."""
         for subscription in self._subscriptions:
             while len(subscription):
@@ -216,24 +205,24 @@ class Stream:
         if self._status is not None and self._client.is_answered(self._status):
             status: Any = self._client.answer(self._status)
             self._status = None
-            if status["paused"]:
+            if remark := pause_remark(status, "nothing comes until it goes on"):
                 self._ask_at = math.inf
-                self._ctx.say(f"{paused(status)}; nothing comes until it goes on: {resume_hint(status)}")
+                self._ctx.say(remark)
         if now >= self._ask_at:
             self._ask_at = now + _ASK_AGAIN_S
             self._status = self._client.call_async("/slidectl/status")
 
 
-def paused(status: StatusResponseMsg) -> str:
-    """The text that the simulation is paused, with the reason when an error paused it. Takes /slidectl/status."""
-    return "the simulation is paused" + (f" ({status['trouble']})" if status["trouble"] else "")
+def pause_remark(status: StatusResponseMsg, effect: str = "this waits until it goes on") -> str:
+    """That the world is paused, the effect of that, and the commands that resume it; empty when it runs.
 
-
-def resume_hint(status: StatusResponseMsg) -> str:
-    """The commands that resume the paused world."""
+    Takes the answer of /slidectl/status.
+    """
+    if not status["paused"]:
+        return ""
     if status["trouble"]:
-        return "slidectl sim reset, then slidectl sim resume"
-    return "slidectl sim resume, or slidectl sim step"
+        return f"the simulation is paused ({status['trouble']}); {effect}: slidectl sim reset, then slidectl sim resume"
+    return f"the simulation is paused; {effect}: slidectl sim resume, or slidectl sim step"
 
 
 # --- text -----------------------------------------------------------------------------------------------------------

@@ -17,7 +17,7 @@ import click
 from slidectl import names, typed_values
 from slidectl.cli import completion
 from slidectl.cli.action import cancel_goals, run
-from slidectl.cli.commands import Variadic, group, simulated_seconds
+from slidectl.cli.commands import Variadic, group, seconds
 from slidectl.cli.context import Context
 from slidectl.errors import BadFile, UnknownName, UsageError
 
@@ -79,13 +79,12 @@ def send(ctx: Context, controller: str, file: str, wait: bool) -> None:
 )
 @_controller
 @click.option("--to", "targets", cls=Variadic, metavar="JOINT=POSITION...", required=True,
-              help="Where to go, rad or m.")  # fmt: skip
-@click.option("--duration", type=float, callback=simulated_seconds, required=True, metavar="S",
-              help="Simulated seconds that it takes.")  # fmt: skip
+              help="Target positions, rad or m.")  # fmt: skip
+@seconds("--duration", required=True, help="Duration of the motion, simulated s.")
 @_wait
 @click.pass_obj
 def plan(ctx: Context, controller: str, targets: tuple[str, ...], duration: float, wait: bool) -> None:
-    """Go to positions of some joints in a time.
+    """Move joints to positions in a given time.
 
     The other joints go to their desired positions of this moment. All come to rest at the end, by a polynomial
     without jumps of velocity and acceleration. JSON keys as for send.
@@ -108,7 +107,7 @@ def plan(ctx: Context, controller: str, targets: tuple[str, ...], duration: floa
 @_controller
 @click.pass_obj
 def hold(ctx: Context, controller: str) -> None:
-    """Give up what is under way, and hold the joints in place: an empty trajectory on the command topic.
+    """Cancel all goals, and hold the joints in place: an empty trajectory on the command topic.
 
     JSON key: controller.
     """
@@ -191,7 +190,7 @@ def _from_json(text: str, file: str) -> Any:
 
 def _from_document(document: Any, file: str) -> Message:
     if not isinstance(document, dict):
-        raise BadFile("holds no mapping; expected joint_names and points, or a goal with trajectory", file)
+        raise BadFile("is not a mapping; expected joint_names and points, or a goal with trajectory", file)
     goal = dict(document) if "trajectory" in document else {"trajectory": document}
     body = goal["trajectory"]
     if not isinstance(body, dict) or not isinstance(body.get("points"), list) or "joint_names" not in body:
@@ -210,9 +209,9 @@ def _from_document(document: Any, file: str) -> Message:
 
 def _duration(value: Any, what: str, file: str, line: int | None = None) -> dict[str, Any]:
     """A duration as secs and nsecs: from seconds, or from either of the forms of ROS. Raises BadFile."""
-    for seconds, nanoseconds in _DURATIONS:
-        if isinstance(value, Mapping) and {seconds, nanoseconds}.issuperset(value):
-            parts = value.get(seconds, 0), value.get(nanoseconds, 0)
+    for secs, nsecs in _DURATIONS:
+        if isinstance(value, Mapping) and {secs, nsecs}.issuperset(value):
+            parts = value.get(secs, 0), value.get(nsecs, 0)
             if all(type(part) is int for part in parts):
                 return {"secs": parts[0], "nsecs": parts[1]}
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
@@ -266,7 +265,7 @@ def _number(text: str, file: str, line: int) -> float:
     try:
         return float(text)
     except ValueError:
-        raise BadFile(f"{text!r} is no number", file, line) from None
+        raise BadFile(f"{text!r} is not a number", file, line) from None
 
 
 def _target(text: str) -> tuple[str, float]:

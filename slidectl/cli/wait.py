@@ -10,10 +10,9 @@ from typing import Any
 import click
 
 from slidectl.cli import completion, output, robots
-from slidectl.cli.commands import command, conditions, finite, simulated_seconds, wait_for_world_s
+from slidectl.cli.commands import command, conditions, finite, seconds, wait_for_world_s
 from slidectl.cli.context import Context
-from slidectl.cli.published_topics import look_up_published
-from slidectl.cli.topic_streams import paused, resume_hint
+from slidectl.cli.topic_streams import find_published_topic, pause_remark
 from slidectl.errors import Refused, SlidectlError, TimedOut, UsageError
 from slidectl.msgs.schema import Schema, nanoseconds
 
@@ -33,7 +32,7 @@ def _condition(
         read = json.loads(value)
         value = read if isinstance(read, bool | int | float | str) else value
     if tol is not None and condition != "near":
-        raise UsageError("--tol goes with --near only")
+        raise UsageError("--tol needs --near")
     return condition, value
 
 
@@ -52,7 +51,7 @@ def _condition(
     "--for", "hold", type=click.FloatRange(min=0), default=0.0, callback=finite, metavar="S",
     help="Must hold for S simulated seconds.",
 )  # fmt: skip
-@click.option("--within", type=float, callback=simulated_seconds, metavar="S", help="Fail after S simulated seconds.")
+@seconds("--within", help="Fail after S simulated seconds.")
 @click.pass_obj
 def wait(
     ctx: Context,
@@ -73,7 +72,7 @@ def wait(
     reached, value, closest, time.
     """
     condition, value = _condition(near, above, below, equals, tol)
-    found = look_up_published(ctx, target)
+    found = find_published_topic(ctx, target)
     request = {
         "topic": found.topic,
         "field": found.field,
@@ -87,8 +86,7 @@ def wait(
     call = ctx.client.call_async("/slidectl/wait", request)
     status = ctx.call("/slidectl/status")
     robots.warn_stopped(ctx, status["estop"])
-    if status["paused"]:
-        ctx.say(f"{paused(status)}; this waits until it goes on: {resume_hint(status)}")
+    ctx.say(pause_remark(status))
     deadline = ctx.client.monotonic() + limit
     try:
         if output.is_terminal(sys.stderr) and not ctx.quiet and not ctx.client.is_answered(call):
@@ -98,7 +96,7 @@ def wait(
         # A scenario may end the wait before the deadline.
         ending = f" within {limit:g} s of wall time" if ctx.client.monotonic() >= deadline else ""
         raise TimedOut(f"{_where(request)} was not {_expected(request)}{ending}", error.hint) from None
-    _tell(ctx, request, answer)
+    _print_outcome(ctx, request, answer)
 
 
 def _show_progress(
@@ -109,9 +107,6 @@ def _show_progress(
     Returns, and erases the line, when the call is answered or at the deadline (on the client's clock). `since` is the
     simulated time at which the wait began.
     """
-    from rich.console import Console
-    from rich.text import Text  # rich must not read brackets in a field's path as styles
-
     from slidectl.msgs.field_path import select
 
     client, selection = ctx.client, select(schema.fields, schema.root, request["field"])
@@ -119,16 +114,16 @@ def _show_progress(
     time, last = since, None
     closest: tuple[float, Any] | None = None
 
-    def line() -> Text:
+    def line() -> str:
         passed = max(0.0, time - since)
         parts = [f"{_where(request)} {_expected(request)}"]
         parts.append("no message yet" if last is None else f"last {_short(last)}")
         parts += [f"closest {_short(closest[1])}"] if closest is not None else []
         parts.append(f"{max(0.0, within - passed):.1f} s left" if within else f"{passed:.1f} s passed")
-        return Text("; ".join(parts))
+        return "; ".join(parts)
 
     topic = client.subscribe(request["topic"], queue_length=1, throttle_rate=int(1000 * _LOOK_EVERY_S))
-    with topic, Console(stderr=True, highlight=False).status(line(), spinner="line") as status:
+    with topic, output.status_line(line(), not ctx.quiet) as show:
         while not client.is_answered(call) and client.monotonic() < deadline:
             clock = client.call_async("/rosapi/get_time")
             look_at = min(client.monotonic() + _LOOK_EVERY_S, deadline)
@@ -146,7 +141,7 @@ def _show_progress(
                         gap = abs(past) if kind in ("near", "equals") else max(0.0, -past if kind == "above" else past)
                         if closest is None or gap < closest[0]:
                             closest = gap, last
-            status.update(line())
+            show(line())
 
 
 def _short(value: Any) -> str:
@@ -164,7 +159,7 @@ def _where(request: dict[str, Any]) -> str:
     return f"{request['topic']}/{request['field']}".rstrip("/")
 
 
-def _tell(ctx: Context, request: dict[str, Any], answer: dict[str, Any]) -> None:
+def _print_outcome(ctx: Context, request: dict[str, Any], answer: dict[str, Any]) -> None:
     last, closest = (json.loads(answer[key]) if answer[key] else None for key in ("last", "closest"))
     where, expected = _where(request), _expected(request)
     record = {

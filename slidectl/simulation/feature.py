@@ -133,7 +133,7 @@ class BrokenFeature(PartError):
     """A feature of an installed package that a simulation does without; `cause` is the error that it raised."""
 
     def __init__(self, part: Part, cause: SlidectlError) -> None:
-        super().__init__(part, f"the feature {part.name!r} of {part.owner} is left out: {cause.message}")
+        super().__init__(part, "feature", f"is left out: {cause.message}")
         self.hint = cause.hint
         self.cause = cause
 

@@ -12,8 +12,8 @@ from slidectl.description import Packages
 from slidectl.errors import BadFile, UnknownName
 
 
-def shipped(name: str, ask_others: bool = False) -> Lines:
-    return Lines(check([name], {}, Packages(), ask_others=ask_others))
+def shipped(name: str, second_opinion: bool = False) -> Lines:
+    return Lines(check([name], {}, Packages(), second_opinion=second_opinion))
 
 
 def test_everything_in_a_sound_robot_is_used(model: Check) -> None:
@@ -232,7 +232,7 @@ def test_the_shipped_models_have_nothing_wrong(name: str) -> None:
 
 
 def test_another_reader_is_asked_for_its_opinion(capfd: pytest.CaptureFixture[str]) -> None:
-    lines = shipped("slider", ask_others=True)
+    lines = shipped("slider", second_opinion=True)
     assert lines.about("yourdfpy reads the same tree, masses and limits")
     assert capfd.readouterr() == ("", "")
 
@@ -245,7 +245,7 @@ def test_a_reader_that_fails_is_a_remark_only(write: Check, monkeypatch: pytest.
         raise RuntimeError("no idea")
 
     monkeypatch.setattr(yourdfpy.URDF, "load", fail)
-    lines = Lines(check([str(write("bot.urdf", driven_cart()))], {}, Packages(), ask_others=True))
+    lines = Lines(check([str(write("bot.urdf", driven_cart()))], {}, Packages(), second_opinion=True))
     assert lines.of("wrong") == []
     assert lines.about("yourdfpy cannot read it: no idea")
 

@@ -9,15 +9,15 @@ import click
 import pytest
 from command_line import CommandLine
 
-from slidectl.cli.command_table import COMMANDS, load
-from slidectl.cli.commands import Variadic, command, looks_like_number
+from slidectl.cli.command_table import COMMANDS
+from slidectl.cli.commands import Variadic, command, is_number, load
 from slidectl.cli.context import Context
 from slidectl.cli.main import root
 
 
 def every_command() -> Iterator[tuple[str, click.Command]]:
     """Every command and verb with its full name, each once (`topic pub` is `pub`)."""
-    roots = {name: load(name, entry) for name, entry in COMMANDS.items()}
+    roots = {name: load(name) for name in COMMANDS}
     for name, one in roots.items():
         yield f"slidectl {name}", one
         if isinstance(one, click.Group):
@@ -27,7 +27,7 @@ def every_command() -> Iterator[tuple[str, click.Command]]:
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_the_table_says_what_the_command_says_of_itself(name: str) -> None:
-    assert load(name, COMMANDS[name]).get_short_help_str(1000) == COMMANDS[name].help
+    assert load(name).get_short_help_str(1000) == COMMANDS[name].help
 
 
 def test_every_command_has_a_help_and_an_example_of_itself() -> None:
@@ -109,7 +109,7 @@ def test_version_is_said_in_every_way(slidectl: CommandLine) -> None:
 @click.option("-n", "--count", type=int)
 @click.option("--near", type=float)
 @click.option("--start", cls=Variadic)
-@click.option("--at", cls=Variadic, type=float, takes=looks_like_number)
+@click.option("--at", cls=Variadic, type=float, takes=is_number)
 def probe(**values: object) -> dict[str, object]:
     return values
 

@@ -12,9 +12,6 @@ import pytest
 from command_line import CommandLine
 from fake_daemon import DIE, NEVER, FakeDaemon
 
-from slidectl.cli.context import Context
-from slidectl.cli.main import guard
-
 
 def test_an_unknown_command_is_wrong_usage_and_suggests_the_closest(slidectl: CommandLine) -> None:
     done = slidectl("spwan", "slider")
@@ -141,13 +138,6 @@ def test_ctrl_c_ends_with_130_and_without_a_word(slidectl: CommandLine, fake: Fa
     process.send_signal(signal.SIGINT)
     stdout, stderr = process.communicate(timeout=30)
     assert (process.returncode, stdout, stderr) == (130, "", "")
-
-
-def test_an_interrupt_in_the_clothes_of_another_error_is_still_one() -> None:
-    def action() -> None:
-        raise RuntimeError("Error calling __set_name__") from KeyboardInterrupt()
-
-    assert guard(action, Context()) == 130
 
 
 def test_a_closed_pipe_ends_quietly(slidectl: CommandLine, fake: FakeDaemon) -> None:

@@ -73,7 +73,7 @@ def test_zero_and_hold_exclude_each_other(world: CommandLine) -> None:
             done = world("controller", *words, *rests)
             assert (done.returncode, done.stderr.splitlines()[0]) == (
                 2,
-                "error: --zero and --hold contradict each other",
+                "error: --zero and --hold exclude each other",
             )
     assert efforts(world) != {0.0}
 

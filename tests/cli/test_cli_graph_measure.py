@@ -23,7 +23,7 @@ from slidectl.msgs.serialization import packer
 def rates(times_ms: list[int], window: int = 1000) -> Record:
     meter = IntervalMeter("/t", window, lambda event: event.time_ns)
     for time_ms in times_ms:
-        meter.take(Event("/t", {}, time_ms * 10**6))
+        meter.add(Event("/t", {}, time_ms * 10**6))
     return meter.record()
 
 
@@ -31,7 +31,7 @@ def sizes(taken: list[tuple[float, int]], now: float) -> Record:
     clock = iter([*(at for at, _ in taken), now])
     meter = SizeMeter("/t", 100, lambda message: int(message["size"]), lambda: next(clock, now))
     for _, size in taken:
-        meter.take(Event("/t", {"size": size}, 0))
+        meter.add(Event("/t", {"size": size}, 0))
     return meter.record()
 
 
@@ -90,7 +90,7 @@ def test_a_size_has_the_unit_that_suits_it(size: int, shown: str) -> None:
 def test_a_delay_is_reported_with_microseconds() -> None:
     meter = DelayMeter("/t", 10)
     for delay_ms in (1, 3):
-        meter.take(Event("/t", {"header": {"stamp": {"secs": 5, "nsecs": 0}}}, 5 * 10**9 + delay_ms * 10**6))
+        meter.add(Event("/t", {"header": {"stamp": {"secs": 5, "nsecs": 0}}}, 5 * 10**9 + delay_ms * 10**6))
     record = meter.record()
     assert record["delay"] == 0.002
     assert delays_text([record]) == (

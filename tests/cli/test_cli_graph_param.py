@@ -216,7 +216,7 @@ def test_a_dump_that_does_not_fit_leaves_what_was_there(world: World, tmp_path: 
         (["delete", "/nope"], 1, "no parameter '/nope'"),
         (["dump", "-", "/nope"], 1, "no parameter '/nope'"),
         (["get", "type"], 2, "fits more than one parameter"),
-        (["set", "/x", "null"], 2, "null is no value of a parameter"),
+        (["set", "/x", "null"], 2, "a parameter cannot be null"),
         (["set", "/x", "2020-01-01"], 2, "is a date to YAML"),
         (["set", "/x", "{1: 2}"], 2, "the key 1"),
         (["set", "/x", "a: [1"], 2, "not valid YAML"),

@@ -396,7 +396,7 @@ def test_now_in_a_file_is_the_simulated_time(sink: Sink, files: Any) -> None:
     assert message["pose"]["position"]["x"] == 1.0
 
 
-@pytest.mark.parametrize(("name", "why"), [("", "is a folder, and only"), ("binary", "is no text in UTF-8: ")])
+@pytest.mark.parametrize(("name", "why"), [("", "is a folder, and only"), ("binary", "is not text in UTF-8: ")])
 def test_a_file_that_cannot_be_read_is_named(sink: Sink, files: Any, name: str, why: str) -> None:
     (files / "binary").write_bytes(b"\xff\xfe")
     done = sink.world(f"rostopic pub -f {files}/{name} /f std_msgs/Float64")

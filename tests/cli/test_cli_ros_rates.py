@@ -130,7 +130,7 @@ def record(topic: str, intervals_ms: list[float]) -> Record:
     at_ns = 0
     for interval in [0.0, *intervals_ms]:
         at_ns += round(interval * MS)
-        meter.take(Event(topic, {}, at_ns))
+        meter.add(Event(topic, {}, at_ns))
     return meter.record()
 
 

@@ -198,7 +198,7 @@ def test_a_terminal_shows_how_far_it_is(world: CommandLine) -> None:
         ("a.csv", "", 2, ["a.csv:1: the first line", "time,joint1,joint2"]),
         ("a.csv", "time,joint1\n", 2, ["has no points"]),
         ("a.csv", "time,joint1\n1,0,0\n", 2, ["a.csv:2: has 3 values, expected 2"]),
-        ("a.csv", "time,joint1\n\n1,x\n", 2, ["a.csv:3: 'x' is no number"]),
+        ("a.csv", "time,joint1\n\n1,x\n", 2, ["a.csv:3: 'x' is not a number"]),
         ("a.csv", "time,joint1\nnan,1\n", 2, ["a.csv:2: time is nan"]),
         ("a.csv", "time,joint1\n1e300,1\n", 2, ["a.csv:2: time is 1e+300, expected seconds up to 2147483647"]),
         ("a.csv", "time,joint1,joint1\n1,0,0\n", 2, ["names a column twice"]),

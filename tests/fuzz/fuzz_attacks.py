@@ -142,7 +142,7 @@ class Files:
         packages = Packages({"here": self.folder}, start=self.folder)
         try:
             with limited():
-                findings = dispatch.check(words, {}, packages, files, None, ask_others=False)
+                findings = dispatch.check(words, {}, packages, files, None, second_opinion=False)
         except SlidectlError:
             return "refused"
         if findings.broken:

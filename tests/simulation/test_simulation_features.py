@@ -435,11 +435,13 @@ print(json.dumps([broken, half, "good" in simulation.features, type(simulation.f
         "gone": "BadFile",
         "typo": "BadFile",
         "number": "NotAFeature",
-        "faults": "NameOfSlidectl",
-        "bad-name": "BadPartName",
+        "faults": "NameRefused",
+        "bad-name": "NameRefused",
         "raises": "Refused",
     }
     assert all(f"the feature {name!r} of broken-ones 1.0 is " in text for name, (text, _) in broken.items())
+    assert "slidectl has one of that name" in broken["faults"][0]
+    assert "a name is a letter" in broken["bad-name"][0]
     assert "with_a_typo.py:1: " in broken["typo"][0]
     assert "KeyError: 'later'" in broken["raises"][0]
     assert (half, is_good_there, faults) == (False, True, "slidectl.features.faults")

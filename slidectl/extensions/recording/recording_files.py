@@ -144,7 +144,7 @@ def create(path: Path, compression: str = "none", force: bool = False) -> Record
             return _begun(target, compression)
         refuse_unreplaceable(path)
         with writing.draft(target) as new:  # the old file is not lost for nothing
-            writer = _begun(new.path, compression)
+            writer = _begun(new, compression)
         writer.path = target
         return writer
     except OSError as error:
@@ -758,8 +758,8 @@ def copy(records: Iterable[Record], recording: Recording, target: Path, compress
     mode = stat.S_IMODE(target.stat().st_mode) if target.exists() else None
     count = 0
     try:
-        with writing.draft(target, mode) as new, ExitStack() as leaving:
-            writer = _begun(new.path, compression, mode)
+        with writing.draft(target) as new, ExitStack() as leaving:
+            writer = _begun(new, compression, mode)
             leaving.callback(writer.abandon)
             added: dict[Any, Any] = {}
             numbers: dict[int, Any] = {}

@@ -15,8 +15,7 @@ from typing import Any, NamedTuple, NoReturn
 import click
 
 from slidectl import names
-from slidectl.cli import output
-from slidectl.cli.commands import looks_like_number
+from slidectl.cli import commands, output
 from slidectl.cli.context import Context
 from slidectl.errors import EXIT_REFUSED, EXIT_USAGE, BadFile, Refused, SlidectlError, UsageError
 
@@ -119,7 +118,7 @@ class Parser(OptionParser):
 
 def is_number(word: str) -> bool:
     """True for `-5` and `-.5`, and for the YAML numbers `-0x10` and `-1:30`."""
-    return word[:1] == "-" and (looks_like_number(word) or bool(_YAML_NUMBER.match(word)))
+    return word[:1] == "-" and (commands.is_number(word) or bool(_YAML_NUMBER.match(word)))
 
 
 # --- verbs ------------------------------------------------------------------------------------------------------------

@@ -16,9 +16,9 @@ from typing import Any
 import click
 
 from slidectl.cli import output
+from slidectl.cli.command_table import WINDOWS
 from slidectl.cli.commands import command
 from slidectl.cli.context import Context
-from slidectl.cli.window_programs import ALONE
 from slidectl.command_steps import CommandStep, StepEffects
 from slidectl.errors import NoDaemon, SlidectlError, UsageError, closest
 from slidectl.operating_system import program_name
@@ -37,7 +37,7 @@ TOOLS = {
     "rosbag": "rosbag",
 }
 # Windows that tutorials open by a word of their own; each is answered, or run, as by rosrun.
-PROGRAMS = {**ALONE, "gazebo": ("gazebo_ros", "gazebo")}
+PROGRAMS = {**WINDOWS, "gazebo": ("gazebo_ros", "gazebo")}
 NAMES = (*TOOLS, *PROGRAMS)
 
 

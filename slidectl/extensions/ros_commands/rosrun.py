@@ -19,9 +19,9 @@ import click
 
 from slidectl import names
 from slidectl.cli import output
+from slidectl.cli.command_table import WINDOWS
 from slidectl.cli.context import Context
-from slidectl.cli.spawn import package_lookup, tell_own_packages
-from slidectl.cli.window_programs import ALONE
+from slidectl.cli.spawn import package_lookup, report_own_packages
 from slidectl.errors import BadFile, Refused, SlidectlError, UsageError, closest
 from slidectl.extensions.launch.commands.launch import LaunchDaemon, RunningDaemon, ros_master
 from slidectl.extensions.launch.commands.launch_text import Terminal
@@ -95,8 +95,8 @@ def rosrun(ctx: Context, argv: Sequence[str]) -> None:
     )
     parser.disable_interspersed_args()  # the words behind PACKAGE belong to the program
     given = parser.parse(argv)
-    if given.words and given.words[0] in ALONE and len(given.words) == 1:
-        given.words = list(ALONE[given.words[0]])  # a window, whose program is left out
+    if given.words and given.words[0] in WINDOWS and len(given.words) == 1:
+        given.words = list(WINDOWS[given.words[0]])  # a window, whose program is left out
     if len(given.words) < 2:
         return parser.print_help()
     package, executable, *words = given.words
@@ -250,7 +250,7 @@ def _xacro(ctx: Context, argv: Sequence[str]) -> None:
     finally:
         if missing is not None:
             write_notes(missing)
-    tell_own_packages(ctx, lookup)
+    report_own_packages(ctx, lookup)
     for notice in document.report:
         ctx.warn(str(notice))
     if given.file is None:
@@ -267,7 +267,7 @@ def _find(ctx: Context, package: str, executable: str, debug: bool) -> Path:
 
     lookup = package_lookup(())
     folders = lookup.candidates(package)
-    ours = [*_PROGRAMS, *_USAGES, *COUNTERPARTS, *((tool, tool) for tool in _TOOLS), *ALONE.values()]
+    ours = [*_PROGRAMS, *_USAGES, *COUNTERPARTS, *((tool, tool) for tool in _TOOLS), *WINDOWS.values()]
     here = sorted({name for known, name in ours if known == package})
     if not folders and not here:
         known = sorted({name for name, _ in ours} | set(lookup.names()))
@@ -292,7 +292,7 @@ def _find(ctx: Context, package: str, executable: str, debug: bool) -> Path:
             else (error.hint or "").partition("\n")[0]
         )
         raise Failure(programs or error.message, _NO_EXECUTABLE) from None
-    tell_own_packages(ctx, lookup)
+    report_own_packages(ctx, lookup)
     return path
 
 

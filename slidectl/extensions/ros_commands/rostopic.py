@@ -13,16 +13,14 @@ from time import monotonic
 from typing import TYPE_CHECKING
 
 from slidectl.cli import output
-from slidectl.cli.context import Context
+from slidectl.cli.context import Context, Target
 from slidectl.cli.topic_streams import (
     PUBLISHERS,
     SUBSCRIBERS,
-    Target,
-    look_up,
-    look_up_when_there,
     usage_of_topic,
     usage_of_topics,
     users_of,
+    wait_for_topic,
 )
 from slidectl.errors import UnknownName, closest
 from slidectl.extensions.ros_commands.arguments import (
@@ -97,7 +95,7 @@ def type_of(ctx: Context, argv: Sequence[str]) -> None:
     given = parser.parse(without_remappings(argv), 1, 1, *complaints)
     full = resolve(ctx, given.words[0], "rostopic")
     try:
-        found = look_up(ctx, full, None)
+        found = ctx.find_topic(full, None)
         if not found.field:
             return output.write(found.type)
         from slidectl.msgs.field_path import select
@@ -138,7 +136,7 @@ def _followed(ctx: Context, name: str) -> tuple[Target, list[Subscription]]:
             suggestion = f"; {step_to_joint_states(ctx)}"
         print(f"WARNING: topic [{full}] does not appear to be published yet{suggestion}", file=sys.stderr, flush=True)
 
-    return look_up_when_there(ctx, resolve(ctx, name, "rostopic"), tell)
+    return wait_for_topic(ctx, resolve(ctx, name, "rostopic"), tell)
 
 
 def echo(ctx: Context, argv: Sequence[str]) -> None:

@@ -13,10 +13,10 @@ from optparse import Option, OptionParser
 from typing import Any
 
 from slidectl.cli import output
-from slidectl.cli.context import Context
+from slidectl.cli.context import Context, Target
 from slidectl.cli.pub import publish, without_once
 from slidectl.cli.service import argument_names
-from slidectl.cli.topic_streams import SUBSCRIBERS, Target, details, look_up, users_of
+from slidectl.cli.topic_streams import SUBSCRIBERS, details, users_of
 from slidectl.errors import BadFile, NotThere, Refused, SlidectlError, UnknownName, Unused, closest
 from slidectl.extensions.ros_commands import genpy
 from slidectl.extensions.ros_commands.arguments import (
@@ -111,7 +111,7 @@ def _target(ctx: Context, topic: str, type_name: str) -> tuple[Target, SlidectlE
     if "/" not in type_name:
         raise Failure(f"ERROR: invalid topic type: {type_name}\n{_with_type(ctx, topic)}")
     try:
-        target = look_up(ctx, topic, SUBSCRIBERS, with_field=False)
+        target = ctx.find_topic(topic, SUBSCRIBERS, with_field=False)
     except (UnknownName, Unused) as nobody:
         return Target(topic, type_name, "", _typedefs(ctx, type_name), []), nobody
     if target.type != type_name:
@@ -123,7 +123,7 @@ def _target(ctx: Context, topic: str, type_name: str) -> tuple[Target, SlidectlE
 def _with_type(ctx: Context, topic: str) -> str:
     """A hint: the command line with the type that the topic has."""
     try:
-        known = look_up(ctx, topic, SUBSCRIBERS, with_field=False).type
+        known = ctx.find_topic(topic, SUBSCRIBERS, with_field=False).type
     except (UnknownName, Unused):
         return "the type stands behind the topic: rostopic pub TOPIC std_msgs/Float64 'data: 1.0'"
     return f"type: rostopic pub {topic} {known} VALUE"

@@ -18,7 +18,7 @@ import click
 from slidectl.cli import completion, output
 from slidectl.cli.commands import command, positive_seconds
 from slidectl.cli.context import DEFAULT_TIMEOUT_S, Context
-from slidectl.cli.spawn import package_lookup, pairs, tell_own_packages
+from slidectl.cli.spawn import package_lookup, pairs, report_own_packages
 from slidectl.client import Client
 from slidectl.command_steps import CommandStep, StepEffects, check_not_detached
 from slidectl.errors import Refused, SlidectlError, TimedOut, UsageError
@@ -143,7 +143,7 @@ def launch(ctx: Context, /, words: tuple[str, ...], packages: tuple[str, ...], *
         tasks.append(OpenPage(plan, "--view" if given["view"] else "gui:=true"))
     if given["dry_run"] or plan.missing:  # find everything that is missing before a daemon is started
         execution.find_missing(plan, tasks, lookup, run_commands=False)
-    tell_own_packages(ctx, lookup)
+    report_own_packages(ctx, lookup)
     if given["dry_run"] or given["args_of"]:
         launch_text.print_tasks(ctx, plan, tasks, given["args_of"])
         return

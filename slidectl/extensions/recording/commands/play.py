@@ -17,7 +17,7 @@ from slidectl import msgs, names
 from slidectl.cli import completion, output
 from slidectl.cli.commands import command, finite, positive_seconds
 from slidectl.cli.context import Context
-from slidectl.cli.topic_streams import CLOCK, paused, resume_hint
+from slidectl.cli.topic_streams import CLOCK, pause_remark
 from slidectl.command_steps import CommandStep, check_not_detached
 from slidectl.errors import MessageRefused, Refused, UsageError
 from slidectl.extensions.recording.commands.bag import open_recording
@@ -241,8 +241,7 @@ class _Player:
         if not self._is_checked:  # its answer confirms that the daemon has all messages sent so far
             self._is_checked = True
             status = self._ctx.call("/slidectl/status")
-            if status["paused"]:
-                self._ctx.say(f"{paused(status)}; playing waits until it resumes: {resume_hint(status)}")
+            self._ctx.say(pause_remark(status, "nothing is played until it goes on"))
             if self._background is not None:
                 self._ctx.emit({"pid": os.getpid(), "log": self._background.log}, str(os.getpid()))
                 self._background.everything_runs()

@@ -16,7 +16,6 @@ import click
 from slidectl.cli import completion, output
 from slidectl.cli.commands import command, finite
 from slidectl.cli.context import Context
-from slidectl.cli.terminal_progress import status_line
 from slidectl.command_steps import CommandStep, check_not_detached
 from slidectl.errors import MessageRefused, NoDaemon, Refused, SlidectlError, UnknownName, UsageError
 from slidectl.msgs.schema import nanoseconds
@@ -231,7 +230,7 @@ class _RecordedTopics:
         client = self._ctx.client
         began = flushed = client.monotonic()
         try:
-            with status_line(self._ctx, wanted=not self._prints_progress) as show:
+            with output.status_line("", not (self._prints_progress or self._ctx.quiet)) as show:
                 while not is_over() and not self._is_done():
                     check_at = client.monotonic() + _CHECK_EVERY_S
                     for _ in client.events(_CHECK_EVERY_S):

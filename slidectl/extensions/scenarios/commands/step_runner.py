@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from slidectl.cli import installed_commands
-from slidectl.cli.command_table import COMMANDS, load
-from slidectl.cli.commands import Command, Variadic, common_options
+from slidectl.cli.command_table import COMMANDS
+from slidectl.cli.commands import Command, Variadic, common_options, load
 from slidectl.cli.context import Context
 from slidectl.cli.installed_commands import INSTALLED
 from slidectl.cli.main import described, invoke, root
@@ -59,7 +59,7 @@ class StepRunner:
     def tops(self) -> list[str]:
         """The first words of all steps, sorted."""
         ours = (name for name in COMMANDS if self.has(name))
-        return sorted({*ours, *installed_commands.below(""), *STEP_KINDS.parts()})
+        return sorted({*ours, *root.installed(), *STEP_KINDS.parts()})
 
     def has(self, top: str) -> bool:
         """True when steps begin with this word. Raises PartError: several packages claim it."""
@@ -180,7 +180,7 @@ def _shapes_of(top: str) -> dict[str, StepCommand]:
     """The steps of a top-level command, without the verbs that packages add. Raises PartError."""
     if top not in COMMANDS:
         return _installed_shapes(top, top)
-    return {shape.name: shape for shape in _shapes(top, load(top, COMMANDS[top]))}
+    return {shape.name: shape for shape in _shapes(top, load(top))}
 
 
 def _installed_shapes(entry_point: str, name: str) -> dict[str, StepCommand]:

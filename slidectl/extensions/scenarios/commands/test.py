@@ -18,7 +18,6 @@ import click
 from slidectl.cli import completion, output
 from slidectl.cli.commands import command, positive_seconds, simulated_seconds
 from slidectl.cli.context import Context
-from slidectl.cli.terminal_progress import progress_bar
 from slidectl.errors import EXIT_INTERRUPTED, EXIT_REFUSED, BadFile, Refused, UsageError, listing
 from slidectl.operating_system import usable_cores
 from slidectl.paths import install_command
@@ -218,7 +217,7 @@ def _run(ctx: Context, runner: CaseRunner) -> Exception | None:
     from slidectl.extensions.scenarios.case_run import BAD
 
     failures = Counter[str]()
-    with progress_bar(ctx, len(runner.cases), "cases") as show:
+    with output.progress_bar(len(runner.cases), "cases", not ctx.quiet) as show:
 
         def count(result: CaseResult) -> None:
             if result.verdict in BAD:

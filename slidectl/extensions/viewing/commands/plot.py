@@ -17,7 +17,7 @@ import numpy as np
 from slidectl.cli import completion, output
 from slidectl.cli.commands import command, pixel_size, simulated_seconds, wait_for_world_s
 from slidectl.cli.context import Context
-from slidectl.cli.topic_streams import paused, resume_hint
+from slidectl.cli.topic_streams import pause_remark
 from slidectl.errors import EXIT_INTERRUPTED, NoDaemon, Refused, TimedOut, UsageError
 from slidectl.extensions.recording.commands.bag import open_recording
 from slidectl.extensions.viewing import plot_fields, plots
@@ -249,7 +249,7 @@ def _follow(
     """
     client = ctx.client
     status = ctx.call("/slidectl/status")
-    remark = f"{paused(status)}; nothing comes until it goes on: {resume_hint(status)}" if status["paused"] else ""
+    remark = pause_remark(status, "nothing comes until it goes on")
     if now is None:
         ctx.say(remark)
     sleep = client.call_async("/slidectl/sleep", {"duration": duration}) if duration else ""

@@ -13,8 +13,7 @@ import click
 from slidectl.cli import completion, output
 from slidectl.cli.commands import command, finite, pixel_size, simulated_seconds
 from slidectl.cli.context import Context
-from slidectl.cli.terminal_progress import progress_bar
-from slidectl.cli.topic_streams import paused, resume_hint
+from slidectl.cli.topic_streams import pause_remark
 from slidectl.errors import EXIT_INTERRUPTED, TimedOut, UsageError
 
 if TYPE_CHECKING:
@@ -110,7 +109,7 @@ def video(ctx: Context, /, file: str, seconds: float | None, fps: float, **given
                 out = VideoFile(Path(file), given["size"], rate)
                 leaving.callback(_complete, ctx, out, view, given)
                 out.add(first)
-            show = leaving.enter_context(progress_bar(ctx, total, "pictures"))
+            show = leaving.enter_context(output.progress_bar(total, "pictures", not ctx.quiet))
             while not interrupts.received:
                 show(out.count, "")
                 advance(out.count)
@@ -161,7 +160,7 @@ def _time(ctx: Context, rate: Fraction) -> Iterator[Callable[[int], object]]:
                     lock.step(_LOOK_S)
                     return
                 if not is_told and (status := ctx.call("/slidectl/status"))["paused"]:
-                    ctx.warn(f"{paused(status)}; the video waits until it goes on: {resume_hint(status)}")
+                    ctx.warn(pause_remark(status, "the video waits until it goes on"))
                     is_told = True
 
         yield advance

@@ -14,7 +14,7 @@ import click
 from slidectl.cli import completion, output
 from slidectl.cli.commands import command, finite, positive_seconds
 from slidectl.cli.context import Context
-from slidectl.cli.topic_streams import SUBSCRIBERS, look_up, paused, resume_hint, users_of
+from slidectl.cli.topic_streams import SUBSCRIBERS, pause_remark, users_of
 from slidectl.errors import Refused, SlidectlError, UsageError
 from slidectl.extensions.viewing.commands.terminal_keys import terminal_keys
 from slidectl.extensions.viewing.teleoperation import TWIST, BaseDriver, Driver, JointDriver
@@ -59,15 +59,14 @@ def teleop(
         driver = JointDriver(ctx.client, joint, speed, ctx.namespace)
     else:
         driver = BaseDriver(_topic_of_base(ctx, topic), 0.5 if speed is None else speed, turn)
-    if (status := ctx.call("/slidectl/status"))["paused"]:
-        ctx.say(f"{paused(status)}; nothing moves until it goes on: {resume_hint(status)}")
+    ctx.say(pause_remark(ctx.call("/slidectl/status"), "nothing moves until it goes on"))
     _drive(ctx, driver, key_timeout)
 
 
 def _topic_of_base(ctx: Context, text: str | None) -> str:
-    """The topic of Twists that `text` means, or the only one. Raises as `look_up`; UsageError, Refused."""
+    """The topic of Twists that `text` means, or the only one. Raises as `find_topic`; UsageError, Refused."""
     if text is not None:
-        found = look_up(ctx, text, SUBSCRIBERS, with_field=False)
+        found = ctx.find_topic(text, SUBSCRIBERS, with_field=False)
         if found.type != TWIST:
             raise UsageError(f"{found.topic} takes {found.type}; teleop publishes {TWIST}", "a joint: --joint JOINT")
         return found.topic
