@@ -108,3 +108,6 @@ get_source, get_code
 
 # Of rows of indices.
 ACCELERATION, VELOCITY_SOFT
+
+# The evaluation of expressions finds the method for a kind of node by its name.
+_constant
