@@ -81,7 +81,7 @@ def guarded(hardware: RobotHW, hook: Callable[[int, float], None], code: UserCod
             with guard:
                 hook(time_ns, period_s)
         except Exception as failure:
-            text = failure.message if issubclass(type(failure), SlidectlError) else raised(failure)  # type: ignore[attr-defined]
+            text = failure.message if isinstance(failure, SlidectlError) else raised(failure)
             raise HardwareFailed(f"{type(hardware).__name__}.{hook.__name__}: {text}") from failure
 
     return call

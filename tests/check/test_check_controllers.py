@@ -26,7 +26,7 @@ def test_a_sound_file_is_all_used(controllers: Check) -> None:
         "used 5 /bot/slide_controller/pid/p: 10.0; proportional gain",
         "used 5 /bot/slide_controller/pid/i: 1.0; integral gain",
         "used 5 /bot/slide_controller/pid/d: 1.0; derivative gain",
-        "used 5 /bot/slide_controller/pid/i_clamp: 2.0; bounds the integral term both ways",
+        "used 5 /bot/slide_controller/pid/i_clamp: 2.0; bound of the integral term in both directions",
     ]
 
 

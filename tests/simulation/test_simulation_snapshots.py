@@ -843,9 +843,8 @@ def with_late_timers(values: dict[str, Any]) -> None:
 
 def without_tolerances(values: dict[str, Any]) -> None:
     """One of a controller's tolerances is a number; what else refers to them stays."""
-    found = [
-        entry[1] for entry in values["entries"] if entry[0] == "list" and '["SegmentTolerances"' in json.dumps(entry)
-    ]
+    lists = [entry[1] for entry in values["entries"] if entry[0] == "list"]
+    found = [rows for rows in lists if rows and all(isinstance(row, dict) and len(row["of"]) == 5 for row in rows)]
     found[0][0] = 2**64
 
 

@@ -118,7 +118,7 @@ def roscore(ctx: Context, argv: Sequence[str]) -> None:
     given = parser.parse(argv, most=0, extra="roscore does not take arguments")
     _warn_idle(ctx, given)
     complaint = f"option --sigint-timeout: invalid floating-point value: {given.sigint_timeout!r}"
-    limit = parser.number(given.sigint_timeout, STOP_LIMIT_S, complaint)
+    limit = parser.number(float, given.sigint_timeout, STOP_LIMIT_S, complaint)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         pid = _start(ctx)

@@ -16,7 +16,7 @@ from slidectl.errors import BadFile, UsageError, closest
 from slidectl.extensions.ros_commands.arguments import Failure, Parser, Tool, option, refusals, resolve
 from slidectl.input_files import MOST_TEXT, near, read_bytes
 
-_VERBOSE = option("-v", "say what is done", dest="verbose")
+_VERBOSE = option("-v", "print what is done", dest="verbose")
 _INT32 = range(-(2**31), 2**31)
 _DEEP = 2
 """Names with no more slashes than this get no hint: they are often new, and not mistyped."""
