@@ -53,18 +53,6 @@ class UpdateTimes:
 
     saved_attributes: ClassVar[None] = None
 
-    __slots__ = (
-        "_name",
-        "_next_warning_ns",
-        "_node",
-        "budget_ns",
-        "count",
-        "longest_ns",
-        "notable_ns",
-        "over_budget",
-        "total_ns",
-    )
-
     def __init__(self, name: str, node: NodeHandle) -> None:
         self._name = name
         self._node = node

@@ -318,24 +318,6 @@ class LimitHandle:
 
     saved_attributes: ClassVar[tuple[str, ...]] = ("previous",)
 
-    __slots__ = (
-        "enforce",
-        "handle",
-        "has_acceleration_limits",
-        "has_position_limits",
-        "has_velocity_limits",
-        "k_position",
-        "k_velocity",
-        "kind",
-        "max_acceleration",
-        "max_effort",
-        "max_position",
-        "max_velocity",
-        "min_position",
-        "previous",
-        "soft_lower",
-        "soft_upper",
-    )
     columns = Columns(
         changing="previous",
         fixed="kind min_position max_position soft_lower soft_upper has_position_limits has_velocity_limits "

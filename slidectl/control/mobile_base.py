@@ -26,7 +26,7 @@ from slidectl.errors import MessageRefused, Refused
 from slidectl.rotations import Vector
 
 DIAGONAL = Kind(
-    "a list of six floats, as 0.001",
+    "a list of six floats, such as 0.001",
     lambda value: value if isinstance(value, list) and [type(item) for item in value] == [float] * 6 else None,
 )
 

@@ -83,7 +83,7 @@ TEXT = Kind("a string", lambda value: value if isinstance(value, str) else None)
 TEXTS = Kind("a list of strings", as_texts)
 NUMBERS = Kind("a list of numbers", as_numbers)
 LIST = Kind("a list", lambda value: value if isinstance(value, list) else None)
-FLOAT = Kind("a float, as 0.0", lambda value: value if isinstance(value, float) else None)
+FLOAT = Kind("a float, such as 0.0", lambda value: value if isinstance(value, float) else None)
 
 
 def read(node: NodeHandle, name: str, kind: Kind[T]) -> T | None:
@@ -242,7 +242,7 @@ TYPE = Parameter("type", TEXT, "the controller's type", required=True)
 UPDATE_BUDGET = Parameter(
     "update_budget",
     NUMBER,
-    "wall time that an update may take without a warning; 0: any",
+    "wall time that an update may take without a warning; 0: no limit",
     "s",
     default=0.0,
     live=True,

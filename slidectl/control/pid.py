@@ -115,21 +115,6 @@ class Pid:
     Errors are in units of the controlled quantity, periods in seconds.
     """
 
-    __slots__ = (
-        "antiwindup",
-        "command",
-        "d",
-        "d_error",
-        "i",
-        "i_error",
-        "i_max",
-        "i_min",
-        "observer",
-        "p",
-        "p_error",
-        "p_error_last",
-        "p_error_last_is_valid",
-    )
     columns = Columns(
         changing="p_error p_error_last p_error_last_is_valid i_error d_error command",
         fixed="p i d i_min i_max antiwindup",

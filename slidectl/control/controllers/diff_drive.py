@@ -144,7 +144,9 @@ class DiffDriveController(BaseController, Controller[VelocityJointInterface]):
     compiled = Compiled(drive, DRIVE)
     parameters: ClassVar[tuple[Parameter, ...]] = (
         Parameter("left_wheel", WHEELS, "the joints of the left wheels", required=True, names_joints=True),
-        Parameter("right_wheel", WHEELS, "the joints of the right wheels, as many", required=True, names_joints=True),
+        Parameter(
+            "right_wheel", WHEELS, "the joints of the right wheels, the same number", required=True, names_joints=True
+        ),
         Parameter("wheel_separation", NUMBER, "distance of the sides; by default that in the model", "m"),
         Parameter("wheel_radius", NUMBER, "of all wheels; by default that of the first left one in the model", "m"),
         Parameter("wheel_separation_multiplier", NUMBER, "corrects the separation", default=1.0, live=True),
@@ -217,12 +219,12 @@ class DiffDriveController(BaseController, Controller[VelocityJointInterface]):
     # Values that change while it is loaded.
 
     def _first_values(self, node: NodeHandle) -> Values:
+        declared = {parameter.name: parameter for parameter in self.parameters}
+        changing = (*MULTIPLIERS, PUBLISH_RATE.name, ODOM_TF.name)
+        values: Values = {name: params.value_of(node, declared[name]) for name in changing}
         both = params.read(node, "wheel_radius_multiplier", NUMBER)
-        sides = [params.read(node, name, NUMBER) for name in MULTIPLIERS[:2]]
-        radii = [_or(both, _or(side, 1.0)) for side in sides]
-        separation = _or(params.read(node, MULTIPLIERS[2], NUMBER), 1.0)
-        values: Values = dict(zip(MULTIPLIERS, (*radii, separation), strict=True))
-        values |= {each.name: params.value_of(node, each) for each in (PUBLISH_RATE, ODOM_TF)}
+        if both is not None:
+            values |= dict.fromkeys(MULTIPLIERS[:2], both)
         self._check_values(values)
         return values
 
@@ -390,10 +392,6 @@ class WheelState:
                 "error": error | start,
             },
         )
-
-
-def _or(value: Any, default: Any) -> Any:
-    return default if value is None else value
 
 
 def _mean_position(joints: list[JointHandle]) -> float:

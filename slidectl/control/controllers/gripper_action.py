@@ -209,7 +209,7 @@ class EffortGripperActionController(GripperActionController):
         if params.read(gains, "p", NUMBER) is not None:
             self._pid = ReconfigurablePid(gains).pid
         else:  # as upstream, it runs without gains too
-            node.log("warn", f"parameter {gains.namespace}/p is not set: the gripper pushes nothing")
+            node.log("warn", f"parameter {gains.namespace}/p is not set: the gripper has no effort")
             self._pid = Pid()
 
     def _start_commands(self) -> None:

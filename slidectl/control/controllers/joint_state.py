@@ -136,9 +136,9 @@ def _extra_joints(node: NodeHandle, taken: list[str]) -> list[JointStateHandle]:
         state = {key: entry.get(key, 0.0) for key in ("position", "velocity", "effort")}
         wrong = [key for key, value in state.items() if not isinstance(value, float)]
         if wrong:
-            node.log("error", f"{skipped}: {wrong[0]} of {name!r} must be written as a float, as 0.0")
+            node.log("error", f"{skipped}: {wrong[0]} of {name!r} must be a float, such as 0.0")
         elif name in taken or name in joints:
-            node.log("warn", f"{node.namespace}/extra_joints: joint {name!r} is there already")
+            node.log("warn", f"{node.namespace}/extra_joints: joint {name!r} exists already")
         else:
             joints[name] = JointStateHandle(name, **state)
     return list(joints.values())

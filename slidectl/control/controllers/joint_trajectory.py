@@ -93,21 +93,6 @@ def _replaced(old: float, new: float) -> float:
 class Motion:
     """One joint's range of segments, and its states of the last update: desired, measured, and the errors."""
 
-    __slots__ = (
-        "acceleration",
-        "actual_position",
-        "actual_velocity",
-        "index",
-        "last",
-        "next_s",
-        "position",
-        "position_error",
-        "reached",
-        "segment",
-        "velocity",
-        "velocity_error",
-        "velocity_ff",
-    )
     columns = Columns(
         changing="index position velocity acceleration actual_position actual_velocity position_error velocity_error "
         "reached",
@@ -303,7 +288,7 @@ class JointTrajectoryController(ActionController[Any]):
         MONITOR_RATE,
         STOP_DURATION,
         STOP_ON_ABORT,
-        Parameter("allow_partial_joints_goal", BOOLEAN, "takes trajectories of some of the joints", default=False),
+        Parameter("allow_partial_joints_goal", BOOLEAN, "accepts trajectories of some of the joints", default=False),
         GOAL_TIME,
         STOPPED_VELOCITY,
         Parameter(

@@ -44,7 +44,7 @@ class _Types:
             self.name,
             f"{self.name} show [options] <{self._kind.noun}>",
             option("-r --raw", "the definition as it was written"),
-            option("-b --bag", "as a bag has it", "BAGFILE"),
+            option("-b --bag", "the definition in a bag", "BAGFILE"),
         )
         given = parser.parse(argv, most=1, extra=f"you may only specify one {self._kind.noun}")
         wanted = self._wanted(parser, given.words)

@@ -32,8 +32,8 @@ def list_nodes(ctx: Context, argv: Sequence[str]) -> None:
     parser = Parser(
         "rosnode",
         "rosnode list",
-        option("-u", "where they answer, instead of their names", dest="uris"),
-        option("-a --all", "where they answer, and their names"),
+        option("-u", "URIs instead of names", dest="uris"),
+        option("-a --all", "URIs and names"),
     )
     given = parser.parse(argv, most=1, extra="invalid args: you may only specify one namespace")
     chosen = below(ctx, ctx.names("node"), given.words[0] if given.words else None, "rosnode")

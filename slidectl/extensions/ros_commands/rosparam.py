@@ -109,7 +109,7 @@ def _check_integers(name: str, value: Any) -> None:
 
 def get(ctx: Context, argv: Sequence[str]) -> None:
     """Print a parameter as YAML."""
-    pretty_option = option("-p", "for reading: text without quotes", dest="pretty")
+    pretty_option = option("-p", "pretty: text without quotes", dest="pretty")
     parser = Parser("rosparam", "rosparam get [options] parameter", pretty_option, _VERBOSE)
     given = parser.parse(argv, 1, 1, _NO_NAME, _TOO_MANY)
     full = _full(ctx, given.words[0])

@@ -196,10 +196,10 @@ rosservice = Tool(
         "args": (args, "print the fields of a request"),
         "call": (call, "call a service"),
         "find": (find, "list services by type"),
-        "info": (info, "show who provides a service, its type and arguments"),
+        "info": (info, "show node, type and arguments of a service"),
         "list": (list_services, "list services"),
         "node": (node, ""),
         "type": (type_of, "print the type of a service"),
-        "uri": (uri, "print where a service answers"),
+        "uri": (uri, "print the URI of a service"),
     },
 )

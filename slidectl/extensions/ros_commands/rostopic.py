@@ -54,10 +54,10 @@ def list_topics(ctx: Context, argv: Sequence[str]) -> None:
         "rostopic",
         "rostopic list [/namespace]",
         option("-b --bag", "the topics of a bag", "BAGFILE"),
-        option("-v --verbose", "types, and how many use them"),
+        option("-v --verbose", "types, and numbers of publishers and subscribers"),
         option("-p", "only topics with publishers", dest="published"),
         option("-s", "only topics with subscribers", dest="subscribed"),
-        option("--host", "below the name of the machine"),
+        option("--host", "grouped by host"),
     )
     given = parser.parse(without_remappings(argv), most=1, extra="you may only specify one input topic")
     namespace = given.words[0] if given.words else None
@@ -147,8 +147,8 @@ def echo(ctx: Context, argv: Sequence[str]) -> None:
         "rostopic echo [options] /topic",
         option("-b --bag", "messages of a bag", "BAGFILE"),
         option("-p", "CSV, for plotting", dest="plot"),
-        option("-w", "characters of a number", "NUM_WIDTH", dest="width"),
-        option("--filter", "only messages for which it is true; m is the message", "EXPR", dest="condition"),
+        option("-w", "width of numbers, in characters", "NUM_WIDTH", dest="width"),
+        option("--filter", "only messages for which EXPR is true; m is the message", "EXPR", dest="condition"),
         option("--nostr", "without the contents of strings"),
         option("--noarr", "without the contents of arrays"),
         option("-c --clear", "clear the screen before each message"),
@@ -182,7 +182,7 @@ def echo(ctx: Context, argv: Sequence[str]) -> None:
 
 # --- measuring --------------------------------------------------------------------------------------------------------
 
-_WINDOW = option("-w --window", "how many messages to count in", "WINDOW")
+_WINDOW = option("-w --window", "number of messages in the window", "WINDOW")
 _NODELAY = option("--tcpnodelay", "no effect: there is no TCP")
 
 
@@ -200,7 +200,7 @@ def hz(ctx: Context, argv: Sequence[str]) -> None:
         "rostopic",
         "rostopic hz [options] /topic_0 [/topic_1 [topic_2 [..]]]",
         _WINDOW,
-        option("--filter", "only count messages for which it is true; m is the message", "EXPR", dest="condition"),
+        option("--filter", "only messages for which EXPR is true; m is the message", "EXPR", dest="condition"),
         option("--wall-time", "rates on the computer's clock, not in simulated time"),
         _NODELAY,
     )
@@ -281,12 +281,12 @@ rostopic = Tool(
     "rostopic",
     "rostopic shows topics, and publishes and measures messages.",
     {
-        "bw": (bw, "measure how many bytes come"),
-        "delay": (delay, "measure how late messages come, by their headers"),
+        "bw": (bw, "measure the bandwidth"),
+        "delay": (delay, "measure the delay of messages, by their headers"),
         "echo": (echo, "print messages"),
         "find": (find, "list topics by type"),
-        "hz": (hz, "measure how often messages come"),
-        "info": (info, "show who publishes and who subscribes"),
+        "hz": (hz, "measure the rate of messages"),
+        "info": (info, "show publishers and subscribers"),
         "list": (list_topics, "list topics"),
         "pub": (pub, "publish messages"),
         "type": (type_of, "print the type of a topic or of a field"),

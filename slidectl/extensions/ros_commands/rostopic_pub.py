@@ -50,12 +50,12 @@ _PARSER = Parser(
     "rostopic",
     "rostopic pub /topic type [args...]",
     option("-v", "show each message", dest="verbose"),
-    option("-r --rate", "messages per second, repeated; 10 for documents of a file or of stdin", "RATE"),
+    option("-r --rate", "publish repeatedly, at this rate in Hz; default for documents: 10", "RATE"),
     Option("-1", "--once", dest="once", action="callback", callback=_once, help="only one message"),
     option("-f --file", "messages from a YAML file", "FILE"),
-    option("-l --latch", "stay, with the message latched for those who subscribe later"),
+    option("-l --latch", "keep running, with the message latched for later subscribers"),
     option("-s --substitute-keywords", "with -r: new values of 'now' and 'auto' in each message", dest="renew"),
-    option("--use-rostime", "no effect: stamps are always of the simulated time"),
+    option("--use-rostime", "no effect: stamps are always in simulated time"),
 )
 
 

@@ -18,9 +18,9 @@ from slidectl.transform_tree import Frames, View
 _WRONG = 255
 _USAGE = """tf_echo source_frame target_frame [echo_rate]
 
-Prints where target_frame is in source_frame, and how it is turned there: what takes
-coordinates of target_frame into source_frame. Again and again, echo_rate times a
-second (1 if it is left out), until Ctrl-C.
+Prints the position and the orientation of target_frame in source_frame: the transform
+of coordinates from target_frame to source_frame. It prints echo_rate times a second
+(default: 1), until Ctrl-C.
 """
 
 
