@@ -50,6 +50,9 @@ StandardServices
 StatePublishers
 Waits
 
+# A controller's enter_state calls its hooks by name.
+aborting
+
 # features/saved_state.py looks it up in each class.
 saved_or_none
 

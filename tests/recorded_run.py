@@ -24,9 +24,7 @@ from slidectl.control.hardware_interface import (
     JointHandle,
     JointStateInterface,
     PositionJointInterface,
-    PosVelAccJointHandle,
     PosVelAccJointInterface,
-    PosVelJointHandle,
     PosVelJointInterface,
     RobotHW,
     SensorHandle,
@@ -54,8 +52,8 @@ INTERFACES: dict[str, tuple[type[Any], type[Any]]] = {
     "position": (PositionJointInterface, JointHandle),
     "velocity": (VelocityJointInterface, JointHandle),
     "effort": (EffortJointInterface, JointHandle),
-    "pos_vel": (PosVelJointInterface, PosVelJointHandle),
-    "pos_vel_acc": (PosVelAccJointInterface, PosVelAccJointHandle),
+    "pos_vel": (PosVelJointInterface, JointHandle),
+    "pos_vel_acc": (PosVelAccJointInterface, JointHandle),
 }
 
 SENSORS: dict[str, tuple[type[Any], type[Any]]] = {
@@ -102,9 +100,8 @@ class Plant:
         self.dt_s = dt_s
         self.handle = INTERFACES[self.interface][1](recorded["name"], position=recorded["position"])
         self.blocked = False
-        for name in ("command", "command_position") if "pos" in self.interface else ():
-            if hasattr(self.handle, name):
-                setattr(self.handle, name, recorded["position"])
+        if "pos" in self.interface:
+            self.handle.command = recorded["position"]
 
     def move(self) -> None:
         """One period."""
@@ -113,7 +110,7 @@ class Plant:
         if self.blocked:
             joint.velocity = 0.0
         elif self.kind in ("pos_vel", "pos_vel_acc"):
-            joint.position, joint.velocity = joint.command_position, joint.command_velocity
+            joint.position, joint.velocity = joint.command, joint.command_velocity
         elif self.kind == "velocity":
             joint.velocity = joint.command
             joint.position += joint.command * dt
@@ -277,7 +274,7 @@ class Replay:
             return handle.position if what == "pos" else handle.velocity
         if what.startswith("cmd"):
             names = {"cmd_vel": "command_velocity", "cmd_acc": "command_acceleration"}
-            return getattr(handle, names.get(what, "command" if hasattr(handle, "command") else "command_position"))
+            return getattr(handle, names.get(what, "command"))
         return JOINT_COLUMNS[what](self.controller)[self.case["params"]["joints"].index(name)]
 
     def _compare_published(self, end: int) -> Iterator[Comparison]:

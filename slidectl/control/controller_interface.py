@@ -39,6 +39,15 @@ class State(StrEnum):
     ABORTED = "aborted"
 
 
+HOOKS = {
+    State.RUNNING: "starting",
+    State.STOPPED: "stopping",
+    State.WAITING: "waiting",
+    State.ABORTED: "aborting",
+}
+"""The hook that is called when a controller enters a state."""
+
+
 class Compiled:
     """The compiled form of a controller: the law of its `update`, and the columns of its row and of its members' rows.
 
@@ -102,7 +111,7 @@ class MissingInterface(Refused):
 
     def __init__(self, wanted: str, hw: RobotHW) -> None:
         super().__init__(
-            f"this controller needs {wanted}, which this robot has not",
+            f"this controller needs {wanted}, which this robot does not have",
             f"interfaces of this robot: {listing(hw.interface_names())}",
         )
 
@@ -165,13 +174,7 @@ class ControllerBase:
 
     def enter_state(self, state: State, time_ns: int) -> None:
         """Call the hook of the state, then set it. The state may equal the present one."""
-        hooks = {
-            State.RUNNING: self.starting,
-            State.STOPPED: self.stopping,
-            State.WAITING: self.waiting,
-            State.ABORTED: self.aborting,
-        }
-        hooks[state](time_ns)
+        getattr(self, HOOKS[state])(time_ns)
         self.state = state
 
     def _claim(self, hw: RobotHW, root: NodeHandle, node: NodeHandle) -> tuple[ClaimedResources, ...]:
@@ -193,10 +196,10 @@ class Controller(ControllerBase, Generic[I]):
         interface = hw.get(self.interface_type)
         if interface is None:
             raise MissingInterface(self.interface_type.type_name, hw)
-        interface.take_claims()
+        interface.pop_claims()
         self.init(interface, node)
         self.init_in_root(interface, root, node)
-        return (ClaimedResources(interface.type_name, interface.take_claims()),)
+        return (ClaimedResources(interface.type_name, interface.pop_claims()),)
 
 
 class MultiInterfaceController(ControllerBase):
@@ -218,11 +221,11 @@ class MultiInterfaceController(ControllerBase):
         for interface_type in self.interface_types:
             interface: AnyInterface | None = hw.get(interface_type)
             if interface is not None:
-                interface.take_claims()
+                interface.pop_claims()
                 interfaces.append(interface)
                 restricted.register_interface(interface)
             elif not self.allow_optional_interfaces:
                 raise MissingInterface(interface_type.type_name, hw)
         self.init(restricted, node)
         self.init_in_root(restricted, root, node)
-        return tuple(ClaimedResources(interface.type_name, interface.take_claims()) for interface in interfaces)
+        return tuple(ClaimedResources(interface.type_name, interface.pop_claims()) for interface in interfaces)

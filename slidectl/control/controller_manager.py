@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from slidectl import names
 from slidectl.control import registry
-from slidectl.control.controller_interface import ControllerBase, State
+from slidectl.control.controller_interface import HOOKS, ControllerBase, State
 from slidectl.control.duration import NANOSECONDS, to_seconds
 from slidectl.control.hardware_interface import (
     CommandAttribute,
@@ -32,25 +32,22 @@ from slidectl.control.params import UPDATE_BUDGET, judge, value_of
 from slidectl.control.registry import ControllerTypes
 from slidectl.control.ros2_names import counterpart
 from slidectl.control.user_classes import (
-    HookGuard,
+    CallbackGuard,
     WatchedHandles,
+    described,
     file_of,
-    is_fault,
     is_of_a_user,
-    raised,
-    text_of,
     watched,
     watched_hardware,
 )
 from slidectl.control.user_modules import UserCode
-from slidectl.errors import BadName, Refused, SlidectlError, UnknownName, quoted
+from slidectl.errors import BadName, Refused, SlidectlError, UnknownName, listing, quoted
 
 if TYPE_CHECKING:
     from slidectl.msgs.typed import ControllerStateMsg, HardwareInterfaceResourcesMsg
 
 T = TypeVar("T")
 
-_TO_START = "start it: slidectl controller start"
 _LONGEST_BUDGET_S = 1e9
 
 
@@ -58,18 +55,6 @@ class UpdateTimes:
     """Wall time, in ns, of the updates of one controller in the interpreter since its last start."""
 
     saved_attributes: ClassVar[None] = None
-
-    __slots__ = (
-        "_name",
-        "_next_warning_ns",
-        "_node",
-        "budget_ns",
-        "count",
-        "longest_ns",
-        "notable_ns",
-        "over_budget",
-        "total_ns",
-    )
 
     def __init__(self, name: str, node: NodeHandle) -> None:
         self._name = name
@@ -106,7 +91,9 @@ class UpdateTimes:
             if now_ns >= self._next_warning_ns:
                 self._next_warning_ns = now_ns + NANOSECONDS
                 took, budget = f"{took_ns / 1000:.1f} us", f"{self.budget_ns / 1000:g} us"
-                text = f"an update took {took}, its budget is {budget}; so did {self.over_budget} of {self.count}"
+                text = (
+                    f"an update took {took}; its budget is {budget}, which {self.over_budget} of {self.count} exceeded"
+                )
                 self._node.log("warn", f"controller {self._name!r}: {text}")
 
     def message(self) -> dict[str, Any]:
@@ -115,14 +102,6 @@ class UpdateTimes:
         times = {"mean": mean_ns, "longest": self.longest_ns, "budget": self.budget_ns}
         seconds = {key: value / NANOSECONDS for key, value in times.items()}
         return {"name": self._name, "updates": self.count, "over_budget": self.over_budget, **seconds}
-
-
-_HOOKS_OF = {
-    State.RUNNING: "starting",
-    State.STOPPED: "stopping",
-    State.WAITING: "waiting",
-    State.ABORTED: "aborting",
-}
 
 
 class LoadedController:
@@ -168,9 +147,8 @@ class LoadedController:
 
     @property
     def state(self) -> State:
-        """The controller's state. ABORTED when code of the user's has deleted it or replaced it by something else."""
-        state = getattr(self.controller, "state", None)
-        return state if isinstance(state, State) else State.ABORTED
+        """The controller's state."""
+        return self.controller.state
 
     @property
     def is_running(self) -> bool:
@@ -194,14 +172,7 @@ class LoadedController:
             with self._watched:
                 self.controller.enter_state(state, time_ns)
         except Exception as failure:
-            self.fail(failure, time_ns, _HOOKS_OF[state])
-
-    def update(self, time_ns: int, period_s: float) -> None:
-        """Run one update and record its wall time. Raises the controller's exceptions."""
-        began_ns = perf_counter_ns()
-        self.bare_update(time_ns, period_s)
-        now_ns = perf_counter_ns()
-        self.times.add(now_ns - began_ns, now_ns)
+            self.fail(failure, time_ns, HOOKS[state])
 
     @property
     def bare_update(self) -> Callable[[int, float], None]:
@@ -216,6 +187,13 @@ class LoadedController:
         """Publish the messages that the compiled law made due. Raises the controller's exceptions."""
         with self._watched:
             self.controller.publish(time_ns, period_s)
+
+    def update(self, time_ns: int, period_s: float) -> None:
+        """Run one update and record its wall time. Raises the controller's exceptions."""
+        began_ns = perf_counter_ns()
+        self.bare_update(time_ns, period_s)
+        now_ns = perf_counter_ns()
+        self.times.add(now_ns - began_ns, now_ns)
 
     def update_if_running(self, time_ns: int, period_s: float) -> None:
         """Run one update, unless an earlier controller stopped this one in the same cycle. An exception aborts it."""
@@ -262,46 +240,10 @@ class LoadedController:
         return {"name": self.name, "state": state, "type": self.info.type, "claimed_resources": claimed}
 
 
-def described(failure: Exception) -> str:
-    """An error as one line: a SlidectlError as its text, others with their class, file and line."""
-    if issubclass(type(failure), SlidectlError):
-        return "; ".join(line.rstrip(".") for line in text_of(failure).splitlines())
-    return raised(failure)
-
-
-class CallbackGuard(HookGuard):
-    """Context of a callback of a user's controller: message, service call, goal or tick. Exceptions become Refused."""
-
-    def __init__(self, cls: type, code: UserCode, node: NodeHandle) -> None:
-        super().__init__(cls, code)
-        self._node = node
-
-    def __exit__(self, kind: type[BaseException] | None, failure: BaseException | None, *trace: Any) -> None:
-        try:
-            super().__exit__(kind, failure, *trace)
-            if failure is not None and not issubclass(type(failure), SlidectlError) and is_fault(failure):
-                raise Refused(raised(failure)) from None
-        except Refused as refusal:  # the sender of a message gets no answer, so log it
-            self._node.log("error", f"{self._node.namespace}: {described(refusal)}")
-            raise
-
-
 BEST_EFFORT = 1
 STRICT = 2
 MOST_NAMES = 1000
 """Most names in one request, for hooks are called for every name. A robot has a few dozen controllers at most."""
-_MOST_WARNINGS = 20
-
-
-@dataclass
-class Plan:
-    """A switch request, and its effect: the controllers that really start and stop, and those that run afterwards."""
-
-    start_request: list[LoadedController]
-    stop_request: list[LoadedController]
-    start: list[ControllerInfo] = field(default_factory=list)
-    stop: list[ControllerInfo] = field(default_factory=list)
-    running: list[ControllerInfo] = field(default_factory=list)
 
 
 def _way_out(conflicts: Sequence[Conflict], starting: Collection[str]) -> str:
@@ -314,59 +256,16 @@ def _way_out(conflicts: Sequence[Conflict], starting: Collection[str]) -> str:
     return f"; slidectl controller switch --start {to_start} --stop {' '.join(in_the_way)}"
 
 
-def plan_switch(
-    loaded: Mapping[str, LoadedController],
-    start: Sequence[str],
-    stop: Sequence[str],
-    *,
-    strict: bool,
-    node: NodeHandle,
-) -> Plan:
-    """The plan for a request. A name may occur several times; its hooks are then called as often.
-
-    Raises:
-        Refused: strict and a name is unknown, already running or not running; or a running one is in both lists.
-    """
-    stop_request = _known(loaded, stop, "stop", strict, node)
-    plan = Plan(_known(loaded, start, "start", strict, node), stop_request)
-    for entry in loaded.values():
-        is_running = entry.is_running
-        stops, starts = entry in plan.stop_request, entry in plan.start_request
-        if stops and not is_running:
-            if strict:
-                raise Refused(f"cannot stop controller {entry.name!r}: it is not running")
-            stops = False
-        if starts and is_running and not stops:
-            if strict:
-                raise Refused(f"cannot start controller {entry.name!r}: it is running already")
-            starts = False
-        if starts and stops:
-            raise Refused(f"controller {entry.name!r} cannot be started and stopped in one switch")
-        if stops:
-            plan.stop.append(entry.info)
-        if starts:
-            plan.start.append(entry.info)
-        if starts or (is_running and not stops):
-            plan.running.append(entry.info)
-    return plan
-
-
 def _known(
     loaded: Mapping[str, LoadedController], wanted: Iterable[str], verb: str, strict: bool, node: NodeHandle
 ) -> list[LoadedController]:
-    found = []
-    unknown = 0
-    for name in wanted:
-        if name in loaded:
-            found.append(loaded[name])
-        elif strict:
-            raise _not_loaded(loaded, name, verb, node)
-        else:
-            unknown += 1
-            if unknown <= _MOST_WARNINGS:
-                node.log("warn", f"no controller {quoted(name)} to {verb}; the rest of the request goes on")
-    if unknown > _MOST_WARNINGS:
-        node.log("warn", f"and {unknown - _MOST_WARNINGS} more that are not there to {verb}")
+    """The controllers of these names. Logs a warning about unknown ones, or raises when `strict`."""
+    found = [loaded[name] for name in wanted if name in loaded]
+    unknown = [name for name in wanted if name not in loaded]
+    if unknown and strict:
+        raise _not_loaded(loaded, unknown[0], verb, node)
+    if unknown:
+        node.log("warn", f"no controller {listing(map(quoted, unknown))} to {verb}; the rest of the request goes on")
     if len(found) > MOST_NAMES:
         raise Refused(f"{len(found)} controllers to {verb}, and {MOST_NAMES} is the most in one request")
     return found
@@ -383,36 +282,69 @@ def _not_loaded(loaded: Mapping[str, LoadedController], name: str, verb: str, no
 
 @dataclass
 class Switch:
-    """An accepted switch. `advance` carries it out, once per cycle, after the updates."""
+    """An accepted switch. `advance` carries it out, once per cycle, after the updates.
 
-    plan: Plan
+    A name may occur several times in a request; its hooks are then called as often.
+    """
+
+    start_request: list[LoadedController]
+    stop_request: list[LoadedController]
     asap: bool
     timeout_s: float
     init_time_ns: int
     on_done: Callable[[bool], None]
     reasons: Reasons | None
     """The reasons of the request. Errors in later cycles are added to them."""
+    start: list[ControllerInfo] = field(default_factory=list)
+    """The controllers that really start; `stop`: that really stop; `running`: that run afterwards."""
+    stop: list[ControllerInfo] = field(default_factory=list)
+    running: list[ControllerInfo] = field(default_factory=list)
     has_begun: bool = False
+
+    def plan(self, loaded: Iterable[LoadedController], strict: bool) -> None:
+        """Set `start`, `stop` and `running`.
+
+        Raises:
+            Refused: strict and a controller runs already or does not run; or a running one is in both lists.
+        """
+        for entry in loaded:
+            is_running = entry.is_running
+            stops, starts = entry in self.stop_request, entry in self.start_request
+            if stops and not is_running:
+                if strict:
+                    raise Refused(f"cannot stop controller {entry.name!r}: it is not running")
+                stops = False
+            if starts and is_running and not stops:
+                if strict:
+                    raise Refused(f"cannot start controller {entry.name!r}: it is running already")
+                starts = False
+            if starts and stops:
+                raise Refused(f"controller {entry.name!r} cannot be started and stopped in one switch")
+            if stops:
+                self.stop.append(entry.info)
+            if starts:
+                self.start.append(entry.info)
+            if starts or (is_running and not stops):
+                self.running.append(entry.info)
 
     def advance(self, hw: RobotHW, time_ns: int) -> bool:
         """One cycle of the switch: stop, then start what the hardware is ready for. True when it is finished."""
-        plan = self.plan
         if not self.has_begun:
-            hw.do_switch(plan.start, plan.stop)
+            hw.do_switch(self.start, self.stop)
             self.has_begun = True
-        for entry in plan.stop_request:
+        for entry in self.stop_request:
             if entry.is_running:
                 entry.enter_state(State.STOPPED, time_ns)
         if not self.asap:
-            return self._start(plan.start_request, None, hw, time_ns)
-        for entry in plan.start_request:
+            return self._start(self.start_request, None, hw, time_ns)
+        for entry in self.start_request:
             if not entry.is_running:
                 self._start([entry], entry.info, hw, time_ns)
-        return all(entry.is_running or entry.is_aborted for entry in plan.start_request)
+        return all(entry.is_running or entry.is_aborted for entry in self.start_request)
 
     def give_up(self, time_ns: int) -> None:
         """Abort the controllers that should start, because the hardware failed."""
-        for entry in self.plan.start_request:
+        for entry in self.start_request:
             if not entry.is_running:
                 entry.enter_state(State.ABORTED, time_ns)
 
@@ -505,12 +437,12 @@ class ControllerManager:
         commands that move them least, since a limit would remember the wrong one."""
         has_failed = False
         for entry, commands in self._commands:
-            troubles = [trouble for one in commands if entry.is_running and (trouble := one.trouble())]
-            if troubles:
+            errors = [text for one in commands if entry.is_running and (text := one.error_text())]
+            if errors:
                 has_failed = True
-                entry.fail(Refused(troubles[0]), time_ns, "update")
+                entry.fail(Refused(errors[0]), time_ns, "update")
                 for one in commands:
-                    if one.trouble():
+                    if one.error_text():
                         one.rest()
         if has_failed:
             self._refresh()
@@ -622,8 +554,9 @@ class ControllerManager:
     def load_again(self, name: str) -> None:
         """As `load`, but raises the error."""
         if name in self._loaded:
-            is_running = self._loaded[name].state is State.RUNNING
-            raise Refused(f"it is loaded already{', and running' if is_running else f'; {_TO_START} {name}'}")
+            is_running = self._loaded[name].is_running
+            next_step = ", and running" if is_running else f"; start it: slidectl controller start {name}"
+            raise Refused(f"it is loaded already{next_step}")
         self.check_new(name)
         self._loaded[name] = self._load(name)
 
@@ -637,7 +570,7 @@ class ControllerManager:
     def _load(self, name: str) -> LoadedController:
         node = self._node.child(name)
         try:
-            type_name = _understood(node, _type_of(node))
+            type_name = _type_of(node)
             controller, code = self.known.create(type_name), self.known.code
             guard = CallbackGuard(type(controller), code, node) if is_of_a_user(type(controller)) else None
             node.guard = guard
@@ -662,7 +595,7 @@ class ControllerManager:
         if entry is None:
             return self._refuse(f"cannot unload: {described(UnknownName('controller', name, self.names()))}")
         if self._switch is not None:
-            return self._refuse(f"cannot unload controller {quoted(name)}: a switch is under way")
+            return self._refuse(f"cannot unload controller {quoted(name)}: a switch is in progress")
         if entry.is_running:
             return self._refuse(f"cannot unload controller {quoted(name)}: it is running; stop it first")
         del self._loaded[name]
@@ -670,7 +603,7 @@ class ControllerManager:
         return True
 
     def renew(self, name: str) -> State:
-        """Import the file of a loaded controller's class anew, for `exchange`. Returns the controller's state.
+        """Import the file of a loaded controller's class again, for `exchange`. Returns the controller's state.
 
         Raises:
             Refused: it is not loaded. SlidectlError: as `ControllerTypes.renewed`; nothing has changed.
@@ -700,7 +633,7 @@ class ControllerManager:
             self._loaded[name] = self._load(name)  # an existing key keeps its place in the order
         except Exception as failure:
             text = f"cannot load controller {quoted(name)} from its edited file: {described(failure)}"
-            self.known.put_back(former)
+            self.known.restore(former)
         else:
             return True
         try:
@@ -745,9 +678,14 @@ class ControllerManager:
             return self._refuse(
                 f"cannot reload while {len(self._loaded)} controllers are loaded; unload them, or force it"
             )
-        if self._loaded and not self._kill_all():
-            return self._refuse("cannot reload: the controllers could not be stopped and unloaded")
-        self._node.log("info", f"looked anew for controllers of {registry.BASE_CLASS}")
+        if self._loaded:
+            self._node.log("info", f"stopping and unloading {len(self._loaded)} controllers")
+            is_stopped = self.request_switch([], self.names(), BEST_EFFORT)
+            if is_stopped:
+                self.manage_switch(self._node.now_ns())
+            if not is_stopped or not all(self.unload(name) for name in self.names()):
+                return self._refuse("cannot reload: the controllers could not be stopped and unloaded")
+        self._node.log("info", f"searched again for controllers of {registry.BASE_CLASS}")
         return True
 
     def fail(self, name: str, failure: Exception) -> bool:
@@ -769,13 +707,6 @@ class ControllerManager:
             self._refresh()
         return self.unload(name)
 
-    def _kill_all(self) -> bool:
-        self._node.log("info", f"stopping and unloading {len(self._loaded)} controllers")
-        if not self.request_switch([], self.names(), BEST_EFFORT):
-            return False
-        self.manage_switch(self._node.now_ns())
-        return all(self.unload(name) for name in self.names())
-
     # Switching.
 
     def request_switch(
@@ -792,65 +723,47 @@ class ControllerManager:
         `on_done(True)` is called when it is finished, even if a controller to start was aborted; `on_done(False)` when
         the hardware failed. `timeout_s` is the simulated time for the hardware to become ready; 0: no limit.
         """
+        node, is_strict = self._node, strictness == STRICT
         try:
-            self._switch = self._armed(start, stop, strictness, start_asap, timeout_s, on_done)
+            if self._switch is not None:
+                raise Refused("another switch is in progress")
+            if strictness not in (BEST_EFFORT, STRICT):
+                text = f"strictness {strictness} is neither BEST_EFFORT (1) nor STRICT (2); BEST_EFFORT is used"
+                node.log("warn", text)
+            to_stop = _known(self._loaded, stop, "stop", is_strict, node)
+            to_start = _known(self._loaded, start, "start", is_strict, node)
+            switch = Switch(to_start, to_stop, start_asap, timeout_s, node.now_ns(), on_done, node.reasons)
+            switch.plan(self._loaded.values(), is_strict)
+            conflicts = self._hw.check_for_conflict(switch.running)
+            if conflicts:
+                for conflict in conflicts:
+                    node.log("warn", f"resource conflict: {conflict}")
+                text = f"resource conflict: {'; '.join(map(str, conflicts))}"
+                raise Refused(text + _way_out(conflicts, {info.name for info in switch.start}))
+            with watched_hardware(self._hw, self.known.code):
+                is_possible = self._hw.prepare_switch(switch.start, switch.stop)
+            if not is_possible:
+                raise Refused("the hardware cannot run this combination of controllers")
         except SlidectlError as refusal:
             return self._refuse(f"cannot switch controllers: {described(refusal)}")
+        self._switch = switch
         return True
-
-    def _armed(
-        self,
-        start: Sequence[str],
-        stop: Sequence[str],
-        strictness: int,
-        asap: bool,
-        timeout_s: float,
-        on_done: Callable[[bool], None],
-    ) -> Switch:
-        if self._switch is not None:
-            raise Refused("another switch is under way")
-        if strictness == 0:
-            self._node.log(
-                "warn", "a switch should say its strictness, BEST_EFFORT (1) or STRICT (2); this one is BEST_EFFORT"
-            )
-        elif strictness not in (BEST_EFFORT, STRICT):
-            self._node.log(
-                "warn", f"strictness {strictness} is neither BEST_EFFORT (1) nor STRICT (2); it counts as BEST_EFFORT"
-            )
-        plan = plan_switch(self._loaded, start, stop, strict=strictness == STRICT, node=self._node)
-        conflicts = self._hw.check_for_conflict(plan.running)
-        if conflicts:
-            for conflict in conflicts:
-                self._node.log("warn", f"resource conflict: {conflict}")
-            text = f"resource conflict: {'; '.join(map(str, conflicts))}"
-            raise Refused(text + _way_out(conflicts, {info.name for info in plan.start}))
-        with watched_hardware(self._hw, self.known.code):
-            is_possible = self._hw.prepare_switch(plan.start, plan.stop)
-        if not is_possible:
-            raise Refused("the hardware cannot run this combination of controllers")
-        return Switch(plan, asap, timeout_s, self._node.now_ns(), on_done, self._node.reasons)
 
     def _refuse(self, reason: str) -> bool:
         self._node.log("error", reason)
         return False
 
 
-def _understood(node: NodeHandle, type_name: str) -> str:
-    """The slidectl type for a type name of ROS 2. Sets the parameters that the type needs here. Raises Refused."""
-    found = counterpart(type_name, node.get_param(node.namespace, {}))
-    if found is None:
-        return type_name
-    for name, value in found.values.items():
-        node.set_param(name, value)
-    node.log("warn", f"{node.namespace}: {found.remark}")
-    return found.type
-
-
 def _type_of(node: NodeHandle) -> str:
+    """The parameter `type`. For a type of ROS 2 the one of slidectl, with the parameters set that it needs here."""
     type_name = node.get_param("type", None)
     if not isinstance(type_name, str):
-        where = names.join(node.namespace, "type")
-        raise Refused(
-            f"parameter {where} is not set", "load its configuration first: slidectl controller config FILE.yaml"
-        )
-    return type_name
+        hint = "load its configuration first: slidectl controller config FILE.yaml"
+        raise Refused(f"parameter {names.join(node.namespace, 'type')} is not set", hint)
+    here = counterpart(type_name, node.get_param(node.namespace, {}))
+    if here is None:
+        return type_name
+    for name, value in here.values.items():
+        node.set_param(name, value)
+    node.log("warn", f"{node.namespace}: {here.remark}")
+    return here.type

@@ -19,7 +19,7 @@ class BadDuration(UsageError):
     """Seconds that no duration can hold: not a number, infinite, or beyond 32 bits of seconds."""
 
     def __init__(self, seconds: float) -> None:
-        super().__init__(f"{seconds!r} s is no duration: it must lie within ±{_MOST_SECONDS} s")
+        super().__init__(f"{seconds!r} s is not a valid duration: it must be within ±{_MOST_SECONDS} s")
 
 
 @law

@@ -65,7 +65,7 @@ class MonitoredGoal:
             self._result = result
 
     @property
-    def looks(self) -> bool:
+    def uses_state(self) -> bool:
         """True when the next tick reads the controller's state, or changes state that the controller reads."""
         return self._decision is not None or self.handle.wants_feedback
 
@@ -102,9 +102,9 @@ class ActionController(Controller[I]):
         self._ticked: MonitoredGoal | None = None
         self._timer = node.call_every(monitor_period_ns, self._tick, enters=False)
         self._timer.cancel()
-        node.advertise_action(action, type_name, self._take_goal, self._take_cancel)
+        node.advertise_action(action, type_name, self._receive_goal, self._receive_cancel)
 
-    def _take_goal(self, handle: GoalHandle) -> None:
+    def _receive_goal(self, handle: GoalHandle) -> None:
         """Reject the goal, or `_follow` it."""
         raise NotImplementedError
 
@@ -134,7 +134,7 @@ class ActionController(Controller[I]):
 
     def _tick(self) -> None:
         assert self._ticked is not None
-        if self._ticked.looks:
+        if self._ticked.uses_state:
             self._node.enter()
         self._ticked.tick(self._feedback)
         if self._ticked.handle.status not in (GoalStatus.ACTIVE, GoalStatus.PREEMPTING):
@@ -144,7 +144,7 @@ class ActionController(Controller[I]):
         self._node.log("error", f"{self._node.namespace}: {text}")
         handle.reject(result)
 
-    def _take_cancel(self, handle: GoalHandle) -> None:
+    def _receive_cancel(self, handle: GoalHandle) -> None:
         if self._goal is not None and self._goal.handle is handle:
             self._goal = None
             self._hold()

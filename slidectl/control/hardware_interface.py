@@ -35,15 +35,17 @@ class JointStateHandle:
 
 
 class JointHandle(JointStateHandle):
-    """State and command of one joint. The unit of `command` is that of the interface it is registered with."""
+    """State and commands of one joint. The unit of `command` is that of the interface it is registered with."""
 
-    __slots__ = ("command", "highest", "lowest")
+    __slots__ = ("command", "command_acceleration", "command_velocity", "highest", "lowest")
 
     def __init__(
         self, name: str, position: float = 0.0, velocity: float = 0.0, effort: float = 0.0, command: float = 0.0
     ) -> None:
         super().__init__(name, position, velocity, effort)
         self.command = command
+        self.command_velocity = self.command_acceleration = 0.0
+        """For interfaces with several commands, of which `command` is the position."""
         self.lowest = -inf
         """The hardware raises a command below this to it, and lowers a command above `highest`. Units of `command`."""
         self.highest = inf
@@ -56,35 +58,6 @@ def is_finite(joint: JointHandle) -> bool:
     if isfinite(command):
         return True
     return (command > 0.0 and isfinite(joint.highest)) or (command < 0.0 and isfinite(joint.lowest))
-
-
-class PosVelJointHandle(JointHandle):
-    """State of one joint, with a command of position (`command`) and a command of velocity."""
-
-    __slots__ = ("command_velocity",)
-
-    def __init__(self, name: str, position: float = 0.0, velocity: float = 0.0, effort: float = 0.0) -> None:
-        super().__init__(name, position, velocity, effort)
-        self.command_velocity = 0.0
-
-    @property
-    def command_position(self) -> float:
-        """The other name of `command`."""
-        return self.command
-
-    @command_position.setter
-    def command_position(self, position: float) -> None:
-        self.command = position
-
-
-class PosVelAccJointHandle(PosVelJointHandle):
-    """A PosVelJointHandle with a command of acceleration (m/s² or rad/s²)."""
-
-    __slots__ = ("command_acceleration",)
-
-    def __init__(self, name: str, position: float = 0.0, velocity: float = 0.0, effort: float = 0.0) -> None:
-        super().__init__(name, position, velocity, effort)
-        self.command_acceleration = 0.0
 
 
 class ImuData(NamedTuple):
@@ -185,13 +158,13 @@ class ResourceManager(Generic[H]):
         """All handles."""
         return list(self._handles.values())
 
-    def take_claims(self) -> tuple[str, ...]:
+    def pop_claims(self) -> tuple[str, ...]:
         """The names claimed since the last call, alphabetical; the record is then empty."""
         claimed = tuple(sorted(self._claimed))
         self._claimed.clear()
         return claimed
 
-    def take_handed_out(self) -> list[H]:
+    def pop_handed_out(self) -> list[H]:
         """The handles that `get_handle` has returned since the last call; the record is then empty."""
         handed_out, self._handed_out = self._handed_out, {}
         return list(handed_out.values())
@@ -203,15 +176,11 @@ class JointStateInterface(ResourceManager[JointStateHandle]):
     type_name = "hardware_interface::JointStateInterface"
 
 
-J = TypeVar("J", bound=JointHandle)
-
-
-class JointCommands(ResourceManager[J]):
+class JointCommands(ResourceManager[JointHandle]):
     """Base of the interfaces whose joints take commands, which are those of `description.interfaces`."""
 
     claims = True
     declared: ClassVar[JointInterface]
-    handle_type: ClassVar[type[JointHandle]] = JointHandle
 
     @classmethod
     def commands_of(cls, handle: JointHandle) -> list[tuple[JointHandle, str]]:
@@ -219,7 +188,7 @@ class JointCommands(ResourceManager[J]):
         return [(handle, attribute) for attribute in ("command", *cls.declared.beside)]
 
 
-class JointCommandInterface(JointCommands[JointHandle]):
+class JointCommandInterface(JointCommands):
     """Base of the interfaces whose joints take one command."""
 
 
@@ -244,20 +213,18 @@ class PositionJointInterface(JointCommandInterface):
     type_name = declared.type_name
 
 
-class PosVelJointInterface(JointCommands[PosVelJointHandle]):
+class PosVelJointInterface(JointCommands):
     """Commands of position and velocity."""
 
     declared = interfaces.POS_VEL
     type_name = declared.type_name
-    handle_type = PosVelJointHandle
 
 
-class PosVelAccJointInterface(JointCommands[PosVelAccJointHandle]):
+class PosVelAccJointInterface(JointCommands):
     """Commands of position, velocity and acceleration."""
 
     declared = interfaces.POS_VEL_ACC
     type_name = declared.type_name
-    handle_type = PosVelAccJointHandle
 
 
 class ImuSensorInterface(ResourceManager[SensorHandle[ImuData]]):
@@ -274,7 +241,7 @@ class ForceTorqueSensorInterface(ResourceManager[SensorHandle[ForceTorqueData]])
     kind = "sensor"
 
 
-COMMAND_INTERFACES: dict[JointInterface, type[JointCommands[Any]]] = {
+COMMAND_INTERFACES: dict[JointInterface, type[JointCommands]] = {
     kind.declared: kind
     for kind in (
         EffortJointInterface,
@@ -326,7 +293,7 @@ class CommandAttribute(NamedTuple):
     attribute: str
     holds: bool
 
-    def trouble(self) -> str:
+    def error_text(self) -> str:
         """What is wrong when the command is not finite, in words; empty when it is."""
         value = getattr(self.handle, self.attribute)
         if is_finite(self.handle) if self.attribute == "command" else isfinite(value):
@@ -361,7 +328,7 @@ class RobotHW:
         handles: dict[int, JointStateHandle] = {}
         commands: dict[tuple[int, str], tuple[JointHandle, str]] = {}
         for interface in self._interfaces.values():
-            for handle in interface.take_handed_out() if only_new else interface.handles():
+            for handle in interface.pop_handed_out() if only_new else interface.handles():
                 if isinstance(handle, JointStateHandle):
                     handles[id(handle)] = handle
                 if isinstance(handle, JointHandle):

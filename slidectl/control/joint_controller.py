@@ -20,7 +20,7 @@ from slidectl.control.params import JOINT, JOINTS, Parameter, within
 from slidectl.control.pid import GAINS, Pid, ReconfigurablePid
 from slidectl.errors import MessageRefused, Reason, Refused
 
-_TOLD_EVERY_NS = 1_000_000_000
+_WARNING_PERIOD_NS = 1_000_000_000
 
 
 class CommandController(Controller[JointCommandInterface]):
@@ -31,8 +31,8 @@ class CommandController(Controller[JointCommandInterface]):
     def _listen(self, node: NodeHandle, type_name: str, receive: MessageCallback) -> None:
         """Subscribe. This must be the last step of an init, since a latched command arrives at once."""
         self._node = node
-        self._told = ""
-        self._told_ns = 0
+        self._last_warning = ""
+        self._last_warning_ns = 0
         node.subscribe("command", type_name, receive)
 
     def _check(self, commands: Sequence[tuple[JointHandle, float, tuple[float, float]]], remark: str = "") -> None:
@@ -47,12 +47,12 @@ class CommandController(Controller[JointCommandInterface]):
         """
         name = self._node.namespace
         if not all(isfinite(value) for _, value, _ in commands):
-            text = f"{name} takes no command of nan or infinity: it must be a finite number"
+            text = f"{name} refuses the command: it must be a finite number, not nan or infinity"
             self._node.log("error", text)
             raise MessageRefused(text)
         if self.state is not State.RUNNING:  # `starting` will overwrite the command
             start = f"start it: slidectl controller start {name.rpartition('/')[2]}"
-            self._tell(f"{name} is not running: the command has no effect; {start}", "idle")
+            self._warn(f"{name} is not running: the command has no effect; {start}", "idle")
             return
         beyond = [
             (joint.name, value, "lower" if value < lowest else "upper", lowest if value < lowest else highest)
@@ -60,23 +60,23 @@ class CommandController(Controller[JointCommandInterface]):
             if not lowest <= value <= highest
         ]
         if not beyond:
-            self._told = ""
+            self._last_warning = ""
             if remark:
-                self._tell(f"{name}: {remark}", remark)
+                self._warn(f"{name}: {remark}", remark)
             return
         parts = [
             f"{value:g} is beyond the {side} limit of joint {joint!r}; it gets {limit:g}"
             for joint, value, side, limit in beyond
         ]
         parts += [remark] if remark else []
-        self._tell(f"{name}: {', '.join(parts)}", " ".join(f"{side} {joint}" for joint, _, side, _ in beyond))
+        self._warn(f"{name}: {', '.join(parts)}", " ".join(f"{side} {joint}" for joint, _, side, _ in beyond))
 
-    def _tell(self, text: str, what: str) -> None:
+    def _warn(self, text: str, what: str) -> None:
         """Warn the sender of the command. The same warning is logged at most once per second."""
         now_ns = self._node.now_ns()
-        if what != self._told or not 0 <= now_ns - self._told_ns < _TOLD_EVERY_NS:
-            self._told = what
-            self._told_ns = now_ns
+        if what != self._last_warning or not 0 <= now_ns - self._last_warning_ns < _WARNING_PERIOD_NS:
+            self._last_warning = what
+            self._last_warning_ns = now_ns
             self._node.log("warn", text)
         elif self._node.reasons is not None:
             self._node.reasons.append(Reason(text, "warn"))
@@ -135,13 +135,13 @@ class GroupController(CommandController):
 
 def joint_names(node: NodeHandle) -> list[str]:
     """The value of `joints`. Raises SlidectlError: it is missing, of another type, or empty."""
-    found = params.needed_texts(node, JOINTS.name)
+    found: list[str] = params.value_of(node, JOINTS)
     where = names.join(node.namespace, JOINTS.name)
     if not found:
         raise Refused(f"parameter {where} must name at least one joint")
     for name in dict.fromkeys(found):
         if found.count(name) > 1:
-            node.log("warn", f"parameter {where} names {name!r} twice: the later command counts")
+            node.log("warn", f"parameter {where} names {name!r} twice: the later command is used")
     return found
 
 
@@ -151,7 +151,7 @@ def warn_of_other_joints(node: NodeHandle, place: str, known: Sequence[str]) -> 
     for name in tree if isinstance(tree, dict) else ():
         if name not in known:
             where = names.join(node.namespace, f"{place}/{name}")
-            node.log("warn", f"{where} has no effect: {name!r} is no joint of this controller")
+            node.log("warn", f"{where} has no effect: {name!r} is not a joint of this controller")
 
 
 UPDATES_PER_STATE = 10
@@ -201,11 +201,11 @@ class PidController(ScalarController):
     def update(self, time_ns: int, period_s: float) -> None:
         self.track(self, self._pid, self._joint, period_s)
         if self._pid.observer is not None:
-            self._pid.tell(self.error, period_s)
+            self._pid.report(self.error, period_s)
         if state_is_due(self) and self._state.wanted:
             self.publish(time_ns, period_s)
 
-    def _tell_state(self, time_ns: int, period_s: float, *, value: float, value_dot: float) -> None:
+    def _publish_state(self, time_ns: int, period_s: float, *, value: float, value_dot: float) -> None:
         """Publish control_msgs/JointControllerState, with this process value and its derivative."""
         pid = self._pid
         self._state.sequence = self.states - 1

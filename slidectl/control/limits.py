@@ -56,32 +56,34 @@ class SoftJointLimits:
 NO_LIMITS = JointLimits()
 
 LIMITS = (
-    Parameter("has_position_limits", BOOLEAN, "min_position and max_position count, or (false) there are none"),
+    Parameter("has_position_limits", BOOLEAN, "true: min_position and max_position apply; false: no limits"),
     Parameter("min_position", NUMBER, "least position", "m or rad"),
     Parameter("max_position", NUMBER, "largest position", "m or rad"),
-    Parameter("has_velocity_limits", BOOLEAN, "max_velocity counts, or (false) there is none"),
+    Parameter("has_velocity_limits", BOOLEAN, "true: max_velocity applies; false: no limit"),
     Parameter("max_velocity", NUMBER, "largest velocity", "m/s or rad/s"),
-    Parameter("has_acceleration_limits", BOOLEAN, "max_acceleration counts, or (false) there is none"),
+    Parameter("has_acceleration_limits", BOOLEAN, "true: max_acceleration applies; false: no limit"),
     Parameter("max_acceleration", NUMBER, "largest acceleration", "m/s² or rad/s²"),
-    Parameter("has_jerk_limits", BOOLEAN, "max_jerk counts, or (false) there is none"),
+    Parameter("has_jerk_limits", BOOLEAN, "true: max_jerk applies; false: no limit"),
     Parameter("max_jerk", NUMBER, "largest jerk", "m/s³ or rad/s³"),
-    Parameter("has_effort_limits", BOOLEAN, "max_effort counts, or (false) there is none"),
+    Parameter("has_effort_limits", BOOLEAN, "true: max_effort applies; false: no limit"),
     Parameter("max_effort", NUMBER, "largest effort", "N or N·m"),
-    Parameter("angle_wraparound", BOOLEAN, "the joint turns on and on"),
-    Parameter("has_soft_limits", BOOLEAN, "the four values of soft limits count"),
-    Parameter("soft_lower_limit", NUMBER, "where slowing down ends, below", "m or rad"),
-    Parameter("soft_upper_limit", NUMBER, "where slowing down ends, above", "m or rad"),
+    Parameter("angle_wraparound", BOOLEAN, "the joint turns without limits"),
+    Parameter("has_soft_limits", BOOLEAN, "the four values of soft limits apply"),
+    Parameter("soft_lower_limit", NUMBER, "lower soft limit", "m or rad"),
+    Parameter("soft_upper_limit", NUMBER, "upper soft limit", "m or rad"),
     Parameter("k_position", NUMBER, "velocity allowed per distance to the soft limit", "1/s"),
     Parameter("k_velocity", NUMBER, "effort allowed per velocity left", "N·s/m or N·m·s/rad"),
 )
 """The parameters of `joint_limits/<joint>`, as joint_limits_interface reads them."""
 
-_BOUNDS = {
-    "has_velocity_limits": "max_velocity",
-    "has_acceleration_limits": "max_acceleration",
-    "has_jerk_limits": "max_jerk",
-    "has_effort_limits": "max_effort",
-}
+_BOUNDS = (
+    ("has_position_limits", "min_position", "max_position"),
+    ("has_velocity_limits", "max_velocity"),
+    ("has_acceleration_limits", "max_acceleration"),
+    ("has_jerk_limits", "max_jerk"),
+    ("has_effort_limits", "max_effort"),
+)
+"""Each flag, and the values that it requires."""
 
 
 def limits_from_joint(joint: Joint, base: JointLimits = NO_LIMITS) -> JointLimits | None:
@@ -120,39 +122,27 @@ def limits_from_parameters(node: NodeHandle, joint: str, base: JointLimits = NO_
     if not node.has_param(where):
         return None
     changes: dict[str, Any] = {}
-    has_position = params.boolean(node, f"{where}/has_position_limits")
-    if has_position:
-        lower = params.number(node, f"{where}/min_position")
-        upper = params.number(node, f"{where}/max_position")
-        if lower is not None and upper is not None:
-            changes |= {"has_position_limits": True, "min_position": lower, "max_position": upper}
-    elif has_position is not None:
-        changes["has_position_limits"] = False
-        wraparound = params.boolean(node, f"{where}/angle_wraparound")
-        if wraparound is not None:
-            changes["angle_wraparound"] = wraparound
-    for flag, bound in _BOUNDS.items():
-        has = params.boolean(node, f"{where}/{flag}")
-        value = params.number(node, f"{where}/{bound}") if has else None
+    for flag, *bounds in _BOUNDS:
+        has = params.read(node, f"{where}/{flag}", BOOLEAN)
+        values = [params.read(node, f"{where}/{bound}", NUMBER) for bound in bounds] if has else []
         if has is False:
             changes[flag] = False
-        elif value is not None:
-            changes |= {flag: True, bound: value}
+        elif has and None not in values:
+            changes |= {flag: True, **dict(zip(bounds, values, strict=True))}
+    if changes.get("has_position_limits") is False:
+        wraparound = params.read(node, f"{where}/angle_wraparound", BOOLEAN)
+        changes |= {} if wraparound is None else {"angle_wraparound": wraparound}
     return replace(base, **changes)
 
 
 def soft_limits_from_parameters(node: NodeHandle, joint: str) -> SoftJointLimits | None:
     """The soft limits at `joint_limits/<joint>`; None unless `has_soft_limits` is true and all four values are set."""
     where = f"joint_limits/{joint}"
-    if params.boolean(node, f"{where}/has_soft_limits") is not True:
+    if not params.read(node, f"{where}/has_soft_limits", BOOLEAN):
         return None
-    lower = params.number(node, f"{where}/soft_lower_limit")
-    upper = params.number(node, f"{where}/soft_upper_limit")
-    k_position = params.number(node, f"{where}/k_position")
-    k_velocity = params.number(node, f"{where}/k_velocity")
-    if lower is None or upper is None or k_position is None or k_velocity is None:
-        return None
-    return SoftJointLimits(lower, upper, k_position, k_velocity)
+    names = ("soft_lower_limit", "soft_upper_limit", "k_position", "k_velocity")
+    values = [params.read(node, f"{where}/{name}", NUMBER) for name in names]
+    return None if None in values else SoftJointLimits(*(value for value in values if value is not None))
 
 
 # Laws that enforce a limit on a command. They work on a limit handle and its joint, or on their rows. The formulas are
@@ -323,36 +313,11 @@ def enforce(limit: LimitHandle, joint: JointHandle, period_s: float) -> None:
         soften_velocity(limit, joint, period_s)
 
 
-class BadLimits(Refused):
-    """A limit that a handle requires is missing."""
-
-    def __init__(self, handle: str, joint: str, missing: str) -> None:
-        super().__init__(f"joint {joint!r} has no {missing} limit, which {handle} needs")
-
-
 class LimitHandle:
     """Enforces one kind of limit on the command of one joint, once per step, in place."""
 
     saved_attributes: ClassVar[tuple[str, ...]] = ("previous",)
 
-    __slots__ = (
-        "enforce",
-        "handle",
-        "has_acceleration_limits",
-        "has_position_limits",
-        "has_velocity_limits",
-        "k_position",
-        "k_velocity",
-        "kind",
-        "max_acceleration",
-        "max_effort",
-        "max_position",
-        "max_velocity",
-        "min_position",
-        "previous",
-        "soft_lower",
-        "soft_upper",
-    )
     columns = Columns(
         changing="previous",
         fixed="kind min_position max_position soft_lower soft_upper has_position_limits has_velocity_limits "
@@ -364,11 +329,11 @@ class LimitHandle:
     def __init__(
         self, kind: int, handle: JointHandle, limits: JointLimits, soft: SoftJointLimits | None = None
     ) -> None:
-        """Raises BadLimits when a limit that the kind requires is missing."""
+        """Raises Refused when a limit that the kind requires is missing."""
         of_kind = LIMIT_KINDS[kind]
         for missing in of_kind.needs:
             if not getattr(limits, f"has_{missing}_limits"):
-                raise BadLimits(of_kind.name, handle.name, missing)
+                raise Refused(f"joint {handle.name!r} has no {missing} limit, which {of_kind.name} needs")
         self.kind = kind
         self.handle = handle
         self.enforce: Callable[[float], None] = partial(of_kind.law, self, handle)
@@ -399,7 +364,7 @@ class LimitHandle:
 
 
 def limit_handle(
-    interface: type[JointCommands[Any]],
+    interface: type[JointCommands],
     handle: JointHandle,
     limits: JointLimits,
     soft: SoftJointLimits | None = None,
@@ -407,7 +372,7 @@ def limit_handle(
     """The limit handle for a joint of that interface. With soft limits, it enforces the soft kind only.
 
     Raises:
-        BadLimits: a limit that the handle requires is missing.
+        Refused: a limit that the handle requires is missing.
     """
     return LimitHandle(_SATURATION[interface.declared.quantity] + (soft is not None), handle, limits, soft)
 

@@ -26,17 +26,19 @@ from slidectl.errors import MessageRefused, Refused
 from slidectl.rotations import Vector
 
 DIAGONAL = Kind(
-    "a list of six floats, as 0.001",
+    "a list of six floats, such as 0.001",
     lambda value: value if isinstance(value, list) and [type(item) for item in value] == [float] * 6 else None,
 )
 
-TIMEOUT = Parameter("cmd_vel_timeout", NUMBER, "a command counts for so long", "s", default=0.5)
+TIMEOUT = Parameter("cmd_vel_timeout", NUMBER, "time after which a command expires", "s", default=0.5)
 ALLOWS_MANY = Parameter("allow_multiple_cmd_vel_publishers", BOOLEAN, "several nodes may publish cmd_vel", default=True)
-OPEN_LOOP = Parameter("open_loop", BOOLEAN, "odometry is made of the commands, not of the wheels", default=False)
+OPEN_LOOP = Parameter(
+    "open_loop", BOOLEAN, "compute the odometry from the commands, not from the wheels", default=False
+)
 WINDOW = Parameter("velocity_rolling_window_size", INTEGER, "updates in the mean of the velocities", default=10)
 PUBLISH_RATE = Parameter("publish_rate", NUMBER, "odometry messages per simulated second", "1/s", default=50.0)
-BASE_FRAME = Parameter("base_frame_id", TEXT, "the frame that moves", default="base_link")
-ODOM_FRAME = Parameter("odom_frame_id", TEXT, "the frame that it moves in", default="odom")
+BASE_FRAME = Parameter("base_frame_id", TEXT, "the frame of the base", default="base_link")
+ODOM_FRAME = Parameter("odom_frame_id", TEXT, "the fixed frame of the odometry", default="odom")
 ODOM_TF = Parameter("enable_odom_tf", BOOLEAN, "publishes the frame on /tf too", default=True)
 OF_BASE = (OPEN_LOOP, WINDOW, TIMEOUT, ALLOWS_MANY, BASE_FRAME, ODOM_FRAME)
 """The parameters of a base that is commanded by twists only."""
@@ -45,17 +47,17 @@ COVARIANCES = (
     Parameter("twist_covariance_diagonal", DIAGONAL, "of the velocities on odom", required=True),
 )
 _VELOCITY_LIMITS = (
-    Parameter("has_velocity_limits", BOOLEAN, "min_velocity and max_velocity count", default=False),
-    Parameter("has_acceleration_limits", BOOLEAN, "min_acceleration and max_acceleration count", default=False),
+    Parameter("has_velocity_limits", BOOLEAN, "min_velocity and max_velocity apply", default=False),
+    Parameter("has_acceleration_limits", BOOLEAN, "min_acceleration and max_acceleration apply", default=False),
     Parameter("max_velocity", NUMBER, "largest velocity", "m/s or rad/s", default=0.0),
-    Parameter("min_velocity", NUMBER, "least velocity; by default the largest one backwards", "m/s or rad/s"),
+    Parameter("min_velocity", NUMBER, "minimum velocity; by default -max_velocity", "m/s or rad/s"),
     Parameter("max_acceleration", NUMBER, "largest acceleration", "m/s² or rad/s²", default=0.0),
-    Parameter("min_acceleration", NUMBER, "least one; by default the largest one backwards", "m/s² or rad/s²"),
+    Parameter("min_acceleration", NUMBER, "minimum acceleration; by default -max_acceleration", "m/s² or rad/s²"),
 )
 _JERK_LIMITS = (
-    Parameter("has_jerk_limits", BOOLEAN, "min_jerk and max_jerk count", default=False),
+    Parameter("has_jerk_limits", BOOLEAN, "min_jerk and max_jerk apply", default=False),
     Parameter("max_jerk", NUMBER, "largest jerk", "m/s³ or rad/s³", default=0.0),
-    Parameter("min_jerk", NUMBER, "least jerk; by default the largest one backwards", "m/s³ or rad/s³"),
+    Parameter("min_jerk", NUMBER, "minimum jerk; by default -max_jerk", "m/s³ or rad/s³"),
 )
 LIMITS_WITHOUT_JERK = (*within("linear/x", _VELOCITY_LIMITS), *within("angular/z", _VELOCITY_LIMITS))
 LIMITS = (
@@ -110,11 +112,11 @@ class CommandTopic:
         publishers = self._node.count_publishers(self._topic)
         if self._on_second_publisher is not None and publishers > 1:
             self._on_second_publisher()
-            text = f"{name}: {self._topic} has {publishers} publishers, and 1 is allowed; the wheels brake"
+            text = f"{name}: {self._topic} has {publishers} publishers, but only 1 is allowed; the wheels brake"
             self._refuse("error", text)
         numbers = self._numbers_of(message)
         if not all(map(isfinite, numbers)):
-            self._refuse("warn", f"{name} takes no command of nan or infinity: it must have finite numbers")
+            self._refuse("warn", f"{name} refuses the command: it must have finite numbers, not nan or infinity")
         self.numbers = numbers
         self.received_ns = self._node.now_ns()
 
@@ -178,13 +180,13 @@ def limits_of(node: NodeHandle, where: str, has_jerk: bool) -> list[float]:
 
 
 def _bounds(node: NodeHandle, where: str, what: str) -> tuple[float, float] | None:
-    has = params.boolean(node, f"{where}/has_{what}_limits")
-    most, least = params.number(node, f"{where}/max_{what}"), params.number(node, f"{where}/min_{what}")
+    has = params.read(node, f"{where}/has_{what}_limits", BOOLEAN)
+    most, least = params.read(node, f"{where}/max_{what}", NUMBER), params.read(node, f"{where}/min_{what}", NUMBER)
     if not has:
         return None
     if most is None:
         place = names.join(node.namespace, where)
-        node.log("warn", f"{place}/has_{what}_limits is true without max_{what}, which is 0 then")
+        node.log("warn", f"{place}/has_{what}_limits is true without max_{what}: 0 is used")
         most = 0.0
     return -most if least is None else least, most
 

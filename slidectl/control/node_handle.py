@@ -21,14 +21,8 @@ MessageCallback = Callable[[Message], None]
 ServiceHandler = Callable[[Message], Message]
 
 
-class _Missing:
-    """Marks a parameter that is not set (None is a legal default)."""
-
-    def __repr__(self) -> str:
-        return "MISSING"
-
-
-MISSING: Any = _Missing()
+MISSING: Any = object()
+"""Marks a parameter that is not set (None is a legal default)."""
 
 
 class ParameterChange(NamedTuple):

@@ -34,12 +34,8 @@ class BadParameter(Refused):
 
 def as_number(value: Any) -> float | None:
     """An int or a float as a float; None for other types, also for a boolean or a string."""
-    return None if isinstance(value, bool) else _as_float(value)
-
-
-def _as_float(value: Any) -> float | None:
     try:
-        return float(value) if isinstance(value, int | float) else None
+        return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
     except OverflowError:  # an int of hundreds of digits
         return None
 
@@ -69,7 +65,7 @@ def as_numbers(value: Any) -> list[float] | None:
     """A list of numbers, in which booleans count as 0 and 1; None for other values."""
     if not isinstance(value, list):
         return None
-    numbers = [_as_float(item) for item in value]
+    numbers = [as_number(int(item) if isinstance(item, bool) else item) for item in value]
     return None if None in numbers else [number for number in numbers if number is not None]
 
 
@@ -87,52 +83,7 @@ TEXT = Kind("a string", lambda value: value if isinstance(value, str) else None)
 TEXTS = Kind("a list of strings", as_texts)
 NUMBERS = Kind("a list of numbers", as_numbers)
 LIST = Kind("a list", lambda value: value if isinstance(value, list) else None)
-FLOAT = Kind("a float, as 0.0", lambda value: value if isinstance(value, float) else None)
-
-
-def number(node: NodeHandle, name: str) -> float | None:
-    """The parameter as a number, None when it is not one."""
-    return read(node, name, NUMBER)
-
-
-def integer(node: NodeHandle, name: str) -> int | None:
-    """The parameter as an integer, None when it is not one."""
-    return read(node, name, INTEGER)
-
-
-def boolean(node: NodeHandle, name: str) -> bool | None:
-    """The parameter as a boolean, None when it is not one."""
-    return read(node, name, BOOLEAN)
-
-
-def text(node: NodeHandle, name: str) -> str | None:
-    """The parameter as a string, None when it is not one."""
-    return read(node, name, TEXT)
-
-
-def texts(node: NodeHandle, name: str) -> list[str] | None:
-    """The parameter as a list of strings, None when it is not one."""
-    return read(node, name, TEXTS)
-
-
-def numbers(node: NodeHandle, name: str) -> list[float] | None:
-    """The parameter as a list of numbers, None when it is not one."""
-    return read(node, name, NUMBERS)
-
-
-def needed_number(node: NodeHandle, name: str) -> float:
-    """The parameter as a number. Raises BadParameter when it is not one."""
-    return needed(node, name, NUMBER)
-
-
-def needed_text(node: NodeHandle, name: str) -> str:
-    """The parameter as a string. Raises BadParameter when it is not one."""
-    return needed(node, name, TEXT)
-
-
-def needed_texts(node: NodeHandle, name: str) -> list[str]:
-    """The parameter as a list of strings. Raises BadParameter when it is not one."""
-    return needed(node, name, TEXTS)
+FLOAT = Kind("a float, such as 0.0", lambda value: value if isinstance(value, float) else None)
 
 
 def read(node: NodeHandle, name: str, kind: Kind[T]) -> T | None:
@@ -284,14 +235,14 @@ def judge(node: NodeHandle, own: tuple[Parameter, ...], change: ParameterChange)
             node.log("warn", f"parameter {full} has no effect: the controller does not read it")
     for parameter in late:
         where = names.join(node.namespace, parameter.name)
-        node.log("warn", f"{where} counts when the controller is loaded again; until then the old value does")
+        node.log("warn", f"{where} takes effect when the controller is loaded again")
 
 
 TYPE = Parameter("type", TEXT, "the controller's type", required=True)
 UPDATE_BUDGET = Parameter(
     "update_budget",
     NUMBER,
-    "wall time that an update may take without a warning; 0: any",
+    "wall time that an update may take without a warning; 0: no limit",
     "s",
     default=0.0,
     live=True,

@@ -16,7 +16,7 @@ from typing import Any, ClassVar, NamedTuple
 from slidectl.control import params
 from slidectl.control.duration import from_seconds, header_of, to_stamp
 from slidectl.control.laws import Columns, law
-from slidectl.control.node_handle import Message, NodeHandle, ParameterChange, publish_if_wanted
+from slidectl.control.node_handle import NodeHandle, ParameterChange, publish_if_wanted
 from slidectl.control.params import BOOLEAN, NUMBER, Parameter, check_values
 from slidectl.control.reconfigure import Option, ReconfigureServer, Values
 from slidectl.errors import Refused
@@ -115,21 +115,6 @@ class Pid:
     Errors are in units of the controlled quantity, periods in seconds.
     """
 
-    __slots__ = (
-        "antiwindup",
-        "command",
-        "d",
-        "d_error",
-        "i",
-        "i_error",
-        "i_max",
-        "i_min",
-        "observer",
-        "p",
-        "p_error",
-        "p_error_last",
-        "p_error_last_is_valid",
-    )
     columns = Columns(
         changing="p_error p_error_last p_error_last_is_valid i_error d_error command",
         fixed="p i d i_min i_max antiwindup",
@@ -175,10 +160,10 @@ class Pid:
         """`next_command`, followed by a call of the observer."""
         command = next_command(self, error, period_s)
         if self.observer is not None:
-            self.tell(error, period_s)
+            self.report(error, period_s)
         return command
 
-    def tell(self, error: float, period_s: float) -> None:
+    def report(self, error: float, period_s: float) -> None:
         """Call the observer, if a command was computed for this error."""
         if self.observer is not None and period_s != 0.0 and isfinite(error) and isfinite(self.d_error):
             self.observer(period_s)
@@ -195,9 +180,9 @@ GAINS = (
     Parameter("p", NUMBER, "proportional gain", required=True, live=True),
     Parameter("i", NUMBER, "integral gain", default=0.0, live=True),
     Parameter("d", NUMBER, "derivative gain", default=0.0, live=True),
-    Parameter("i_clamp", NUMBER, "bounds the integral term both ways", default=0.0, live=True),
-    Parameter("i_clamp_min", NUMBER, "bounds the integral term below; goes before i_clamp", live=True),
-    Parameter("i_clamp_max", NUMBER, "bounds the integral term above; goes before i_clamp", live=True),
+    Parameter("i_clamp", NUMBER, "bound of the integral term in both directions", default=0.0, live=True),
+    Parameter("i_clamp_min", NUMBER, "lower bound of the integral term; overrides i_clamp", live=True),
+    Parameter("i_clamp_max", NUMBER, "upper bound of the integral term; overrides i_clamp", live=True),
     Parameter("antiwindup", BOOLEAN, "bounds the integral itself, not only its term", default=False, live=True),
     Parameter("publish_state", BOOLEAN, "publishes control_msgs/PidState", default=False),
 )
@@ -220,12 +205,13 @@ class ReconfigurablePid:
         self._is_idle = False
         gains = gains_from_parameters(node)
         self.pid = Pid(*gains)
-        if params.boolean(node, "publish_state"):
-            self.pid.observer = _StatePublisher(self.pid, node).publish
+        if params.read(node, "publish_state", BOOLEAN):
+            self._state = node.advertise("state", "control_msgs/PidState")
+            self.pid.observer = self._publish_state
         self._server = ReconfigureServer(
             node, OPTIONS, lambda: to_parameters(self.pid.gains), lambda values: self.set_gains(gains_of(values))
         )
-        i_clamp = params.number(node, "i_clamp")
+        i_clamp = params.read(node, "i_clamp", NUMBER)
         self.set_gains(gains)
         # The value as set, even if i_clamp_min and i_clamp_max override it: setting it again then changes nothing.
         self._i_clamp = None if i_clamp is None else abs(i_clamp)
@@ -292,10 +278,33 @@ class ReconfigurablePid:
         """
         old = self.pid.gains
         gains = gains_from_parameters(self._node, old)
-        i_clamp = params.number(self._node, "i_clamp")
+        i_clamp = params.read(self._node, "i_clamp", NUMBER)
         if i_clamp is None or abs(i_clamp) == self._i_clamp or (gains.i_min, gains.i_max) != (old.i_min, old.i_max):
             return gains
         return gains._replace(i_min=-abs(i_clamp), i_max=abs(i_clamp))
+
+    def _publish_state(self, period_s: float) -> None:
+        """Publish control_msgs/PidState after a command that was computed for this period."""
+        pid = self.pid
+        p_term, i_term, d_term = pid.terms()
+        publish_if_wanted(
+            self._state,
+            lambda: {
+                "header": header_of(self._node.now_ns()),
+                "timestep": to_stamp(from_seconds(period_s)),
+                "error": pid.p_error,
+                "error_dot": pid.d_error,
+                "p_error": pid.p_error,
+                "i_error": pid.i_error,
+                "d_error": pid.d_error,
+                "p_term": p_term,
+                "i_term": i_term,
+                "d_term": d_term,
+                "i_max": pid.i_max,
+                "i_min": pid.i_min,
+                "output": pid.command,
+            },
+        )
 
 
 def gains_from_parameters(node: NodeHandle, base: Gains | None = None) -> Gains:
@@ -304,68 +313,25 @@ def gains_from_parameters(node: NodeHandle, base: Gains | None = None) -> Gains:
     Raises:
         BadParameter: neither `p` nor `base`. Refused: a gain is not a number.
     """
-    p = params.number(node, "p") if base is not None else params.needed_number(node, "p")
+    if base is None:
+        params.needed(node, "p", NUMBER)
     base = base or Gains()
-    i_clamp = params.number(node, "i_clamp")
-    i_max = base.i_max if i_clamp is None else abs(i_clamp)
-    i_min = base.i_min if i_clamp is None else -abs(i_clamp)
-    lower, upper = params.number(node, "i_clamp_min"), params.number(node, "i_clamp_max")
-    antiwindup = params.boolean(node, "antiwindup")
-    return _checked(
-        node,
-        Gains(
-            p=_first(p, base.p),
-            i=_first(params.number(node, "i"), base.i),
-            d=_first(params.number(node, "d"), base.d),
-            i_max=i_max if upper is None else abs(upper),
-            i_min=i_min if lower is None else -abs(lower),
-            antiwindup=base.antiwindup if antiwindup is None else antiwindup,
-        ),
+    names = ("p", "i", "d", "i_clamp", "i_clamp_min", "i_clamp_max")
+    p, i, d, clamp, lower, upper = (params.read(node, name, NUMBER) for name in names)
+    lower, upper = clamp if lower is None else lower, clamp if upper is None else upper
+    antiwindup = params.read(node, "antiwindup", BOOLEAN)
+    gains = Gains(
+        p=base.p if p is None else p,
+        i=base.i if i is None else i,
+        d=base.d if d is None else d,
+        i_max=base.i_max if upper is None else abs(upper),
+        i_min=base.i_min if lower is None else -abs(lower),
+        antiwindup=base.antiwindup if antiwindup is None else antiwindup,
     )
-
-
-def _first(value: float | None, otherwise: float) -> float:
-    return otherwise if value is None else value
-
-
-def _checked(node: NodeHandle, gains: Gains) -> Gains:
-    """The gains. Raises Refused for nan, and for an infinite p, i or d; an infinite clamp means no clamp."""
     for name, value in gains._asdict().items():
-        if isnan(value) or (name in ("p", "i", "d") and not isfinite(value)):
+        if isnan(value) or (name in ("p", "i", "d") and not isfinite(value)):  # an infinite clamp means no clamp
             raise Refused(f"{node.namespace}: gain {name} must be a number, not {value}")
     return gains
-
-
-class _StatePublisher:
-    """Publishes control_msgs/PidState after each command of a PID."""
-
-    def __init__(self, pid: Pid, node: NodeHandle) -> None:
-        self._pid = pid
-        self._node = node
-        self._publisher = node.advertise("state", "control_msgs/PidState")
-
-    def publish(self, period_s: float) -> None:
-        """The state after a command that was computed for this period."""
-        publish_if_wanted(self._publisher, lambda: self._message(period_s))
-
-    def _message(self, period_s: float) -> Message:
-        pid = self._pid
-        p_term, i_term, d_term = pid.terms()
-        return {
-            "header": header_of(self._node.now_ns()),
-            "timestep": to_stamp(from_seconds(period_s)),
-            "error": pid.p_error,
-            "error_dot": pid.d_error,
-            "p_error": pid.p_error,
-            "i_error": pid.i_error,
-            "d_error": pid.d_error,
-            "p_term": p_term,
-            "i_term": i_term,
-            "d_term": d_term,
-            "i_max": pid.i_max,
-            "i_min": pid.i_min,
-            "output": pid.command,
-        }
 
 
 OPTIONS = (

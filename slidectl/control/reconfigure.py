@@ -68,7 +68,7 @@ class ReconfigureServer:
             UnknownName: no such value. Refused: nan, or a value of another type.
         """
         if config["ints"] or config["strs"]:
-            raise Refused("the values are doubles and bools; there are no ints and no strs")
+            raise Refused("only doubles and bools can be set, not ints or strs")
         values = self._values()
         for kind in ("doubles", "bools"):
             for entry in config[kind]:

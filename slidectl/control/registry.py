@@ -1,4 +1,4 @@
-"""Controllers by type name: the decorator that registers a class, and the types that a world knows.
+"""Types of controllers and of simulated hardware by name: the decorator for controllers, and those that a world knows.
 
 Every module of `controllers/` is imported at the first query of types, so a new family needs only a new module. Users'
 classes come from files, from modules, and from the entry points of installed packages; they are those of one world.
@@ -17,9 +17,10 @@ from typing import Any, TypeVar
 
 from slidectl.control import user_classes, user_modules
 from slidectl.control.controller_interface import Compiled, ControllerBase
-from slidectl.control.hardware_types import HardwareTypes
+from slidectl.control.hardware_interface import RobotHW
 from slidectl.control.user_classes import ControllerClass
 from slidectl.control.user_modules import UserCode
+from slidectl.description.gazebo_tags import SIM_TYPES, installed_hardware
 from slidectl.entry_points import Registry
 from slidectl.errors import BadFile, Refused, UnknownName
 
@@ -71,6 +72,60 @@ def controller(*type_names: str) -> Callable[[C], C]:
     return register
 
 
+class HardwareTypes:
+    """The types of simulated hardware that one world knows, by the names that `<robotSimType>` uses.
+
+    The default type is in `physics/robot_hw.py`, and is the base of all others.
+    """
+
+    def __init__(self, code: UserCode) -> None:
+        self._code = code
+        self._known: dict[str, type[RobotHW]] = {}
+
+    def types(self) -> list[str]:
+        """All types: the default one, the imported ones, and those of installed packages."""
+        return [SIM_TYPES[0], *sorted({*self._known, *installed_hardware()})]
+
+    def add_all(self, module: ModuleType, prefix: str) -> list[str]:
+        """Register the hardware classes that a module defines, except those that begin with `_`.
+
+        Returns their types: the prefix and the class name.
+        """
+        found = {
+            f"{prefix}{name}": value
+            for name, value in vars(module).items()
+            if isinstance(value, type)
+            and issubclass(value, RobotHW)
+            and value.__module__ == module.__name__
+            and not name.startswith("_")
+        }
+        self._known.update(found)
+        return list(found)
+
+    def check_known(self, type_name: str) -> None:
+        """Raise UnknownName when there is no such type. Imports no code of the type."""
+        if type_name not in (*SIM_TYPES, *self.types()):
+            raise UnknownName("robotSimType", type_name, self.types())
+
+    def find(self, type_name: str) -> type[RobotHW] | None:
+        """The class of that type; None for the default type.
+
+        Raises:
+            UnknownName: there is no such type. BadFile: the code of the installed package fails or has no such class.
+        """
+        self.check_known(type_name)
+        if type_name in SIM_TYPES:
+            return None
+        if type_name not in self._known:
+            point = installed_hardware()[type_name]
+            module = user_classes.import_named(self._code, point.module)
+            cls = vars(module).get(point.attr)
+            if not (isinstance(cls, type) and issubclass(cls, RobotHW)):
+                raise BadFile(f"{point.attr} is not hardware of a robot", module.__file__ or point.module)
+            self._known[type_name] = cls
+        return self._known[type_name]
+
+
 class ControllerTypes:
     """The types of controllers and of hardware that one world knows."""
 
@@ -109,7 +164,7 @@ class ControllerTypes:
         return user_classes.made(self.find(type_name), self.code)
 
     def add_file(self, file: str, class_name: str) -> str:
-        """Import the file anew and register its controllers. Returns the type of the class of that name, `STEM/CLASS`.
+        """Import the file again and register its controllers. Returns the type of the class of that name, `STEM/CLASS`.
 
         An empty name means the only controller in it. All or nothing. Raises as `user_classes.run_file` and
         `user_classes.chosen_class`.
@@ -135,12 +190,12 @@ class ControllerTypes:
         added = [type_name for type_name, cls in self._known().items() if before.get(type_name) is not cls]
         added += self.hardware.add_all(module, _type_in(module, ""))
         if not added and not was_registered:
-            raise BadFile("there is no controller in it, and no hardware", module.__file__ or name)
+            raise BadFile("it defines no controller and no hardware", module.__file__ or name)
         self._registered.add(name)
         return added
 
     def renewed(self, cls: ControllerClass) -> ControllerClass:
-        """Import the class's edited file anew. All types of the class then mean the new class, which is returned.
+        """Import the class's edited file again. All types of the class then mean the new class, which is returned.
 
         Raises:
             Refused: the class is not a user's, or not from a file. Else as `add_file`. The types are then unchanged.
@@ -155,10 +210,10 @@ class ControllerTypes:
             module = user_classes.run_file(self.code, file, cls.__module__)
             new = user_classes.chosen_class(module, cls.__name__)
             self._register_all(module)
-        self.put_back(new)
+        self.restore(new)
         return new
 
-    def put_back(self, cls: ControllerClass) -> None:
+    def restore(self, cls: ControllerClass) -> None:
         """Register this class under all types of a class with the same module and name."""
         for type_name, registered in self._known().items():
             if (registered.__module__, registered.__name__) == (cls.__module__, cls.__name__):

@@ -23,7 +23,7 @@ def joint_of_model(node: NodeHandle, name: str) -> Joint:
     """The joint `name` of the robot whose description is in the namespace of `node`, or in the nearest one above it.
 
     Raises:
-        Refused: there is no description, or it is no text. BadFile: it is no URDF. UnknownName: no such joint.
+        Refused: there is no description, or it is not a string. BadFile: it is not a URDF. UnknownName: no such joint.
     """
     where = node.search_param(PARAMETER)
     if where is None:
@@ -35,14 +35,14 @@ def robot_of_model(node: NodeHandle, where: str = PARAMETER) -> Robot:
     """The robot that the parameter `where` of `node` describes.
 
     Raises:
-        Refused: there is no description, or it is no text. BadFile: it is no URDF.
+        Refused: there is no description, or it is not a string. BadFile: it is not a URDF.
     """
     xml = node.get_param(where, None)
     full = names.join(node.namespace, where)
     if xml is None:
         raise Refused(f"parameter {full} is not set")
     if not isinstance(xml, str):
-        raise Refused(f"parameter {full} is no robot description: it is not a text")
+        raise Refused(f"parameter {full} is not a robot description: it is not a string")
     return _robot(xml)
 
 

@@ -39,7 +39,7 @@ class Ros2Type(NamedTuple):
     """New name of each parameter that is named differently here; `*` stands for any name."""
     defaults: Mapping[str, Any] = {}
     """Values of parameters that are optional in ROS 2 and required here."""
-    told_by: tuple[str, ...] = ()
+    identified_by: tuple[str, ...] = ()
     """For a type with the same name here: parameters that only ROS 2 has. One of them identifies the ROS 2 type."""
 
 
@@ -64,14 +64,14 @@ NAMES: dict[str, Ros2Type] = {
     ),
     "diff_drive_controller/DiffDriveController": Ros2Type(
         "diff_drive_controller/DiffDriveController",
-        "commands are geometry_msgs/Twist, and a limit counts with its has_..._limits",
+        "commands are geometry_msgs/Twist, and a limit applies only with its has_..._limits",
         renamed={
             "left_wheel_names": "left_wheel",
             "right_wheel_names": "right_wheel",
             "publish_limited_velocity": "publish_cmd",
         },
         defaults={f"{what}_covariance_diagonal": [0.0] * 6 for what in ("pose", "twist")},
-        told_by=("left_wheel_names", "right_wheel_names"),
+        identified_by=("left_wheel_names", "right_wheel_names"),
     ),
     "imu_sensor_broadcaster/IMUSensorBroadcaster": Ros2Type(
         "imu_sensor_controller/ImuSensorController", "each IMU is published on its name", defaults=_RATE
@@ -141,7 +141,7 @@ def counterpart(type_name: str, parameters: Mapping[str, Any]) -> Counterpart | 
             raise NoCounterpart(f"{type_name} of ROS 2 is another controller", f"here: {advice}")
         return None
     found = NAMES.get(type_name)
-    if found is None or (found.told_by and not any(name in values for name in found.told_by)):
+    if found is None or (found.identified_by and not any(name in values for name in found.identified_by)):
         return None
     here = found.here if isinstance(found.here, str) else _chosen(type_name, found, values)
     understood = {found.interfaces: f"makes it {here}"} if found.interfaces else {}
@@ -163,13 +163,19 @@ def counterpart(type_name: str, parameters: Mapping[str, Any]) -> Counterpart | 
 def _chosen(type_name: str, found: Ros2Type, values: Mapping[str, Any]) -> str:
     """The type here for the interfaces that the parameters ask for. Raises NoCounterpart."""
     assert not isinstance(found.here, str)
-    asked = values.get(found.interfaces)
-    given = {asked} if isinstance(asked, str) else set(map(str, asked)) if isinstance(asked, list) else set()
+    requested = values.get(found.interfaces)
+    given = (
+        {requested}
+        if isinstance(requested, str)
+        else set(map(str, requested))
+        if isinstance(requested, list)
+        else set()
+    )
     for names, here in found.here.items():
         if given == set(names):
             return here
     known = " or ".join(str(list(names)) if found.interfaces.endswith("s") else names[0] for names in found.here)
-    value = "not set" if asked is None else repr(asked)
+    value = "not set" if requested is None else repr(requested)
     raise NoCounterpart(
         f"{type_name} is another one here for each interface, and {found.interfaces} is {value}",
         f"set {found.interfaces} to {known}, or the type to {' or '.join(found.here.values())}",

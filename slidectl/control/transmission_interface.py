@@ -15,10 +15,6 @@ from slidectl.errors import Refused, UnknownName, listing
 Values = Sequence[float]
 
 
-class BadReductions(Refused):
-    """Reductions or offsets that no transmission can have."""
-
-
 class Transmission(ABC):
     """Base of all transmissions. `reduction` is dimensionless, offsets in m or rad, values in SI units."""
 
@@ -64,7 +60,7 @@ class SimpleTransmission(Transmission):
     size = 1
 
     def __init__(self, reduction: float, joint_offset: float = 0.0) -> None:
-        """Raises BadReductions for a reduction of 0."""
+        """Raises Refused for a reduction of 0."""
         _check_reductions("mechanical reduction", (reduction,))
         self._reduction = reduction
         self._offset = joint_offset
@@ -99,14 +95,14 @@ class _TwoDofTransmission(Transmission):
         joint_reduction: Values = (1.0, 1.0),
         joint_offset: Values = (0.0, 0.0),
     ) -> None:
-        """Raises BadReductions unless each sequence has two entries and no reduction is 0."""
+        """Raises Refused unless each sequence has two entries and no reduction is 0."""
         for what, values in (
             ("actuator reduction", actuator_reduction),
             ("joint reduction", joint_reduction),
             ("joint offset", joint_offset),
         ):
             if len(values) != self.size:
-                raise BadReductions(f"{type(self).__name__} needs 2 of {what}, not {len(values)}")
+                raise Refused(f"{type(self).__name__} needs 2 of {what}, not {len(values)}")
         _check_reductions("actuator reduction", actuator_reduction)
         _check_reductions("joint reduction", joint_reduction)
         self._actuator = tuple(actuator_reduction)
@@ -208,7 +204,7 @@ class FourBarLinkageTransmission(_TwoDofTransmission):
 
 def _check_reductions(what: str, reductions: Values) -> None:
     if 0.0 in reductions:
-        raise BadReductions(f"{what} must not be 0, but is {list(reductions)}")
+        raise Refused(f"{what} must not be 0, but is {list(reductions)}")
 
 
 # -- the loaders -------------------------------------------------------------------------------------------------------

@@ -8,20 +8,20 @@ from __future__ import annotations
 
 import os
 import reprlib
-import signal
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from importlib import import_module
 from math import inf, isfinite
-from operator import attrgetter
 from pathlib import Path
+from traceback import walk_tb
 from types import FunctionType, ModuleType
 from typing import Any
 
 from slidectl.control import user_modules
 from slidectl.control.controller_interface import Controller, ControllerBase, MultiInterfaceController
 from slidectl.control.hardware_interface import JointHandle, JointStateHandle
+from slidectl.control.node_handle import NodeHandle
 from slidectl.control.user_modules import UserCode
 from slidectl.errors import BadFile, NotThere, Refused, SlidectlError, UnknownName, UsageError, listing
 from slidectl.input_files import MOST_TEXT, read_bytes
@@ -41,7 +41,6 @@ _HOOKS: dict[str, tuple[str, ...]] = {
     "__init__": (),
 }
 """The arguments of each hook, besides `self`."""
-_RAISES_INTERRUPT = signal.default_int_handler
 
 
 class CodeTimeout(BaseException):
@@ -53,94 +52,49 @@ def is_of_a_user(cls: type) -> bool:
     return not cls.__module__.startswith("slidectl.")
 
 
-def is_fault(failure: BaseException) -> bool:
-    """True for a fault of users' code, also for `sys.exit()` in it. False for Ctrl-C when it ends the process."""
-    return not issubclass(type(failure), KeyboardInterrupt) or signal.getsignal(signal.SIGINT) is not _RAISES_INTERRUPT
-
-
-_GONE = object()
-"""Stands for an attribute that was deleted."""
-_STATE = attrgetter("position", "velocity", "effort")
-_STATE_AND_COMMAND = attrgetter("position", "velocity", "effort", "command")
-
-
 class WatchedHandles:
-    """The joint handles that a user's controller has got. It may write anything to them, and other code relies on
-    floats there: states of any value, and commands that are finite, for the hardware does not check them.
-
-    `keep` and `repair` run in each cycle, so each first does the least that finds a wrong value.
-    """
+    """The joint handles that a user's controller has got. Other code relies on floats in them, and on finite commands,
+    which the hardware does not check."""
 
     def __init__(
         self, handles: Sequence[JointStateHandle], commands: Sequence[tuple[JointHandle, str]], file: str | None
     ) -> None:
         """`commands`: each a handle and the name of an attribute that is a command. `file`: the file of the class."""
-        self._plain = tuple(handle for handle in handles if not isinstance(handle, JointHandle))
-        """Those without a command."""
-        self._commanded = tuple(handle for handle in handles if isinstance(handle, JointHandle))
-        self._further = tuple((handle, name) for handle, name in commands if name != "command")
-        """Commands besides `command`."""
+        states = [(handle, name) for handle in handles for name in ("position", "velocity", "effort")]
+        self._attributes: list[tuple[JointStateHandle, str]] = [*states, *commands]
+        self._states = len(states)
         self._file = file
-        self._states: list[tuple[float, float, float, float]] = []
-        self._other_states: list[tuple[float, float, float]] = []
-        self._further_commands: list[float] = []
+        self._kept: list[float] = []
 
     def keep(self) -> None:
         """Save all values before the controller writes new ones."""
-        self._states = list(map(_STATE_AND_COMMAND, self._commanded))
-        if self._plain:
-            self._other_states = list(map(_STATE, self._plain))
-        if self._further:
-            self._further_commands = [getattr(handle, name) for handle, name in self._further]
+        self._kept = [getattr(handle, name) for handle, name in self._attributes]
 
     def repair(self) -> str:
-        """Replace what is no float, and each command that is not finite, by what was saved. Returns the error text;
-        empty: no error. Call it inside the limit: a value may be an object with code of the user's.
+        """Convert numbers to float, and replace other values and commands that are not finite by what was saved.
 
-        Infinity is allowed when a limit of the joint clips it.
+        Returns the error text, empty for none. Infinity is allowed when a limit of the joint clips it. Call it inside
+        the limit: a value may be an object with code of the user's.
         """
-        try:
-            for handle in self._commanded:
-                command = handle.command
-                total = handle.position + handle.velocity + handle.effort + command
-                if type(total) is not float or type(command) is not float or total - total != 0.0:
-                    return self._repair_each()
-        except Exception:  # a value may be of any class, or deleted
-            return self._repair_each()
-        return self._repair_each() if self._plain or self._further else ""
-
-    def _repair_each(self) -> str:
         wrong = ""
-        for handle, kept in zip(self._commanded, self._states, strict=True):
-            for name, value in zip(("position", "velocity", "effort"), kept, strict=False):
-                wrong = self._repaired(handle, name, value) or wrong
-            wrong = self._repaired(handle, "command", kept[3], (handle.lowest, handle.highest)) or wrong
-        for plain, state in zip(self._plain, self._other_states, strict=True):
-            for name, value in zip(("position", "velocity", "effort"), state, strict=True):
-                wrong = self._repaired(plain, name, value) or wrong
-        for (handle, name), value in zip(self._further, self._further_commands, strict=True):
-            wrong = self._repaired(handle, name, value) or wrong
+        for position, (handle, name) in enumerate(self._attributes):
+            value: Any = getattr(handle, name, None)
+            if type(value) is float and (isfinite(value) or position < self._states):
+                continue
+            lowest, highest = -inf, inf
+            if name == "command" and isinstance(handle, JointHandle):
+                lowest, highest = handle.lowest, handle.highest
+            try:
+                is_number = isfinite(min(max(value, lowest), highest))
+                if is_number:
+                    setattr(handle, name, float(value))
+            except Exception:  # a value may be of any class
+                is_number = False
+            if not is_number:
+                setattr(handle, name, self._kept[position])
+                what = f"the {name.replace('_', ' ')} of joint {handle.name!r}"
+                wrong = f"it set {what} to {reprlib.repr(value)}, which is not a finite number ({self._file})"
         return wrong
-
-    def _repaired(
-        self, handle: JointStateHandle, name: str, kept: float, bounds: tuple[float, float] = (-inf, inf)
-    ) -> str:
-        value = getattr(handle, name, _GONE)
-        if value is kept:
-            return ""
-        try:
-            if isfinite(min(max(value, bounds[0]), bounds[1])):  # type: ignore[call-overload]
-                if type(value) is not float:  # a numpy scalar or an int
-                    setattr(handle, name, float(value))  # type: ignore[arg-type]
-                return ""
-        except BaseException as failure:  # the value may be of any class
-            if not is_fault(failure):
-                raise
-        setattr(handle, name, kept)
-        what = f"the {name.replace('_', ' ')} of joint {handle.name!r}"
-        if value is _GONE:
-            return f"it deleted {what} ({self._file})"
-        return f"it set {what} to {_shown(value)}, which is no finite number ({self._file})"
 
 
 class HookGuard(AbstractContextManager[None]):
@@ -159,8 +113,11 @@ class HookGuard(AbstractContextManager[None]):
         code = self._code
         if user_modules.active is not code:  # another world of this process has run meanwhile
             code.activate()
-        if code.cut_off and self._cls in code.cut_off:
-            raise _no_entry(self._cls, code)
+        if self._cls in code.cut_off:
+            raise Refused(
+                f"{self._cls.__name__} is not called any more, because {code.cut_off[self._cls]}",
+                "correct it, then: slidectl controller reload NAME, or controller load NAME --from FILE",
+            )
         if self.handles is not None:
             self.handles.keep()
         code.limit.__enter__()
@@ -172,26 +129,31 @@ class HookGuard(AbstractContextManager[None]):
                 wrong = self.handles.repair()
         finally:
             self._code.limit.__exit__(kind, failure, *trace)
-        if failure is None:
-            if wrong:
-                raise Refused(wrong)
-            return
-        cls = type(failure)
-        if issubclass(cls, CodeTimeout):
+        if isinstance(failure, CodeTimeout):
             refusal = _too_long(failure)
             self._code.cut_off[self._cls] = refusal.message
             raise refusal from None
-        if _is_odd(cls) and is_fault(failure):
+        if isinstance(failure, SystemExit):
             raise Refused(raised(failure)) from None
+        if wrong and failure is None:
+            raise Refused(wrong)
 
 
-def _is_odd(cls: type[BaseException]) -> bool:
-    """True for exceptions that `except Exception` does not catch, and for a user's own SlidectlErrors, whose texts may
-    be anything."""
-    if not issubclass(cls, SlidectlError):
-        return not issubclass(cls, Exception)
-    module = type.__dict__["__module__"].__get__(cls)  # a metaclass cannot hide it
-    return not (type(module) is str and module.startswith("slidectl."))
+class CallbackGuard(HookGuard):
+    """Context of a callback of a user's class: message, service call, goal or tick. Exceptions become Refused."""
+
+    def __init__(self, cls: type, code: UserCode, node: NodeHandle) -> None:
+        super().__init__(cls, code)
+        self._node = node
+
+    def __exit__(self, kind: type[BaseException] | None, failure: BaseException | None, *trace: Any) -> None:
+        try:
+            super().__exit__(kind, failure, *trace)
+            if isinstance(failure, Exception) and not isinstance(failure, SlidectlError):
+                raise Refused(raised(failure)) from None
+        except Refused as refusal:  # the sender of a message gets no answer, so log it
+            self._node.log("error", f"{self._node.namespace}: {described(refusal)}")
+            raise
 
 
 def watched(
@@ -199,11 +161,6 @@ def watched(
 ) -> AbstractContextManager[None]:
     """The context for the hooks of the class: a HookGuard if the class is a user's."""
     return HookGuard(cls, code, handles) if is_of_a_user(cls) else nullcontext()
-
-
-def _no_entry(cls: type, code: UserCode) -> Refused:
-    text = f"{cls.__name__} is not called any more, because {code.cut_off[cls]}"
-    return Refused(text, "mend it, then: slidectl controller reload NAME, or controller load NAME --from FILE")
 
 
 @contextmanager
@@ -215,10 +172,9 @@ def watched_for(what: str, name: str, code: UserCode) -> Iterator[None]:
             yield
     except CodeTimeout as failure:
         raise _too_long(failure) from None
-    except BaseException as failure:
-        cls = type(failure)
-        if not is_fault(failure) or (issubclass(cls, SlidectlError) and not _is_odd(cls)):
-            raise
+    except SlidectlError:
+        raise
+    except (Exception, SystemExit) as failure:
         raise Refused(f"{what} {name}: {raised(failure)}") from failure
 
 
@@ -229,44 +185,19 @@ def watched_hardware(hardware: object, code: UserCode) -> AbstractContextManager
 
 
 def raised(failure: BaseException) -> str:
-    """The exception of users' code as one line: class, text, file and line.
-
-    Its class may be the user's too: what `__str__` and attributes of it do is not relied upon.
-    """
-    return f"{_type_name(failure)}: {text_of(failure)}{_at(failure)}".replace("\n", " ")
+    """The exception of users' code as one line: class, text, file and line."""
+    return f"{type(failure).__name__}: {failure}{_at(failure)}".replace("\n", " ")
 
 
-def text_of(failure: BaseException) -> str:
-    """The text of an exception, also of one whose `__str__` fails or does not end."""
-    try:
-        with user_modules.active.limit:
-            text = str(failure)
-    except BaseException as another:
-        if not is_fault(another):
-            raise
-        return f"(no text: its __str__ raised {_type_name(another)})"
-    return str.__str__(text)  # an instance of a user's class of strings becomes a plain one
+def described(failure: Exception) -> str:
+    """An error as one line: a SlidectlError as its text, others with their class, file and line."""
+    if isinstance(failure, SlidectlError):
+        return "; ".join(line.rstrip(".") for line in str(failure).splitlines())
+    return raised(failure)
 
 
-def _shown(value: object) -> str:
-    """A value as text; its class when its `__repr__` fails."""
-    try:
-        with user_modules.active.limit:
-            return str.__str__(reprlib.repr(value))
-    except BaseException as failure:
-        if not is_fault(failure):
-            raise
-        return f"an object of class {_type_name(value)}"
-
-
-def _type_name(value: object) -> str:
-    """The name of an object's class, which a metaclass cannot hide."""
-    name: str = type.__dict__["__name__"].__get__(type(value))
-    return name
-
-
-def _too_long(failure: BaseException) -> Refused:
-    return Refused(f"{text_of(failure)}{_at(failure)}", "look for a loop without an end there")
+def _too_long(failure: CodeTimeout) -> Refused:
+    return Refused(f"{failure}{_at(failure)}", "look for a loop without an end there")
 
 
 def _at(failure: BaseException) -> str:
@@ -276,11 +207,8 @@ def _at(failure: BaseException) -> str:
 
 def place_of(failure: BaseException) -> tuple[str, int] | None:
     """File and line of the innermost frame of users' code, else of the innermost frame; None: unknown."""
-    frames, trace = [], BaseException.__dict__["__traceback__"].__get__(failure)
-    while trace is not None:
-        frames.append((trace.tb_frame.f_code.co_filename, trace.tb_lineno or 0))
-        trace = trace.tb_next
-    outside = [frame for frame in frames if not _is_library(frame[0])]
+    frames = [(frame.f_code.co_filename, line or 0) for frame, line in walk_tb(failure.__traceback__)]
+    outside = [place for place in frames if not _is_library(place[0])]
     return next(reversed(outside or frames), None)
 
 
@@ -292,7 +220,7 @@ def _is_library(file: str) -> bool:
 
 
 def run_file(users: UserCode, file: str, name: str = "") -> ModuleType:
-    """Import the file anew for a world, and return its module. Its code can import modules of its folder.
+    """Import the file again for a world, and return its module. Its code can import modules of its folder.
 
     Without `name`, the module's name is the path, since two files may have the same stem. The bytes are compiled here,
     not by Python's importer: its cache compares size and whole seconds, and a file may be edited twice in a second.
@@ -365,15 +293,13 @@ def _importing(what: str) -> Iterator[None]:
         yield
     except CodeTimeout as failure:
         raise _too_long(failure) from None
-    except BaseException as failure:
-        if not is_fault(failure):
-            raise
+    except (Exception, SystemExit) as failure:
         file, line = place_of(failure) or (what, 0)
         if isinstance(failure, SyntaxError) and failure.filename:
             file, line = failure.filename, failure.lineno or 0
         elif isinstance(failure, ModuleNotFoundError) and failure.name == what:
             raise BadFile(f"no module {what!r} is installed, nor is there a file {what}.py here") from None
-        raise BadFile(f"{_type_name(failure)}: {text_of(failure)}", file, line or None) from None
+        raise BadFile(f"{type(failure).__name__}: {failure}", file, line or None) from None
 
 
 # -- classes -----------------------------------------------------------------------------------------------------------
@@ -403,7 +329,7 @@ def chosen_class(module: ModuleType, class_name: str) -> ControllerClass:
     known = classes_of(module)
     if not class_name:
         if len(known) != 1:
-            hint = f"say which: {file}:{next(iter(known))}" if known else "a controller is a class with an `update`"
+            hint = f"name one: {file}:{next(iter(known))}" if known else "a controller is a class with an `update`"
             raise UsageError(f"{file} has {len(known)} controllers: {listing(known)}", hint)
         return next(iter(known.values()))
     found = vars(module).get(class_name)
@@ -421,12 +347,14 @@ def check_class(cls: object, name: str, file: str | None = None) -> None:
     if not isinstance(cls, type) or not issubclass(cls, ControllerBase):
         line = _line(cls) if isinstance(cls, type | FunctionType) else None
         hint = f"class {name}(slidectl.control.Controller): ..."
-        raise BadFile(f"{name} is no controller: it is not derived from slidectl.control.Controller", file, line, hint)
+        raise BadFile(
+            f"{name} is not a controller: it is not derived from slidectl.control.Controller", file, line, hint
+        )
     if cls.update is ControllerBase.update:
         raise BadFile(f"{name} has no update", file, _line(cls), "def update(self, time_ns, period_s): ...")
     if issubclass(cls, Controller) and not hasattr(cls, "interface_type"):
-        hint = "interface_type = slidectl.control.EffortJointInterface, say"
-        raise BadFile(f"{name} does not say on which interface it is", file, _line(cls), hint)
+        hint = "for example: interface_type = slidectl.control.EffortJointInterface"
+        raise BadFile(f"{name} has no interface_type", file, _line(cls), hint)
     for hook, wanted in _HOOKS.items():
         function = inspect.getattr_static(cls, hook, None)
         if not isinstance(function, FunctionType) or function.__code__.co_filename.startswith(PACKAGE):
@@ -438,9 +366,10 @@ def check_class(cls: object, name: str, file: str | None = None) -> None:
         except TypeError:
             written = f"def {hook}({', '.join(('self', *wanted))})"
             line = function.__code__.co_firstlineno
-            has = inspect.signature(function).replace(return_annotation=inspect.Signature.empty)
-            taken = str(has.replace(parameters=[p.replace(annotation=p.empty) for p in has.parameters.values()]))
-            text = f"{name}.{hook} has a wrong signature: {taken} takes no call with {', '.join(wanted) or 'nothing'}"
+            has = ", ".join(inspect.signature(function).parameters)
+            text = (
+                f"{name}.{hook} has a wrong signature: ({has}), but it is called with {', '.join(wanted) or 'nothing'}"
+            )
             raise BadFile(text, function.__code__.co_filename, line, f"{written}: ...") from None
 
 

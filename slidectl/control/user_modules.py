@@ -85,7 +85,7 @@ class UserCode:
         self.modules: dict[str, UserModule] = {}
         """The users' modules that the world has imported, by name."""
         self.cut_off: dict[type, str] = {}
-        """Users' classes whose code the limit has ended, with what was said. Their hooks are not called any more: each
+        """Users' classes whose code the limit has ended, with the error text. Their hooks are not called any more: each
         call could hold the world as long again. A reload makes another class."""
         self._files: set[str] = set()
         """Names of the modules of users' files."""
@@ -156,7 +156,7 @@ class UserCode:
         self.host.imported(module)
 
     def _read(self, spec: ModuleSpec) -> UserModule | None:
-        """The module with its source; None if it is no user's, or not Python. A package without a file has none."""
+        """The module with its source; None if it is not a user's, or not Python. A package without a file has none."""
         folders = spec.submodule_search_locations
         path = str(spec.origin) if spec.has_location else f"{next(iter(folders or ()), '')}/__init__.py"
         if not path.endswith(".py") or (_is_place_of_installed(path) and _top(spec.name) not in self._packages):

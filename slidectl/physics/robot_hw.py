@@ -21,7 +21,6 @@ from slidectl.control.hardware_interface import (
     JointHandle,
     JointStateHandle,
     JointStateInterface,
-    PosVelJointHandle,
     RobotHW,
     SensorHandle,
 )
@@ -87,12 +86,12 @@ class HardwareJoint:
 
     __slots__ = ("handle", "interface", "joint", "limit", "lower", "most_effort", "name", "quantity", "upper")
 
-    def __init__(self, joint: Joint, interface: type[JointCommands[Any]]) -> None:
+    def __init__(self, joint: Joint, interface: type[JointCommands]) -> None:
         self.name = joint.name
         self.joint = joint
         self.interface = interface
         self.quantity = interface.declared.quantity
-        self.handle = interface.handle_type(joint.name)
+        self.handle = JointHandle(joint.name)
         self.lower, self.upper, self.most_effort = -LARGEST, LARGEST, LARGEST
         """Limits for PIDs and motors: positions in m or rad, effort in N or N·m."""
         self.limit: LimitHandle | None = None
@@ -278,18 +277,16 @@ class FeedForwardDrive(Drive):
     the derivative of the error; the acceleration has no effect then, since the inertia is unknown.
     """
 
-    handle: PosVelJointHandle
-
     def _pid_effort(self, pid: Pid, error: float, period_s: float) -> float:
         effort = next_command_from(pid, error, self.handle.command_velocity - self.handle.velocity, period_s)
-        pid.tell(error, period_s)
+        pid.report(error, period_s)
         return effort
 
     def _velocity(self, position: float, step_s: float) -> float:
-        acceleration = getattr(self.handle, "command_acceleration", 0.0)
         fastest = self.joint.limit.max_velocity if self.joint.limit is not None else LARGEST
-        ahead = bounded(self.handle.command_velocity + acceleration * step_s / 2.0, -fastest, fastest)
-        velocity = (bounded(self.handle.command + ahead * step_s, self.lower, self.upper) - position) / step_s
+        handle = self.handle
+        ahead = bounded(handle.command_velocity + handle.command_acceleration * step_s / 2.0, -fastest, fastest)
+        velocity = (bounded(handle.command + ahead * step_s, self.lower, self.upper) - position) / step_s
         most = self.fastest if self.fastest >= 0.0 else 2.0 * abs(ahead)
         return velocity if abs(velocity) <= most else math.nan
 
@@ -400,7 +397,7 @@ class MujocoRobotHW(RobotHW):
     gains from `gazebo_ros_control/pid_gains/<joint>` in it.
 
     Raises:
-        UnsupportedInterface, MissingJoint: a transmission cannot be simulated. BadLimits: limits that no handle takes.
+        UnsupportedInterface, MissingJoint: a transmission cannot be simulated. Refused: limits that no handle takes.
     """
 
     def __init__(self, world: World, attached: AttachedRobot, robot: Robot, node: NodeHandle, namespace: str) -> None:

@@ -11,8 +11,7 @@ from contextlib import nullcontext
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
-from slidectl.control.controller_manager import CallbackGuard
-from slidectl.control.user_classes import import_named, is_of_a_user, watched_for
+from slidectl.control.user_classes import CallbackGuard, import_named, is_of_a_user, watched_for
 from slidectl.entry_points import Part, PartError, Registry
 from slidectl.errors import BadFile, Refused, SlidectlError, UnknownName
 from slidectl.names import OWN_NODE, is_component, join

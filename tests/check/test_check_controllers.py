@@ -26,7 +26,7 @@ def test_a_sound_file_is_all_used(controllers: Check) -> None:
         "used 5 /bot/slide_controller/pid/p: 10.0; proportional gain",
         "used 5 /bot/slide_controller/pid/i: 1.0; integral gain",
         "used 5 /bot/slide_controller/pid/d: 1.0; derivative gain",
-        "used 5 /bot/slide_controller/pid/i_clamp: 2.0; bounds the integral term both ways",
+        "used 5 /bot/slide_controller/pid/i_clamp: 2.0; bound of the integral term in both directions",
     ]
 
 
@@ -138,7 +138,7 @@ def test_the_entries_of_a_list_of_joints_are_checked_one_by_one(controllers: Che
     lines = controllers(controller(body, "joint_state_controller/JointStateController"))
     troubles = [line.partition("/bot/c/extra_joints")[2].partition(";")[0] for line in lines.of("ignored", "wrong")]
     assert sorted(troubles) == [
-        "[1]/position: must be a float, as 0.0, not 1",
+        "[1]/position: must be a float, such as 0.0, not 1",
         "[2]/name: is missing: a string, name of such a joint",
         "[3]: must be a mapping",
         "[4]/speed: is unknown to the controller and has no effect",

@@ -242,7 +242,7 @@ def test_an_odd_strictness_is_best_effort_and_says_so(slider: CommandLine, stric
     request = f"{{start_controllers: [nobody, {STATES}], strictness: {strictness}}}"
     done = slider("service", "call", "switch_controller", request)
     assert (done.returncode, done.stdout) == (0, "ok: True\n")
-    assert f"warning: {said} BEST_EFFORT (1) nor STRICT (2); it counts as BEST_EFFORT\n" in done.stderr
+    assert f"warning: {said} BEST_EFFORT (1) nor STRICT (2); BEST_EFFORT is used\n" in done.stderr
     record = json.loads(slider.ok("controller", "list", "--json"))
     assert (record["name"], record["state"]) == (STATES, "running")
 

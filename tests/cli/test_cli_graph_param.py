@@ -404,5 +404,5 @@ def test_elsewhere_a_new_parameter_says_that_it_is_new(world: World) -> None:
 def test_what_a_controller_reads_only_when_it_is_loaded_says_so(world: World) -> None:
     done = world.slidectl("param", "set", "/slider/joint_state_controller/publish_rate", "20")
     assert done.returncode == 0
-    assert "counts when the controller is loaded again" in done.stderr
+    assert "takes effect when the controller is loaded again" in done.stderr
     world.slidectl.ok("param", "set", "/slider/joint_state_controller/publish_rate", "50")

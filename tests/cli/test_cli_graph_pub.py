@@ -122,7 +122,7 @@ def test_json_says_who_got_it(world: World) -> None:
         (["/new/topic", "std_msgs/Float64", "1.0"], 1, "--allow-unheard"),
         (["/new/topic", "1.0", "--allow-unheard"], 2, "give its TYPE"),
         (["/new/topic", "std_msgs/Nope", "1.0", "--allow-unheard"], 1, "std_msgs/Nope"),
-        (["command", ".nan"], 1, "takes no command of nan"),
+        (["command", ".nan"], 1, "it must be a finite number, not nan"),
         (["command", "abc"], 2, "data must be a number (float64), not the text 'abc'"),
         (["command", "value: 1.0"], 2, "no field 'value'"),
         (["command", "1.0", "2.0"], 2, "too many arguments: 2 given, 1 expected"),

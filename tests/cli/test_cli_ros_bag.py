@@ -15,7 +15,7 @@ from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from slidectl.extensions.ros_commands.arguments import Failure
-from slidectl.extensions.ros_commands.bag_echo import open_bag, schemas_of
+from slidectl.extensions.ros_commands.rosbag import open_bag, schemas_of
 
 START_NS = 1795220735364070652
 STAMP_NS = 1795220735363786220

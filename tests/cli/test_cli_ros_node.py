@@ -182,15 +182,10 @@ def test_kill_of_an_unknown_node_kills_nobody(slide: SlideWorld) -> None:
 
 
 @pytest.mark.parametrize(
-    ("node", "pid_of_daemon", "reason"),
-    [
-        ("/slidectl_0_1", None, "the daemon cannot see the process of these nodes"),
-        ("/slidectl_{here}_1", 1, "the daemon runs in another container"),
-        ("/slidectl_{here}_1", 0, "the daemon runs in another container"),
-    ],
+    ("node", "pid_of_daemon"), [("/slidectl_0_1", None), ("/slidectl_{here}_1", 1), ("/slidectl_{here}_1", 0)]
 )
 def test_kill_across_containers_signals_nobody(
-    slidectl: CommandLine, fake: FakeDaemon, node: str, pid_of_daemon: int | None, reason: str
+    slidectl: CommandLine, fake: FakeDaemon, node: str, pid_of_daemon: int | None
 ) -> None:
     with subprocess.Popen(["sleep", "600"], process_group=0) as bystander:
         node = node.format(here=bystander.pid)
@@ -207,7 +202,7 @@ def test_kill_across_containers_signals_nobody(
         unharmed = bystander.poll() is None
         bystander.kill()
     assert done.returncode == 1
-    assert done.stderr.startswith(f"ERROR: {reason}")
+    assert done.stderr.startswith("ERROR: these nodes, or the daemon, run in another container")
     assert "killing" not in done.stdout
     assert unharmed
 

@@ -265,7 +265,7 @@ def test_now_and_auto_are_the_simulated_time(sink: Sink) -> None:
 def test_without_once_it_returns_all_the_same_and_says_so(sink: Sink) -> None:
     done = sink.world("rostopic pub /f std_msgs/Float64 'data: 1.0'")
     assert (done.stdout, done.returncode) == (STAYS, 0)
-    assert done.stderr.startswith("taken in by /slidectl_")
+    assert done.stderr.startswith("received by /slidectl_")
     assert sink.received() == [("/f", {"data": 1.0})]
 
 

@@ -56,7 +56,7 @@ def test_the_prefix_and_the_compression_are_those_of_rosbag(line: CommandLine, t
         ("info", 2, "You must specify at least 1 bag file."),
         ("play", 1, "You must specify at least one bag file to play back."),
         ("record --node=/a /clock", 2, "no such option: --node"),
-        ("compress run.bag", 1, "rosbag compress is not here"),
+        ("compress run.bag", 1, "rosbag compress is not available"),
     ],
 )
 def test_what_cannot_be_done_is_said(line: CommandLine, tmp_path: Path, words: str, code: int, told: str) -> None:

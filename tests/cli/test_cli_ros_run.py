@@ -88,8 +88,8 @@ def test_usages_and_their_codes(shell: Shell) -> None:
         ("rosrun gazebo_ros spawn_model -h", "usage: spawn_model ", 0),
         ("rosrun xacro xacro --help", "Usage: rosrun xacro xacro ", 0),
         ("rosrun tf tf_echo", "tf_echo source_frame target_frame ", 255),
-        ("rosrun tf static_transform_publisher", "Puts child_frame_id", 255),
-        ("rosrun tf2_ros static_transform_publisher 1 2 3", "Puts child_frame_id", 255),
+        ("rosrun tf static_transform_publisher", "Publishes the transform from ", 255),
+        ("rosrun tf2_ros static_transform_publisher 1 2 3", "Publishes the transform from ", 255),
         ("rosrun tf dir/", "Invalid filename:  dir/\n", 1),
         ("rosrun tf nofile", "[rosrun] Couldn't find executable named nofile below tf\n", 3),
     ):
@@ -102,8 +102,8 @@ def test_what_is_not_here_says_what_is(shell: Shell) -> None:
     done = shell.run("rosrun map_server map_server")
     assert (done.stdout, done.returncode) == ("", 2)
     assert done.stderr.startswith("[rospack] Error: package 'map_server' not found\nROS_PACKAGE_PATH names ")
-    assert "\nthere are: controller_manager " in done.stderr
-    assert "slidectl has of tf: static_transform_publisher, tf_echo" in shell.run("rosrun tf nofile").stderr
+    assert "\navailable: controller_manager " in done.stderr
+    assert "slidectl provides for tf: static_transform_publisher, tf_echo" in shell.run("rosrun tf nofile").stderr
 
 
 def test_a_prefix_gets_the_command_line(shell: Shell) -> None:

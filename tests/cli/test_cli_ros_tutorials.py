@@ -140,7 +140,7 @@ def test_the_sliding_block(terminals: Iterator[Terminal], slidectl: CommandLine)
             line = f'rostopic pub /slider/joint1_position_controller/command std_msgs/Float64 "data: {wanted}"'
             printed, code = terminal.type(line)
             assert code == 0
-            assert printed == f"{STAYS}taken in by /gazebo; -l would keep it latched until Ctrl-C\n"
+            assert printed == f"{STAYS}received by /gazebo; -l keeps it latched until Ctrl-C\n"
             await_field(client, "/slider/joint_states", "position[0]", wanted, 0.02)
     printed, code = launch.interrupt()
     assert code == 130

@@ -384,7 +384,7 @@ def test_a_position_beyond_a_limit_is_warned_of(world: CommandLine) -> None:
     try:
         done = plan(world, "--to", "joint2=9", "--duration", "100")
         assert done.returncode == 0
-        assert "warning: /arm/arm_controller: joint2 is sent to 9, beyond its limits" in done.stderr
+        assert "warning: /arm/arm_controller: joint2 is commanded to 9, outside its limits" in done.stderr
     finally:
         world.ok("trajectory", "hold", "arm_controller")
 

@@ -16,9 +16,7 @@ from slidectl.control.hardware_interface import (
     JointHandle,
     JointStateInterface,
     PositionJointInterface,
-    PosVelAccJointHandle,
     PosVelAccJointInterface,
-    PosVelJointHandle,
     PosVelJointInterface,
     RobotHW,
     SwitchState,
@@ -29,12 +27,12 @@ from slidectl.control.registry import controller
 
 STEP_NS = 1_000_000
 STEP_S = 0.001
-COMMAND_INTERFACES: dict[str, tuple[Any, Any]] = {
-    "effort": (EffortJointInterface, JointHandle),
-    "velocity": (VelocityJointInterface, JointHandle),
-    "position": (PositionJointInterface, JointHandle),
-    "pos_vel": (PosVelJointInterface, PosVelJointHandle),
-    "pos_vel_acc": (PosVelAccJointInterface, PosVelAccJointHandle),
+COMMAND_INTERFACES: dict[str, Any] = {
+    "effort": EffortJointInterface,
+    "velocity": VelocityJointInterface,
+    "position": PositionJointInterface,
+    "pos_vel": PosVelJointInterface,
+    "pos_vel_acc": PosVelAccJointInterface,
 }
 
 
@@ -46,14 +44,10 @@ class FakeRobot(RobotHW):
 
     def __init__(self, joints: Iterable[str] = ("joint1",), commands: Iterable[str] = ("effort",)) -> None:
         super().__init__()
-        kinds = {COMMAND_INTERFACES[name][1] for name in commands}
-        kind = kinds.pop() if len(kinds) == 1 else JointHandle
-        self.joints = {name: kind(name) for name in joints}
+        self.joints = {name: JointHandle(name) for name in joints}
         self.register_interface(JointStateInterface(self.joints.values()))
         for name in commands:
-            interface, handle = COMMAND_INTERFACES[name]
-            own = self.joints if handle is kind else {joint: handle(joint) for joint in self.joints}
-            self.register_interface(interface(own.values()))
+            self.register_interface(COMMAND_INTERFACES[name](self.joints.values()))
         self.results = [SwitchState.DONE]
         self.asked: list[str | None] = []
         self.switches: list[tuple[list[str], list[str]]] = []

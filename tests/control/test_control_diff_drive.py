@@ -209,7 +209,7 @@ def test_a_second_publisher_makes_it_brake_where_one_is_allowed() -> None:
     base.drive(0.5)
     base.run()
     base.graph.publisher_counts[f"{NAMESPACE}/cmd_vel"] = 2
-    with pytest.raises(MessageRefused, match="has 2 publishers, and 1 is allowed"):
+    with pytest.raises(MessageRefused, match="has 2 publishers, but only 1 is allowed"):
         base.drive(0.7)
     assert base.wheels() == (0.0, 0.0)
     base.run()  # as upstream: the last command counts until it times out

@@ -140,7 +140,7 @@ class TestEfforts:
         hand.goal(0.5, 2.0)
         hand.run()
         assert hand.finger.command == 0.0
-        assert "parameter /bot/hand/gains/finger/p is not set: the gripper pushes nothing" in hand.graph.lines("warn")
+        assert "parameter /bot/hand/gains/finger/p is not set: the gripper has no effort" in hand.graph.lines("warn")
 
 
 @pytest.mark.parametrize(

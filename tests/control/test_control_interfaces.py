@@ -36,7 +36,7 @@ def test_an_unknown_joint_is_refused_by_naming_those_that_exist():
     assert "hardware_interface::EffortJointInterface" in str(refusal.value)
     assert "Did you mean 'joint1'?" in str(refusal.value)
     assert "joint1, joint2" in str(refusal.value)
-    assert interface.take_claims() == ()
+    assert interface.pop_claims() == ()
 
 
 def test_the_last_handle_of_a_name_replaces_the_others():
@@ -51,14 +51,14 @@ def test_command_interfaces_note_each_claim_once_in_alphabetical_order(kind):
     interface = kind([JointHandle("a"), JointHandle("b"), JointHandle("c")])
     for name in ("b", "a", "b"):
         interface.get_handle(name)
-    assert interface.take_claims() == ("a", "b")
-    assert interface.take_claims() == ()
+    assert interface.pop_claims() == ("a", "b")
+    assert interface.pop_claims() == ()
 
 
 def test_reading_states_claims_nothing():
     interface = JointStateInterface([JointStateHandle("a")])
     interface.get_handle("a")
-    assert interface.take_claims() == ()
+    assert interface.pop_claims() == ()
 
 
 def test_a_robot_finds_its_interfaces_by_type():

@@ -66,7 +66,7 @@ class TestLoading:
             ({"pid": {"i": 1.0}}, "parameter /bot/arm/pid/p is not set"),
             ({"joint": "joint9"}, "no joint 'joint9' in hardware_interface::EffortJointInterface"),
             ({"xml": None}, "no parameter robot_description in /bot/arm or above it"),
-            ({"xml": 5}, "parameter /bot/robot_description is no robot description"),
+            ({"xml": 5}, "parameter /bot/robot_description is not a robot description"),
             ({"xml": "<robot"}, "robot_description"),
             ({"xml": urdf(name="another")}, "no joint 'joint1' in /bot/robot_description"),
         ],
@@ -139,7 +139,7 @@ class TestSetPoint:
     @pytest.mark.parametrize("value", [nan, inf, -inf])
     def test_a_command_that_is_no_number_is_refused_and_the_last_one_stays(self, bench, value):
         send(bench, 0.5)
-        with pytest.raises(MessageRefused, match="/bot/arm takes no command of"):
+        with pytest.raises(MessageRefused, match="/bot/arm refuses the command"):
             send(bench, value)
         assert "must be a finite number" in bench.graph.lines("error")
         bench.run(11)

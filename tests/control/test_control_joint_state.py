@@ -95,8 +95,8 @@ class TestContents:
             ({"name": "extra1", "position": 0}, "position of 'extra1' must be written as a float"),
             ({"name": "extra1", "velocity": "0.0"}, "velocity of 'extra1' must be written as a float"),
             ({"name": "extra1", "effort": True}, "effort of 'extra1' must be written as a float"),
-            ({"name": "joint1"}, "'joint1' is there already"),
-            ({"name": "good"}, "'good' is there already"),
+            ({"name": "joint1"}, "'joint1' exists already"),
+            ({"name": "good"}, "'good' exists already"),
         ],
     )
     def test_a_bad_extra_joint_is_skipped_and_pointed_out(self, entry, reason):

@@ -114,14 +114,18 @@ BAD = [
     (
         [point(2.0, 1.0, 1.0, velocities=[0.0, 0.0]), point(2.5, 1.0, 1.0, velocities=[0.0, 1e308])],
         ("j1", "j2"),
-        "joint 'j2' cannot move to point 2 within 0.5 s: with the velocity 1e",
+        "joint 'j2' cannot move to point 2 within 0.5 s: its position on the way is too large",
     ),
     (
         [point(0.2, 1.0, 1.0, velocities=[0.0, 0.0], accelerations=[1e308, 0.0])],
         ("j1", "j2"),
-        "308 of point 1, its position on the way is beyond any number",
+        "joint 'j1' cannot move to point 1 within 0.2 s: its position on the way is too large for a number",
     ),
-    ([point(0.1, 1e308, 1.0)], ("j1", "j2"), "joint 'j1' cannot move to point 1 within 0.1 s: with the position 1e"),
+    (
+        [point(0.1, 1e308, 1.0)],
+        ("j1", "j2"),
+        "joint 'j1' cannot move to point 1 within 0.1 s: its position on the way is too large",
+    ),
     ([point(-0.01, 1.0, 1.0)], ("j1", "j2"), "Dropping all 1 trajectory point"),
     ([point(0.0, 1.0, 1.0)], ("j1", "j2"), "Dropping all 1 trajectory point"),
 ]
@@ -207,7 +211,7 @@ class TestVariants:
         arm.robot = FakeRobot(("j1", "j2"), ())
         arm.manager._hw = arm.robot
         assert not arm.manager.load("arm")
-        assert "JointInterface, which this robot has not" in arm.graph.lines("error")
+        assert "JointInterface, which this robot does not have" in arm.graph.lines("error")
 
 
 def test_effort_and_velocity_need_gains() -> None:
@@ -271,7 +275,7 @@ def test_parameters_of_other_joints_are_pointed_out() -> None:
     gains = {**GAINS["gains"], "j8": {"p": 1.0}}
     arm = Arm("effort", constraints={"j7": {"goal": 0.1}, "goal_time": 1.0}, gains=gains)
     arm.load("arm")
-    assert "/bot/arm/constraints/j7 has no effect: 'j7' is no joint of this controller" in arm.graph.lines("warn")
+    assert "/bot/arm/constraints/j7 has no effect: 'j7' is not a joint of this controller" in arm.graph.lines("warn")
     assert "/bot/arm/gains/j8 has no effect" in arm.graph.lines("warn")
     assert "goal_time" not in arm.graph.lines("warn")
 
@@ -368,14 +372,14 @@ class TestCommands:
         arm.command(point(0.1, 1.0, 1.0, 3.0, 4.0))
         arm.run(200)
         assert arm.positions() == pytest.approx((1.0, 1.0))
-        text = f"{NAMESPACE}: a point has 4 positions for 2 joints: those beyond have no effect"
+        text = f"{NAMESPACE}: a point has 4 positions for 2 joints: the surplus ones have no effect"
         assert ("warn", text) in arm.graph.log
 
     def test_a_position_beyond_a_limit_is_taken_with_a_warning(self, arm: Arm) -> None:
         arm.goal(point(0.1, 1.0, 9.0), point(0.2, -4.5, 9.0))
         arm.command(point(0.1, 3.0, 1.0))
         warnings = [text for severity, text in arm.graph.log if severity == "warn"]
-        assert warnings == [f"{NAMESPACE}: j1 is sent to -4.5, beyond its limits -3 to 3: it cannot get there"]
+        assert warnings == [f"{NAMESPACE}: j1 is commanded to -4.5, outside its limits -3 to 3"]
 
     def test_one_to_a_controller_that_is_not_running_is_refused(self) -> None:
         arm = Arm()

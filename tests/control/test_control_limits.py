@@ -13,7 +13,6 @@ from slidectl.control.hardware_interface import (
 )
 from slidectl.control.limits import (
     LIMIT_KINDS,
-    BadLimits,
     JointLimits,
     LimitHandle,
     SoftJointLimits,
@@ -21,6 +20,7 @@ from slidectl.control.limits import (
     in_order,
     limit_handle,
 )
+from slidectl.errors import Refused
 
 (
     EffortJointSaturation,
@@ -70,14 +70,14 @@ def test_bounds_the_wrong_way_round_give_the_upper_one():
 @pytest.mark.parametrize(("limits", "missing"), [(VELOCITY_ONLY, "effort"), (EFFORT_ONLY, "velocity")])
 def test_effort_handles_need_velocity_and_effort_limits(joint, kind, limits, missing):
     arguments = (SOFT,) if kind is EffortJointSoftLimits else ()
-    with pytest.raises(BadLimits, match=f"'joint1' has no {missing} limit"):
+    with pytest.raises(Refused, match=f"'joint1' has no {missing} limit"):
         kind(joint, limits, *arguments)
 
 
 def test_soft_position_limits_and_velocity_saturation_need_a_velocity_limit(joint):
-    with pytest.raises(BadLimits):
+    with pytest.raises(Refused):
         PositionJointSoftLimits(joint, EFFORT_ONLY, SOFT)
-    with pytest.raises(BadLimits):
+    with pytest.raises(Refused):
         VelocityJointSaturation(joint, EFFORT_ONLY)
 
 

@@ -55,7 +55,7 @@ def joints_of(infos):
 
 def group(kind):
     class Group(Controller):
-        interface_type = COMMAND_INTERFACES[kind][0]
+        interface_type = COMMAND_INTERFACES[kind]
 
         def init(self, interface, node):
             for name in node.get_param("joints"):
@@ -150,7 +150,7 @@ def test_a_running_group_cannot_be_restarted_by_one_switch(bench):
 
 def test_a_controller_that_conflicts_with_itself_does_not_start(bench):
     class Selfish(MultiInterfaceController):
-        interface_types = (COMMAND_INTERFACES["velocity"][0], COMMAND_INTERFACES["effort"][0])
+        interface_types = (COMMAND_INTERFACES["velocity"], COMMAND_INTERFACES["effort"])
 
         def init(self, hw, node):
             for kind in self.interface_types:

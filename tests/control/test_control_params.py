@@ -40,24 +40,24 @@ def test_a_list_of_numbers_takes_booleans_too(value, numbers):
 
 def test_a_parameter_of_the_wrong_type_counts_as_not_set_and_is_pointed_out(graph):
     node = graph.node("/bot")
-    readers = {
-        "number": params.number,
-        "integer": params.integer,
-        "boolean": params.boolean,
-        "texts": params.texts,
-        "numbers": params.numbers,
+    kinds = {
+        "number": params.NUMBER,
+        "integer": params.INTEGER,
+        "boolean": params.BOOLEAN,
+        "texts": params.TEXTS,
+        "numbers": params.NUMBERS,
     }
-    for name, read in readers.items():
+    for name, kind in kinds.items():
         node.set_param(name, "x")
-        assert read(node, name) is None
+        assert params.read(node, name, kind) is None
         assert f"/bot/{name} has no effect" in graph.log[-1][1]
     node.set_param("text", 1)
-    assert params.text(node, "text") is None
+    assert params.read(node, "text", params.TEXT) is None
     assert graph.log[-1] == ("warn", "parameter /bot/text has no effect: it must be a string, not 1")
 
 
 def test_a_parameter_that_is_not_set_is_none_without_a_word(graph):
-    assert params.number(graph.node("/bot"), "p") is None
+    assert params.read(graph.node("/bot"), "p", params.NUMBER) is None
     assert graph.log == []
 
 
@@ -65,13 +65,13 @@ def test_a_number_that_yaml_took_for_text_is_explained(graph):
     node = graph.node("/bot")
     node.set_param("p", "1e-3")
     with pytest.raises(params.BadParameter, match=r"string '1e-3' \(YAML reads .* 1.0e-3\)"):
-        params.needed_number(node, "p")
+        params.needed(node, "p", params.NUMBER)
 
 
 def test_a_needed_parameter_that_is_missing_is_named_with_what_to_type(graph):
     node = graph.node("/bot/controller")
     with pytest.raises(Refused) as refusal:
-        params.needed_text(node, "joint")
+        params.needed(node, "joint", params.TEXT)
     assert str(refusal.value) == (
         "parameter /bot/controller/joint is not set; it must be a string\n"
         "slidectl param set /bot/controller/joint VALUE"
@@ -82,5 +82,5 @@ def test_needed_parameters_of_the_right_type_are_returned(graph):
     node = graph.node("/bot")
     for name, value in (("n", 2), ("t", "x")):
         node.set_param(name, value)
-    assert params.needed_number(node, "n") == 2.0
-    assert params.needed_text(node, "t") == "x"
+    assert params.needed(node, "n", params.NUMBER) == 2.0
+    assert params.needed(node, "t", params.TEXT) == "x"

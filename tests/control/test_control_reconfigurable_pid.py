@@ -173,7 +173,7 @@ class TestService:
         [
             ({"doubles": doubles(kp=1.0)}, "no double 'kp'"),
             ({"bools": [{"name": "windup", "value": True}]}, "no bool 'windup'"),
-            ({"ints": [{"name": "p", "value": 1}]}, "the values are doubles and bools"),
+            ({"ints": [{"name": "p", "value": 1}]}, "only doubles and bools can be set"),
             ({"doubles": doubles(d=1.0, p=float("nan"))}, "p must be a number"),
         ],
     )

@@ -101,7 +101,7 @@ class TestTheCycleOfASwitch:
     def test_one_switch_at_a_time(self, bench):
         bench.request(start=["one"])
         assert not bench.request(start=["two"])
-        assert "another switch is under way" in bench.graph.lines("error")
+        assert "another switch is in progress" in bench.graph.lines("error")
         assert not bench.manager.unload("two")
         bench.run()
         assert bench.states() == {"one": "running", "two": "initialized", "rival": "initialized"}

@@ -3,18 +3,18 @@
 import pytest
 
 from slidectl.control.transmission_interface import (
-    BadReductions,
     DifferentialTransmission,
     FourBarLinkageTransmission,
     SimpleTransmission,
 )
+from slidectl.errors import Refused
 
 TWO_DOF = [DifferentialTransmission, FourBarLinkageTransmission]
 
 
 @pytest.mark.parametrize("reduction", [0.0, -0.0, 0])
 def test_a_simple_transmission_needs_a_reduction(reduction):
-    with pytest.raises(BadReductions, match="must not be 0"):
+    with pytest.raises(Refused, match="must not be 0"):
         SimpleTransmission(reduction)
 
 
@@ -32,7 +32,7 @@ def test_a_simple_transmission_needs_a_reduction(reduction):
     ],
 )
 def test_two_degrees_of_freedom_need_two_reductions_each_and_none_of_zero(kind, arguments):
-    with pytest.raises(BadReductions):
+    with pytest.raises(Refused):
         kind(*arguments)
 
 

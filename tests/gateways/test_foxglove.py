@@ -154,7 +154,7 @@ def test_an_app_is_told_why_its_message_was_refused(app: FoxgloveApp) -> None:
     app.publish(channel, b"\x00\x00")
     assert "2 bytes that are no std_msgs/Float64" in app.error()
     app.publish(channel, float64(float("nan")))
-    assert "takes no command of nan or infinity" in app.error()
+    assert "it must be a finite number, not nan or infinity" in app.error()
     app.advertise(COMMAND, "std_msgs/NoSuchType")
     assert "no message type 'std_msgs/NoSuchType'" in app.error()
 

@@ -13,7 +13,7 @@ from engine_scenes import EFFORT, GAINS, POSITION, Scene, add, add_driven, arm, 
 from sim_robots import STATES, cart, logged, running_cart
 
 import slidectl
-from slidectl.control.controllers.joint_velocity import JointVelocityController
+from slidectl.control.controllers.joint_control import JointVelocityController
 from slidectl.control.registry import controller
 from slidectl.errors import Refused, UsageError
 from slidectl.physics import Diverged, EngineError

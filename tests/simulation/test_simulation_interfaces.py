@@ -79,7 +79,7 @@ def test_limits_bound_the_position_and_the_velocity_of_such_a_command(interface:
     simulation.spawn(arm(("revolute",), interface=interface), "arm")
     [joint] = simulation.robots.get("arm").hardware.driven()
     for _ in range(1000):
-        joint.handle.command_position, joint.handle.command_velocity = 9.0, 50.0  # type: ignore[attr-defined]
+        joint.handle.command, joint.handle.command_velocity = 9.0, 50.0
         simulation.step(1)
         position, velocity, _ = simulation.world.joint_state("arm", "joint1")
         assert position <= 2.5 + 1e-9

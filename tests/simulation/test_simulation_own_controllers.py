@@ -13,7 +13,6 @@ from scipy.linalg import solve_continuous_are
 from sim_robots import STATES, cart, command, configure, drive_up, logged, state, states_of, switch
 
 from slidectl import description
-from slidectl.control import user_classes
 from slidectl.errors import SlidectlError
 from slidectl.simulation import Simulation
 from slidectl.simulation.compiled.object_file import is_possible
@@ -113,15 +112,20 @@ def test_a_file_imports_what_stands_beside_it(bench: Bench) -> None:
     ("old", "new", "line", "said"),
     [
         ("def init(self", "def init(self:", 12, "def init(self:, interface, node)"),
-        ("time_ns, period_s", "time_ns", 17, "Push.update has a wrong signature: (self, time_ns) takes no call with"),
+        (
+            "time_ns, period_s",
+            "time_ns",
+            17,
+            "Push.update has a wrong signature: (self, time_ns), but it is called",
+        ),
         ("self, interface, node", "self", 12, "def init(self, interface, node): ..."),
         ("def update", "def updates", 8, "Push has no update"),
-        ("    interface_type = EffortJointInterface\n", "", 8, "Push does not say on which interface it is"),
+        ("    interface_type = EffortJointInterface\n", "", 8, "Push has no interface_type"),
         ("def init(", "def __init__(self, gain): pass\n\n    def init(", 12, "Push.__init__ has a wrong signature"),
         ("\nJOINT", "1 / 0\nJOINT", 3, "ZeroDivisionError: division by zero"),
         ("\nJOINT", "import no_such_thing\nJOINT", 3, "No module named 'no_such_thing'"),
         ("\nJOINT", "raise SystemExit(1)\nJOINT", 3, "SystemExit: 1"),
-        ("class Push(Controller)", "class Push", 8, "Push is no controller"),
+        ("class Push(Controller)", "class Push", 8, "Push is not a controller"),
     ],
 )
 def test_what_is_wrong_is_said_with_file_and_line(bench: Bench, old: str, new: str, line: int, said: str) -> None:
@@ -245,79 +249,32 @@ def test_a_law_that_commands_no_number_is_aborted_and_the_last_command_stays(
     assert bench.states() == {"my_law": "aborted"}
     [(_, line)] = lines
     assert "controller 'my_law' failed in update and is aborted: it set the command of joint 'joint1' to " in line
-    assert f"which is no finite number ({bench.file})" in line
+    assert f"which is not a finite number ({bench.file})" in line
     assert bench.simulation.world.joint_state("cart", "joint1")[2] == 1.0
 
 
 ODD = """
-class NoText(Exception):
-    def __str__(self): raise ValueError("no text")
-
-class NoTextNorEnd(Exception):
-    def __str__(self): raise SystemExit(3)
-
-class NoName(type):
-    @property
-    def __name__(cls): raise ValueError("no name")
-    @property
-    def __module__(cls): raise ValueError("no module")
-
-class Nameless(Exception, metaclass=NoName):
+class Mine(Exception):
     pass
-
-class Untraced(Exception):
-    __traceback__ = property(lambda self: 1 / 0)
-    __cause__ = property(lambda self: 1 / 0)
-    __class__ = property(lambda self: 1 / 0)
-
-class OwnText(str):
-    def replace(self, *_): raise ValueError("no such text")
-    def __format__(self, _): raise ValueError("no such text")
-
-class Told(Exception):
-    def __str__(self): return OwnText("told")
-
-from slidectl.errors import SlidectlError
-
-class Mine(SlidectlError):
-    def __init__(self): pass
-    def __str__(self): raise ValueError("no text")
-
-class Odd:
-    def __repr__(self): raise SystemExit(5)
-    def __float__(self): raise SystemExit(5)
-    def __lt__(self, other): raise SystemExit(5)
-    def __add__(self, other): return 0.0
 
 def deep(): deep()
 
 """
-"""What stands before the law: classes of exceptions and values whose own methods fail."""
+"""The text in front of the law."""
 ODD_FAULTS = [
-    ("raise NoText", "NoText: (no text: its __str__ raised ValueError)"),
-    ("raise NoTextNorEnd", "NoTextNorEnd: (no text: its __str__ raised SystemExit)"),
-    ("raise Nameless('why')", "Nameless: why"),
-    ("raise Untraced('why')", "Untraced: why"),
-    ("raise Told", "Told: told"),
-    ("raise Mine", "Mine: (no text: its __str__ raised ValueError)"),
-    ("raise KeyboardInterrupt", "KeyboardInterrupt: "),
-    ("raise GeneratorExit", "GeneratorExit: "),
+    ("raise Mine('why')", "Mine: why"),
+    ("raise SystemExit(3)", "SystemExit: 3"),
     ("raise MemoryError", "MemoryError: "),
-    ("raise BaseExceptionGroup('both', [SystemExit(1), NoText()])", "BaseExceptionGroup: both"),
     ("deep()", "RecursionError: maximum recursion depth exceeded"),
-    ("del self.joint.command", "it deleted the command of joint 'joint1'"),
-    ("del self.joint.position", "it deleted the position of joint 'joint1'"),
-    ("self.joint.velocity = 'x'", "it set the velocity of joint 'joint1' to 'x', which is no finite number"),
+    ("del self.joint.command", "it set the command of joint 'joint1' to None"),
+    ("self.joint.velocity = 'x'", "it set the velocity of joint 'joint1' to 'x', which is not a finite number"),
     ("self.joint.effort = None", "it set the effort of joint 'joint1' to None"),
     ("self.joint.position = [1.0]", "it set the position of joint 'joint1' to [1.0]"),
     ("self.joint.position = 10**400", "it set the position of joint 'joint1' to 1000"),
-    ("self.joint.position = 10**9999", "it set the position of joint 'joint1' to an object of class int"),
-    ("self.joint.position = float('nan')", "it set the position of joint 'joint1' to nan"),
     ("self.joint.velocity = __import__('numpy').ones(3)", "it set the velocity of joint 'joint1' to array([1., 1."),
-    ("self.joint.velocity = Odd()", "it set the velocity of joint 'joint1' to an object of class Odd"),
-    ("self.joint.command = Odd()", "it set the command of joint 'joint1' to an object of class Odd"),
+    ("self.joint.command = object()", "it set the command of joint 'joint1' to <object"),
 ]
-"""Statements, and what is said of them."""
+"""Statements, and the error text of each."""
 ENGINES = [
     "plain",
     pytest.param("compiled", marks=pytest.mark.skipif(not is_possible(), reason="numba is not installed")),
@@ -325,9 +282,8 @@ ENGINES = [
 
 
 @pytest.fixture(params=ENGINES)
-def shared(bench: Bench, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Bench:
-    """A robot of two joints whose other controllers run, and a second robot. A Ctrl-C would not end the process."""
-    monkeypatch.setattr(user_classes, "_RAISES_INTERRUPT", object())
+def shared(bench: Bench, request: pytest.FixtureRequest) -> Bench:
+    """A robot of two joints whose other controllers run, and a second robot."""
     bench.simulation = Simulation(engine=request.param)
     if request.param == "compiled":
         bench.simulation.engine.complete()
@@ -372,7 +328,7 @@ def test_a_law_that_does_something_odd_is_aborted_alone(shared: Bench, fault: st
     assert shared.effort() == 1.0
 
 
-@pytest.mark.parametrize("fault", ["raise NoText", "del self.joint.command", "self.joint.velocity = 'x'"])
+@pytest.mark.parametrize("fault", ["raise Mine", "del self.joint.command", "self.joint.velocity = 'x'"])
 @pytest.mark.parametrize("hook", ["init", "starting", "stopping", "aborting", "hear", "tick", "serve", "note"])
 def test_every_hook_may_do_something_odd(shared: Bench, hook: str, fault: str) -> None:
     asked = """
@@ -401,10 +357,10 @@ def test_every_hook_may_do_something_odd(shared: Bench, hook: str, fault: str) -
     assert switch(shared.simulation, start=["my_law", *others])
     shared.simulation.step(20)
     if hook == "hear":
-        with pytest.raises(SlidectlError, match=r"NoText|it deleted|it set"):
+        with pytest.raises(SlidectlError, match=r"Mine|it set"):
             shared.simulation.publish("/cart/my_law/hear", {"data": "x"})
     if hook == "serve":
-        with pytest.raises(SlidectlError, match=r"NoText|it deleted|it set"):
+        with pytest.raises(SlidectlError, match=r"Mine|it set"):
             shared.simulation.call("/cart/my_law/serve")
     if hook == "note":
         with suppress(SlidectlError):

@@ -10,7 +10,7 @@ import pytest
 from engine_scenes import add
 from sim_robots import cart, switch
 
-from slidectl.control import hardware_types
+from slidectl.control import registry
 from slidectl.description import gazebo_tags
 from slidectl.entry_points import Part
 from slidectl.errors import SlidectlError
@@ -92,7 +92,7 @@ def test_hardware_of_an_installed_package_is_found_by_its_entry_point(
 ) -> None:
     monkeypatch.syspath_prepend(str(Path(file).parent))
     points = {"odd/Half": Part(gazebo_tags.HARDWARE.group, "odd/Half", "odd_hw:Half", "odd-hardware", "1.0")}
-    monkeypatch.setattr(hardware_types, "installed_hardware", lambda: points)
+    monkeypatch.setattr(registry, "installed_hardware", lambda: points)
     simulation = Simulation(ground=False)
     simulation.spawn(of("odd/Half"), "cart")
     assert type(simulation.robots.get("cart").hardware).__name__ == "Half"
@@ -113,7 +113,7 @@ def test_two_simulations_of_one_process_import_the_same_module(tmp_path: Path, m
 def test_a_module_with_nothing_but_a_base_for_hardware_has_none(tmp_path: Path) -> None:
     path = tmp_path / "base_hw.py"
     path.write_text("from slidectl.physics import MujocoRobotHW\n\nclass _Base(MujocoRobotHW):\n    pass\n")
-    with pytest.raises(SlidectlError, match="there is no controller in it, and no hardware"):
+    with pytest.raises(SlidectlError, match="it defines no controller and no hardware"):
         Simulation(imports=[str(path)])
 
 

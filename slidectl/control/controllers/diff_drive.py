@@ -1,7 +1,7 @@
 """Drives a base by the wheels of its two sides, after ros_controllers' diff_drive_controller.
 
 Commands are velocities of the base (geometry_msgs/Twist on `cmd_vel`); they are limited, and end after a time-out. The
-way that the wheels have made is told as odometry on `odom` and `/tf`. Lengths are in m, angles in rad.
+distance that the wheels have travelled is published as odometry on `odom` and `/tf`. Lengths are in m, angles in rad.
 
 Topics `cmd_vel`, `odom`, `/tf`, and when asked for `cmd_vel_out` and `wheel_joint_controller_state`; service
 `set_parameters`.
@@ -144,11 +144,13 @@ class DiffDriveController(BaseController, Controller[VelocityJointInterface]):
     compiled = Compiled(drive, DRIVE)
     parameters: ClassVar[tuple[Parameter, ...]] = (
         Parameter("left_wheel", WHEELS, "the joints of the left wheels", required=True, names_joints=True),
-        Parameter("right_wheel", WHEELS, "the joints of the right wheels, as many", required=True, names_joints=True),
+        Parameter(
+            "right_wheel", WHEELS, "the joints of the right wheels, the same number", required=True, names_joints=True
+        ),
         Parameter("wheel_separation", NUMBER, "distance of the sides; by default that in the model", "m"),
         Parameter("wheel_radius", NUMBER, "of all wheels; by default that of the first left one in the model", "m"),
         Parameter("wheel_separation_multiplier", NUMBER, "corrects the separation", default=1.0, live=True),
-        Parameter("wheel_radius_multiplier", NUMBER, "corrects the radii; goes before those of the sides"),
+        Parameter("wheel_radius_multiplier", NUMBER, "corrects both radii; overrides those of the sides"),
         Parameter("left_wheel_radius_multiplier", NUMBER, "corrects the left radius", default=1.0, live=True),
         Parameter("right_wheel_radius_multiplier", NUMBER, "corrects the right radius", default=1.0, live=True),
         replace(PUBLISH_RATE, live=True),
@@ -187,11 +189,11 @@ class DiffDriveController(BaseController, Controller[VelocityJointInterface]):
         self._right = [interface.get_handle(name) for name in right]
         self._joints = (*self._left, *self._right)
         self._values = self._first_values(node)
-        self._take_values(self._values)
+        self._apply_values(self._values)
         self._is_writing = False
-        wants_cmd = params.boolean(node, "publish_cmd")
+        wants_cmd = params.read(node, "publish_cmd", BOOLEAN)
         self._cmd = node.advertise("cmd_vel_out", "geometry_msgs/TwistStamped") if wants_cmd else None
-        wants_state = params.boolean(node, "publish_wheel_joint_controller_state")
+        wants_state = params.read(node, "publish_wheel_joint_controller_state", BOOLEAN)
         self._wheel_state = WheelState(node, self._left, self._right) if wants_state else None
         self._server = ReconfigureServer(node, OPTIONS, lambda: dict(self._values), self._change_values)
         self._change_values(self._values)
@@ -202,7 +204,7 @@ class DiffDriveController(BaseController, Controller[VelocityJointInterface]):
 
     def _geometry(self, root: NodeHandle, node: NodeHandle, left: str, right: str) -> tuple[float, float]:
         """Separation and radius, m: from the parameters, else from the description in the robot's namespace."""
-        separation, radius = params.number(node, "wheel_separation"), params.number(node, "wheel_radius")
+        separation, radius = params.read(node, "wheel_separation", NUMBER), params.read(node, "wheel_radius", NUMBER)
         if separation is None or radius is None:
             robot = robot_of_model(root)
             one, other = find_joint(robot, left), find_joint(robot, right)
@@ -217,12 +219,12 @@ class DiffDriveController(BaseController, Controller[VelocityJointInterface]):
     # Values that change while it is loaded.
 
     def _first_values(self, node: NodeHandle) -> Values:
-        both = params.number(node, "wheel_radius_multiplier")
-        sides = [params.number(node, name) for name in MULTIPLIERS[:2]]
-        radii = [_or(both, _or(side, 1.0)) for side in sides]
-        separation = _or(params.number(node, MULTIPLIERS[2]), 1.0)
-        values: Values = dict(zip(MULTIPLIERS, (*radii, separation), strict=True))
-        values |= {each.name: params.value_of(node, each) for each in (PUBLISH_RATE, ODOM_TF)}
+        declared = {parameter.name: parameter for parameter in self.parameters}
+        changing = (*MULTIPLIERS, PUBLISH_RATE.name, ODOM_TF.name)
+        values: Values = {name: params.value_of(node, declared[name]) for name in changing}
+        both = params.read(node, "wheel_radius_multiplier", NUMBER)
+        if both is not None:
+            values |= dict.fromkeys(MULTIPLIERS[:2], both)
         self._check_values(values)
         return values
 
@@ -233,7 +235,7 @@ class DiffDriveController(BaseController, Controller[VelocityJointInterface]):
                 raise Refused(f"{self._node.namespace}/{name} must be a number other than {values[name]:g}")
         checked_period(self._node, PUBLISH_RATE.name, values.get(PUBLISH_RATE.name, 1.0))
 
-    def _take_values(self, values: Values) -> None:
+    def _apply_values(self, values: Values) -> None:
         """Use these values from the next update on."""
         self.topics.period_ns = from_seconds(1.0 / values["publish_rate"])
         self._values = dict(values)
@@ -245,7 +247,7 @@ class DiffDriveController(BaseController, Controller[VelocityJointInterface]):
     def _change_values(self, values: Values) -> None:
         """Use these values, write them to the parameters, and publish them. Raises Refused."""
         self._check_values(values)
-        self._take_values(values)
+        self._apply_values(values)
         self._is_writing = True
         try:
             for name, value in values.items():
@@ -265,8 +267,8 @@ class DiffDriveController(BaseController, Controller[VelocityJointInterface]):
         """Use the changed parameters. A value whose parameter is missing stays."""
         if self._is_writing:
             return
-        numbers = {name: params.number(self._node, name) for name in (*MULTIPLIERS, "publish_rate")}
-        given: dict[str, Any] = numbers | {"enable_odom_tf": params.boolean(self._node, "enable_odom_tf")}
+        numbers = {name: params.read(self._node, name, NUMBER) for name in (*MULTIPLIERS, "publish_rate")}
+        given: dict[str, Any] = numbers | {"enable_odom_tf": params.read(self._node, "enable_odom_tf", BOOLEAN)}
         values = self._values | {name: value for name, value in given.items() if value is not None}
         if values != self._values:
             self._change_values(values)
@@ -390,10 +392,6 @@ class WheelState:
                 "error": error | start,
             },
         )
-
-
-def _or(value: Any, default: Any) -> Any:
-    return default if value is None else value
 
 
 def _mean_position(joints: list[JointHandle]) -> float:

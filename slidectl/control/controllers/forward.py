@@ -59,7 +59,7 @@ class ForwardController(ScalarController):
 
     def init(self, interface: JointCommandInterface, node: NodeHandle) -> None:
         """Raises SlidectlError: the parameter or the joint is missing."""
-        self._joint = interface.get_handle(params.needed_text(node, JOINT.name))
+        self._joint = interface.get_handle(params.value_of(node, JOINT))
         self.set_point = 0.0
         self._listen(node, "std_msgs/Float64", self._receive)
 

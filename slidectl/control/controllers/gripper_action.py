@@ -101,7 +101,7 @@ class GripperActionController(ActionController[JointCommandInterface]):
         """Raises SlidectlError: a parameter, the joint, or the robot description is missing or wrong."""
         self._node = node
         monitor_period_ns = period_of(node, MONITOR_RATE)
-        name = params.needed_text(node, JOINT.name)
+        name = params.value_of(node, JOINT)
         joint_of_model(node, name)
         self._joint = interface.get_handle(name)
         self.tolerance: float = abs(params.value_of(node, TOLERANCE))
@@ -161,12 +161,12 @@ class GripperActionController(ActionController[JointCommandInterface]):
         )
         goal.decide(status, self._result)
 
-    def _take_goal(self, handle: GoalHandle) -> None:
+    def _receive_goal(self, handle: GoalHandle) -> None:
         command = handle.goal["command"]
         if self.state is not State.RUNNING:
             self._reject(handle, "Can't accept new action goals. Controller is not running.")
         elif not isfinite(command["position"]) or not isfinite(command["max_effort"]):
-            self._reject(handle, "a goal of nan or infinity is not taken: it must have finite numbers")
+            self._reject(handle, "a goal must have finite numbers, not nan or infinity")
         else:
             self._follow(MonitoredGoal(handle))
             self.position, self.max_effort = command["position"], command["max_effort"]
@@ -206,10 +206,10 @@ class EffortGripperActionController(GripperActionController):
     def _get_commands(self, node: NodeHandle) -> None:
         warn_of_other_joints(node, "gains", [self._joint.name])
         gains = node.child(f"gains/{self._joint.name}")
-        if params.number(gains, "p") is not None:
+        if params.read(gains, "p", NUMBER) is not None:
             self._pid = ReconfigurablePid(gains).pid
         else:  # as upstream, it runs without gains too
-            node.log("warn", f"parameter {gains.namespace}/p is not set: the gripper pushes nothing")
+            node.log("warn", f"parameter {gains.namespace}/p is not set: the gripper has no effort")
             self._pid = Pid()
 
     def _start_commands(self) -> None:
@@ -219,6 +219,6 @@ class EffortGripperActionController(GripperActionController):
     def _command(self, error: float, period_s: float) -> float:
         wanted = next_command_from(self._pid, error, -self._joint.velocity, period_s)
         if self._pid.observer is not None:
-            self._pid.tell(error, period_s)
+            self._pid.report(error, period_s)
         self._joint.command = clamp_effort(wanted, self.max_effort)
         return self._joint.command

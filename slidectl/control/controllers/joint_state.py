@@ -71,8 +71,8 @@ class JointStateController(Controller[JointStateInterface]):
 
     def init_in_root(self, interface: JointStateInterface, root: NodeHandle, node: NodeHandle) -> None:
         """Raises SlidectlError: no publish_rate, or an unknown joint."""
-        chosen = params.texts(node, "joints")
-        rate = params.needed_number(node, "publish_rate")
+        chosen = params.read(node, "joints", TEXTS)
+        rate = params.needed(node, "publish_rate", NUMBER)
         if isnan(rate):
             raise Refused("publish_rate must be a number, not nan")
         self._publishes = rate > 0.0
@@ -126,26 +126,19 @@ def _extra_joints(node: NodeHandle, taken: list[str]) -> list[JointStateHandle]:
     if not isinstance(entries, list):
         node.log("error", f"{node.namespace}/extra_joints has no effect: it must be a list")
         return []
-    found: list[JointStateHandle] = []
+    joints: dict[str, JointStateHandle] = {}
     for position, entry in enumerate(entries):
-        joint = _extra_joint(node, f"{node.namespace}/extra_joints[{position}]", entry)
-        if joint is None:
+        skipped = f"{node.namespace}/extra_joints[{position}] is skipped"
+        name = entry.get("name") if isinstance(entry, dict) else None
+        if not isinstance(name, str):
+            node.log("error", f"{skipped}: it must be a mapping with a name")
             continue
-        if joint.name in taken or any(joint.name == other.name for other in found):
-            node.log("warn", f"{node.namespace}/extra_joints: joint {joint.name!r} is there already")
-            continue
-        found.append(joint)
-    return found
-
-
-def _extra_joint(node: NodeHandle, where: str, entry: Any) -> JointStateHandle | None:
-    name = entry.get("name") if isinstance(entry, dict) else None
-    if not isinstance(name, str):
-        node.log("error", f"{where} is skipped: it must be a mapping with a name")
-        return None
-    state = {key: entry.get(key, 0.0) for key in ("position", "velocity", "effort")}
-    for key, value in state.items():
-        if not isinstance(value, float):
-            node.log("error", f"{where} is skipped: {key} of {name!r} must be written as a float, as 0.0")
-            return None
-    return JointStateHandle(name, **state)
+        state = {key: entry.get(key, 0.0) for key in ("position", "velocity", "effort")}
+        wrong = [key for key, value in state.items() if not isinstance(value, float)]
+        if wrong:
+            node.log("error", f"{skipped}: {wrong[0]} of {name!r} must be a float, such as 0.0")
+        elif name in taken or name in joints:
+            node.log("warn", f"{node.namespace}/extra_joints: joint {name!r} exists already")
+        else:
+            joints[name] = JointStateHandle(name, **state)
+    return list(joints.values())

@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import pairwise
 from math import inf, pi
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 from slidectl.control import params, segments
 from slidectl.control.angular_distance import shortest_angular_distance
@@ -25,9 +25,7 @@ from slidectl.control.hardware_interface import (
     JointHandle,
     JointStateHandle,
     PositionJointInterface,
-    PosVelAccJointHandle,
     PosVelAccJointInterface,
-    PosVelJointHandle,
     PosVelJointInterface,
     ResourceManager,
     VelocityJointInterface,
@@ -87,51 +85,14 @@ STOPPED_VELOCITY = Parameter(
 )
 
 
-class StateTolerances(NamedTuple):
-    """The largest allowed errors; 0 checks nothing. Accelerations are not measured, so they have no tolerance."""
-
-    position: float = 0.0
-    velocity: float = 0.0
-
-    def updated(self, message: Message) -> StateTolerances:
-        """A copy changed by a control_msgs/JointTolerance: above 0 replaces, below 0 switches off, 0 keeps."""
-        return StateTolerances(*(_replaced(old, message[name]) for name, old in self._asdict().items()))
-
-
-class SegmentTolerances(NamedTuple):
-    """Tolerances on the path and at the goal, and the time after the end, in s, to meet the latter."""
-
-    path: StateTolerances = StateTolerances()
-    goal: StateTolerances = StateTolerances()
-    goal_time_s: float = 0.0
-
-    def numbers(self) -> tuple[float, ...]:
-        """The values of the columns `TOLERANCES` of a segment."""
-        return *self.path, *self.goal, self.goal_time_s
-
-
 def _replaced(old: float, new: float) -> float:
+    """A tolerance after that of a goal: above 0 replaces, below 0 switches off, 0 keeps."""
     return new if new > 0.0 else 0.0 if new < 0.0 else old
 
 
 class Motion:
     """One joint's range of segments, and its states of the last update: desired, measured, and the errors."""
 
-    __slots__ = (
-        "acceleration",
-        "actual_position",
-        "actual_velocity",
-        "index",
-        "last",
-        "next_s",
-        "position",
-        "position_error",
-        "reached",
-        "segment",
-        "velocity",
-        "velocity_error",
-        "velocity_ff",
-    )
     columns = Columns(
         changing="index position velocity acceleration actual_position actual_velocity position_error velocity_error "
         "reached",
@@ -191,7 +152,7 @@ def judged(segment: Any, is_last: bool, time_s: float, error: float, error_dot: 
 
 
 @law
-def take_states(
+def store_states(
     motion: Motion, joint: JointStateHandle, position: float, velocity: float, acceleration: float, error: float
 ) -> None:
     """Store the states of an update: the desired ones, the measured ones and the errors."""
@@ -255,7 +216,7 @@ def follow(follower: Any, tables: LawTables, time_ns: int, period_s: float) -> b
         segment = tables.numbers[motion.index * SIZE : (motion.index + 1) * SIZE]
         position, velocity, acceleration = sample(segment, uptime_s)
         error = shortest_angular_distance(joint.position, position)
-        take_states(motion, joint, position, velocity, acceleration, error)
+        store_states(motion, joint, position, velocity, acceleration, error)
     follower.time_ns = time_ns
     follower.uptime_ns = uptime_ns
     return True
@@ -327,7 +288,7 @@ class JointTrajectoryController(ActionController[Any]):
         MONITOR_RATE,
         STOP_DURATION,
         STOP_ON_ABORT,
-        Parameter("allow_partial_joints_goal", BOOLEAN, "takes trajectories of some of the joints", default=False),
+        Parameter("allow_partial_joints_goal", BOOLEAN, "accepts trajectories of some of the joints", default=False),
         GOAL_TIME,
         STOPPED_VELOCITY,
         Parameter(
@@ -359,8 +320,8 @@ class JointTrajectoryController(ActionController[Any]):
         self._stop_duration_s: float = params.value_of(node, STOP_DURATION)
         if not 0.0 <= self._stop_duration_s < float("inf"):
             raise Refused(f"parameter {node.namespace}/stop_trajectory_duration must not be below 0")
-        self._allow_partial = params.boolean(node, "allow_partial_joints_goal") or False
-        self._stops_on_abort = params.boolean(node, STOP_ON_ABORT.name) or False
+        self._allow_partial = params.read(node, "allow_partial_joints_goal", BOOLEAN) or False
+        self._stops_on_abort = params.value_of(node, STOP_ON_ABORT)
         self._names = joint_names(node)
         joints = [joint_of_model(node, name) for name in self._names]
         self._turns = [joint.type == "continuous" for joint in joints]
@@ -381,7 +342,7 @@ class JointTrajectoryController(ActionController[Any]):
         self._state = node.advertise("state", "control_msgs/JointTrajectoryControllerState")
         node.advertise_service("query_state", "control_msgs/QueryTrajectoryState", self._query_state, Effect.READS)
         self._serve(node, "follow_joint_trajectory", "control_msgs/FollowJointTrajectory", monitor_period_ns)
-        node.subscribe("command", "trajectory_msgs/JointTrajectory", self._take_command)
+        node.subscribe("command", "trajectory_msgs/JointTrajectory", self._receive_command)
 
     def _get_commands(self, node: NodeHandle) -> None:
         """Read further parameters that the commands need. Raises SlidectlError."""
@@ -393,21 +354,26 @@ class JointTrajectoryController(ActionController[Any]):
         """Set the commands for the desired states of this cycle."""
         raise NotImplementedError
 
-    def _default_tolerances(self) -> list[SegmentTolerances]:
-        """The tolerances of each joint, by the parameters."""
+    def _default_tolerances(self) -> list[tuple[float, ...]]:
+        """The tolerances of each joint by the parameters, as the columns `TOLERANCES` of a segment; 0 checks nothing.
+
+        A path has none of velocity. Accelerations are not measured, so they have no tolerance.
+        """
         stopped = self._tolerance(STOPPED_VELOCITY.name, STOPPED_VELOCITY.default)
-        goal_time_s = params.value_of(self._node, GOAL_TIME)
+        goal_time_s: float = params.value_of(self._node, GOAL_TIME)
         return [
-            SegmentTolerances(
-                StateTolerances(self._tolerance(f"constraints/{name}/trajectory")),
-                StateTolerances(self._tolerance(f"constraints/{name}/goal"), stopped),
+            (
+                self._tolerance(f"constraints/{name}/trajectory"),
+                0.0,
+                self._tolerance(f"constraints/{name}/goal"),
+                stopped,
                 goal_time_s,
             )
             for name in self._names
         ]
 
     def _tolerance(self, name: str, default: float = 0.0) -> float:
-        value = params.number(self._node, name)
+        value = params.read(self._node, name, NUMBER)
         if value is not None and value < 0.0:
             self._node.log("warn", f"{self._node.namespace}/{name} is below 0: it is not checked")
         return default if value is None else value
@@ -439,7 +405,7 @@ class JointTrajectoryController(ActionController[Any]):
         if self._goal is not None:
             self._judge(self._goal, samples, uptime_s)
         for states in samples:
-            take_states(*states)
+            store_states(*states)
         self.time_ns, self.uptime_ns = time_ns, uptime_ns
         self._command(period_s)
         if state_is_due(self) and self._state.wanted:
@@ -538,10 +504,12 @@ class JointTrajectoryController(ActionController[Any]):
         rows = len(self._numbers) // SIZE
         if not all(0 <= motion.index <= motion.last < rows for motion in self.motions):
             raise Refused(f"a motion is beyond the {rows} segments")
+        if not all(isinstance(row, tuple) and len(row) == SIZE - PATH_POSITION for row in self._tolerances):
+            raise Refused("a joint has no tolerances")
 
     # Requests of clients, between two cycles.
 
-    def _take_command(self, message: Message) -> None:
+    def _receive_command(self, message: Message) -> None:
         try:
             self._replace(message, None)
         except Refused as refusal:
@@ -549,7 +517,7 @@ class JointTrajectoryController(ActionController[Any]):
             raise MessageRefused(refusal.message) from None
         self._preempt()
 
-    def _take_goal(self, handle: GoalHandle) -> None:
+    def _receive_goal(self, handle: GoalHandle) -> None:
         trajectory = handle.goal["trajectory"]
         if self.state is not State.RUNNING:
             self._reject(handle, "Can't accept new action goals. Controller is not running.", _result(INVALID_GOAL))
@@ -594,9 +562,9 @@ class JointTrajectoryController(ActionController[Any]):
             ends = segments.states([sample(row.tolist(), now_s + duration_s) for row in double])
         rows = segments.between(begin_s, begins, [now_s + duration_s] * len(begin_s), ends)
         rows[:, GOAL] = goal_number
-        self._take_trajectory([rows[k : k + 1] for k in range(len(rows))])
+        self._set_trajectory([rows[k : k + 1] for k in range(len(rows))])
 
-    def _take_trajectory(self, trajectory: list[segments.Rows]) -> None:
+    def _set_trajectory(self, trajectory: list[segments.Rows]) -> None:
         """Follow these segments of each joint."""
         self._trajectory = trajectory
         self._numbers = segments.joined(trajectory)
@@ -653,15 +621,15 @@ class JointTrajectoryController(ActionController[Any]):
             offset = wraparound_offset(float(begins[0, column]), first_position) if self._turns[k] else 0.0
             states[0, :, column] += offset
         made = segments.through(begin_s, begins, start_s + from_start_s[0], times_s, states, from_start_s)
-        segments.check_range([self._names[k] for k in order], made, begins, states, first)
+        segments.check_range([self._names[k] for k in order], made, first)
         for k, new in zip(order, made, strict=True):
             old = self._trajectory[k]
             new[:, GOAL] = goal_number
             if tolerances is not None:
-                new[:, TOLERANCES] = tolerances[k].numbers()
+                new[:, TOLERANCES] = tolerances[k]
             kept = old[segments.find(old, next_s) : segments.find(old, begin_s) + 1]
             trajectory[k] = segments.following(kept, new)
-        self._take_trajectory(trajectory)
+        self._set_trajectory(trajectory)
 
     def _first_point(self, message: Message, offsets_ns: list[int], start_ns: int, next_ns: int) -> int:
         """The index of the first point in the future. Earlier points are dropped, with a warning.
@@ -690,32 +658,29 @@ class JointTrajectoryController(ActionController[Any]):
         """Warn of what ros_controllers take silently: surplus positions, and positions beyond the limits of a joint."""
         most = max(len(point["positions"]) for point in points)
         if most > len(order):
-            text = f"a point has {most} positions for {len(order)} joints: those beyond have no effect"
+            text = f"a point has {most} positions for {len(order)} joints: the surplus ones have no effect"
             self._node.log("warn", f"{self._node.namespace}: {text}")
         for column, k in enumerate(order):
             lower, upper = self._limits[k]
             wanted = [point["positions"][column] for point in points if column < len(point["positions"])]
             beyond = max(wanted, key=lambda position: max(lower - position, position - upper), default=lower)
             if not self._turns[k] and not lower - _BESIDE <= beyond <= upper + _BESIDE:
-                text = f"is sent to {beyond:g}, beyond its limits {lower:g} to {upper:g}: it cannot get there"
+                text = f"is commanded to {beyond:g}, outside its limits {lower:g} to {upper:g}"
                 self._node.log("warn", f"{self._node.namespace}: {self._names[k]} {text}")
 
-    def _goal_tolerances(self, goal: Message) -> list[SegmentTolerances]:
+    def _goal_tolerances(self, goal: Message) -> list[tuple[float, ...]]:
         """The tolerances of each joint: the default ones, changed by those of the goal."""
-        time_ns = nanoseconds(goal["goal_time_tolerance"])
-        found = []
-        for name, (path, end, goal_time_s) in zip(self._names, self._tolerances, strict=True):
-            for message in goal["path_tolerance"]:
-                path = path.updated(message) if message["name"] == name else path
-            for message in goal["goal_tolerance"]:
-                end = end.updated(message) if message["name"] == name else end
-            found.append(SegmentTolerances(path, end, _replaced(goal_time_s, to_seconds(time_ns))))
-        for message in (*goal["path_tolerance"], *goal["goal_tolerance"]):
-            if message["name"] not in self._names:
-                self._node.log(
-                    "warn", f"{self._node.namespace} has no joint {message['name']!r}: its tolerance is ignored"
-                )
-        return found
+        rows = {name: list(row) for name, row in zip(self._names, self._tolerances, strict=True)}
+        for place, first in (("path_tolerance", 0), ("goal_tolerance", 2)):
+            for message in goal[place]:
+                name = message["name"]
+                if name not in rows:
+                    self._node.log("warn", f"{self._node.namespace} has no joint {name!r}: its tolerance is ignored")
+                    continue
+                for column, quantity in enumerate(("position", "velocity"), start=first):
+                    rows[name][column] = _replaced(rows[name][column], message[quantity])
+        goal_time_s = to_seconds(nanoseconds(goal["goal_time_tolerance"]))
+        return [(*rows[name][:-1], _replaced(rows[name][-1], goal_time_s)) for name in self._names]
 
 
 _BESIDE = 1e-6
@@ -774,7 +739,7 @@ class PidJointTrajectoryController(JointTrajectoryController):
             warn_of_other_joints(node, place, self._names)
         self._pids = [ReconfigurablePid(node.child(f"gains/{name}")).pid for name in self._names]
         for motion, name in zip(self.motions, self._names, strict=True):
-            motion.velocity_ff = params.number(node, f"velocity_ff/{name}") or 0.0
+            motion.velocity_ff = params.read(node, f"velocity_ff/{name}", NUMBER) or 0.0
 
     def _start_commands(self) -> None:
         for joint, pid in zip(self._joints, self._pids, strict=True):
@@ -785,7 +750,7 @@ class PidJointTrajectoryController(JointTrajectoryController):
         for motion, pid, joint in zip(self.motions, self._pids, self._joints, strict=True):
             correct(motion, pid, joint, period_s)
             if pid.observer is not None:
-                pid.tell(motion.position_error, period_s)
+                pid.report(motion.position_error, period_s)
 
 
 @controller("effort_controllers/JointTrajectoryController")
@@ -807,11 +772,11 @@ class PosVelJointTrajectoryController(JointTrajectoryController):
     """The commands are the desired positions and velocities."""
 
     interface_type: type[ResourceManager[Any]] = PosVelJointInterface
-    _joints: tuple[PosVelJointHandle, ...]
+    _joints: tuple[JointHandle, ...]
 
     def _command(self, period_s: float) -> None:  # noqa: ARG002
         for motion, joint in zip(self.motions, self._joints, strict=True):
-            joint.command_position, joint.command_velocity = motion.position, motion.velocity
+            joint.command, joint.command_velocity = motion.position, motion.velocity
 
 
 @controller("pos_vel_acc_controllers/JointTrajectoryController")
@@ -819,7 +784,6 @@ class PosVelAccJointTrajectoryController(PosVelJointTrajectoryController):
     """The commands are the desired positions, velocities and accelerations."""
 
     interface_type = PosVelAccJointInterface
-    _joints: tuple[PosVelAccJointHandle, ...]
 
     def _command(self, period_s: float) -> None:
         super()._command(period_s)

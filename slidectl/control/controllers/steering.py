@@ -317,7 +317,7 @@ class FourWheelSteeringController(BaseController, MultiInterfaceController):
         places = {name: _place(robot, name, frame) for name in (*front, rear_left, steering_left)}
 
         def length(name: str, found: float | None) -> float:
-            value = params.number(node, name)
+            value = params.read(node, name, NUMBER)
             if value is None:
                 value = wheel_radius(node, robot, robot.joints[front[0]]) if found is None else found
                 node.set_param(name, value)

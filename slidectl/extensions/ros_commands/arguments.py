@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from optparse import Option, OptionParser, Values
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple, NoReturn, TypeVar
 
 import click
 
@@ -18,6 +18,9 @@ from slidectl import names
 from slidectl.cli import commands, output
 from slidectl.cli.context import Context
 from slidectl.errors import EXIT_REFUSED, EXIT_USAGE, BadFile, Refused, SlidectlError, UsageError
+
+N = TypeVar("N", int, float)
+D = TypeVar("D")
 
 HOST = "localhost"
 """The machine of every node and service."""
@@ -90,17 +93,10 @@ class Parser(OptionParser):
             self.error(extra.format(" ".join(given.words[least:])))
         return given
 
-    def integer(self, text: str | None, default: int, complaint: str) -> int:
-        """The integer value of an option. Raises a usage error with `complaint` when it is not an integer."""
+    def number(self, kind: Callable[[str], N], text: str | None, default: D, complaint: str) -> N | D:
+        """The value of an option as `kind`, int or float. Raises a usage error with `complaint` when it is not one."""
         try:
-            return default if text is None else int(text)
-        except ValueError:
-            self.error(complaint)
-
-    def number(self, text: str | None, default: float, complaint: str) -> float:
-        """The number value of an option. Raises a usage error with `complaint` when it is not a number."""
-        try:
-            return default if text is None else float(text)
+            return default if text is None else kind(text)
         except ValueError:
             self.error(complaint)
 
@@ -145,7 +141,7 @@ class Tool(NamedTuple):
             return function(ctx, list(argv[1:]))
         width = max(map(len, self.verbs))
         listed = [f"\t{self.name} {name:<{width}}  {text}" for name, (_, text) in self.verbs.items() if text]
-        last = f"'{self.name} <command> -h' tells more of one of them.\n"
+        last = f"'{self.name} <command> -h' prints its usage.\n"
         output.write("\n".join([self.about, "", "Commands:", *listed, "", last]))
         raise click.exceptions.Exit(self.without if not argv else 0 if argv[0] in self.help_options else self.unknown)
 
@@ -189,13 +185,13 @@ def resolve_remapped(ctx: Context, name: str, tool: str, words: Sequence[str], p
 def _parted(words: Sequence[str], payload_from: int | None) -> tuple[list[str], list[str]]:
     """The words for the tool, and the remapping words."""
     kept: list[str] = []
-    taken: list[str] = []
+    remappings: list[str] = []
     positionals = 0
     for word in words:
         is_payload = payload_from is not None and positionals >= payload_from
         if (_NODE_ARGUMENT if is_payload else _REMAPPING).match(word):
-            taken.append(word)
+            remappings.append(word)
             continue
         positionals += not word.startswith("-")
         kept.append(word)
-    return kept, taken
+    return kept, remappings

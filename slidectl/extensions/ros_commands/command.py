@@ -70,10 +70,10 @@ def _step_effects(parameters: Mapping[str, Any], has_daemon: bool) -> StepEffect
 def ros(ctx: Context, words: tuple[str, ...]) -> None:
     """Run a ROS command word for word.
 
-    NAME is one of roslaunch, rostopic, rosservice, rosparam, rosrun, rosnode, rosmsg, rossrv, roscore and rosbag, or a
-    window (rviz, rqt, rqt_plot, gazebo and so on), which is answered with the commands that show the same;
-    ARGUMENTs are theirs, and so are output and exit codes, save that 0 means done: 3 is no daemon, 130 Ctrl-C.
-    Options of slidectl stand before NAME. 'slidectl ros-commands' makes shell functions of these names.
+    NAME is roslaunch, rostopic, rosservice, rosparam, rosrun, rosnode, rosmsg, rossrv, roscore or rosbag, or a window
+    (rviz, rqt, rqt_plot, gazebo and so on), for which the commands that show the same are printed. ARGUMENTs, output
+    and exit codes are those of the ROS command, except 0: success, 3: no daemon, 130: Ctrl-C. Options of slidectl go
+    before NAME. 'slidectl ros-commands' prints shell functions of these names.
     """
     name, *argv = words
     if name not in NAMES:

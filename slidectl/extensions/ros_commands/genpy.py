@@ -90,7 +90,7 @@ def filled(ctx: Context, typedefs: Typedefs, values: Sequence[Any]) -> Message:
     """The message with these values; fields that are not named are left out.
 
     Raises:
-        Misfit, WrongType: with genpy's text. BadMessage: values that genpy accepts and a message cannot hold.
+        WrongStructure, WrongType: with genpy's text. BadMessage: values that genpy accepts and a message cannot hold.
     """
     from slidectl.msgs.fill import fill, mentions_clock
 
@@ -140,15 +140,17 @@ def as_yaml(typedefs: Typedefs, message: Message) -> str:
 
 
 def explain(schema: Schema, values: Sequence[Any]) -> None:
-    """Raise Misfit or WrongType with genpy's text; return when genpy accepts the values."""
+    """Raise WrongStructure or WrongType with genpy's text; return when genpy accepts the values."""
     root: Any = values[0] if len(values) == 1 and isinstance(values[0], Mapping) else list(values)
-    wrong = list(_wrong(schema, schema.root, root, ""))  # read to the end: any Misfit has priority over a wrong type
+    wrong = list(
+        _wrong(schema, schema.root, root, "")
+    )  # read to the end: any WrongStructure has priority over a wrong type
     if wrong:
         raise WrongType(wrong[0])
 
 
 def _wrong(schema: Schema, type_name: str, given: Any, prefix: str) -> Iterator[str]:
-    """Yield an error text for each value of a wrong type. Raises Misfit."""
+    """Yield an error text for each value of a wrong type. Raises WrongStructure."""
     for field, value in _paired(schema, type_name, given, prefix):
         name = _plain(prefix) + field.name
         if field.array >= 0 and not isinstance(value, list | tuple):
@@ -174,7 +176,7 @@ def _plain(prefix: str) -> str:
 
 
 def _paired(schema: Schema, type_name: str, given: Any, prefix: str) -> Iterator[tuple[Field, Any]]:
-    """Yield each field that has a value, with the value. Raises Misfit."""
+    """Yield each field that has a value, with the value. Raises WrongStructure."""
     # The parts of a time are whole numbers of any size: what is too large for one may be carried over to the other.
     parts = [part._replace(type="int64") for part in TIMES.get(type_name, ())]
     fields = parts or schema.fields(type_name)

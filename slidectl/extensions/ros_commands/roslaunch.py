@@ -31,11 +31,11 @@ _EXCLUSIVE = ("nodes", "find_node", "args", "ros_args")
 _SILENT_OPTIONS = (
     option("--local", "no effect: everything is local"),
     option("--no-summary", "no effect: there is no summary"),
-    option("--skip-log-check", "no effect: the log does not grow without end"),
+    option("--skip-log-check", "no effect: the log has a bound"),
     option("--disable-title", "no effect: the terminal's title stays"),
 )
-_CORE = option("--core", "no effect: the daemon is all cores")
-_VERBOSE = option("-v", "say more", dest="verbose")
+_CORE = option("--core", "no effect: the daemon is the master")
+_VERBOSE = option("-v", "print more", dest="verbose")
 # Options of both tools; a warning says that they have no effect.
 _IDLE = (
     option("-p --port", "no effect: there are no ports", "PORT"),
@@ -112,13 +112,13 @@ def roscore(ctx: Context, argv: Sequence[str]) -> None:
         "roscore [options]",
         *_IDLE,
         _VERBOSE,
-        option("--sigint-timeout", "how long the daemon may take to end", "TIMEOUT"),
+        option("--sigint-timeout", "seconds that the daemon may take to end", "TIMEOUT"),
         option("--sigterm-timeout", "no effect", "TIMEOUT"),
     )
     given = parser.parse(argv, most=0, extra="roscore does not take arguments")
     _warn_idle(ctx, given)
     complaint = f"option --sigint-timeout: invalid floating-point value: {given.sigint_timeout!r}"
-    limit = parser.number(given.sigint_timeout, STOP_LIMIT_S, complaint)
+    limit = parser.number(float, given.sigint_timeout, STOP_LIMIT_S, complaint)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         pid = _start(ctx)

@@ -44,15 +44,15 @@ class _Types:
             self.name,
             f"{self.name} show [options] <{self._kind.noun}>",
             option("-r --raw", "the definition as it was written"),
-            option("-b --bag", "as a bag has it", "BAGFILE"),
+            option("-b --bag", "the definition in a bag", "BAGFILE"),
         )
         given = parser.parse(argv, most=1, extra=f"you may only specify one {self._kind.noun}")
         wanted = self._wanted(parser, given.words)
         if given.bag:
-            from slidectl.extensions.ros_commands import bag_echo as bag
+            from slidectl.extensions.ros_commands import rosbag as bag
 
             return output.write(bag.definition(given.bag, wanted, bool(given.raw)).rstrip("\n") + "\n\n")
-        for found in self._found(wanted):
+        for found in self._resolve(wanted):
             output.write(definition_text(self._kind, found, wanted, bool(given.raw)))
         return None
 
@@ -69,7 +69,7 @@ class _Types:
         if _is_invalid(wanted):
             raise Failure(f"Invalid type: 'invalid name [{wanted}]'\n{_PLEASE}", NO_SUCH_VERB)
         try:
-            found = self._found(wanted)
+            found = self._resolve(wanted)
         except Failure:
             raise Failure(f"Cannot locate [{wanted}]{self._suggestion(wanted)}") from None
         for each in found:
@@ -104,7 +104,7 @@ class _Types:
             parser.error(f"invalid {noun} '{wanted}'.\n{_PLEASE}")
         return wanted
 
-    def _found(self, wanted: str) -> list[str]:
+    def _resolve(self, wanted: str) -> list[str]:
         """The types that `wanted` means: one, or those of every package for a bare name. Raises Failure."""
         if "/" not in wanted:
             found = [each for each in self._kind.names() if each.endswith("/" + wanted)]

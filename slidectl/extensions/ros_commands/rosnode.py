@@ -32,8 +32,8 @@ def list_nodes(ctx: Context, argv: Sequence[str]) -> None:
     parser = Parser(
         "rosnode",
         "rosnode list",
-        option("-u", "where they answer, instead of their names", dest="uris"),
-        option("-a --all", "where they answer, and their names"),
+        option("-u", "URIs instead of names", dest="uris"),
+        option("-a --all", "URIs and names"),
     )
     given = parser.parse(argv, most=1, extra="invalid args: you may only specify one namespace")
     chosen = below(ctx, ctx.names("node"), given.words[0] if given.words else None, "rosnode")
@@ -112,10 +112,10 @@ def ping(ctx: Context, argv: Sequence[str]) -> None:
         "rosnode",
         "rosnode ping [options] <node>",
         option("-a --all", "all nodes, once"),
-        option("-c", "so many times; not with -a", "COUNT", dest="count"),
+        option("-c", "number of pings; not with -a", "COUNT", dest="count"),
     )
     given = parser.parse(argv, most=1, extra="you may only specify one input node")
-    count = parser.integer(given.count, 0, f"option -c: invalid integer value: '{given.count}'")
+    count = parser.number(int, given.count, 0, f"option -c: invalid integer value: '{given.count}'")
     if given.all and given.count is not None:
         parser.error("-c may not be used with --all")
     if given.all:
@@ -150,7 +150,7 @@ def _ping(ctx: Context, full: str, is_first: bool) -> float:
     details = ctx.call("/rosapi/node_details", {"node": full}, timeout=3.0)
     milliseconds = (monotonic() - began) * 1000
     if not any(details.values()):
-        raise Failure(f"ERROR: [{full}] has gone")
+        raise Failure(f"ERROR: [{full}] has ended")
     output.write(f"xmlrpc reply from {ctx.uri}\ttime={milliseconds:f}ms")
     return milliseconds
 
@@ -164,7 +164,7 @@ def kill(ctx: Context, argv: Sequence[str]) -> None:
     elif given.words:
         chosen = [resolve(ctx, word, "rosnode") for word in given.words]
     else:
-        chosen = [_asked(known)]
+        chosen = [_chosen(known)]
     unknown = [node for node in chosen if node not in known]
     if unknown:
         there = f"nodes: {listing(known)}"
@@ -181,29 +181,24 @@ def _is_state_publisher(node: str) -> bool:
     return node.endswith("/robot_state_publisher")
 
 
-def _asked(known: Sequence[str]) -> str:
+def _chosen(known: Sequence[str]) -> str:
     """Ask for the number of a node. Raises Failure for a wrong answer."""
     lines = [f"{number}. {node}" for number, node in enumerate(known, start=1)]
     sys.stdout.write("\n".join([*lines, "", "Please enter the number of the node you wish to kill.", "> "]))
     sys.stdout.flush()
     answer = sys.stdin.readline().strip()
     if not answer.isdigit() or not 0 < int(answer) <= len(known):
-        raise Failure("\nERROR: please enter a number of the list" if answer else "\nERROR: no number on stdin")
+        raise Failure("\nERROR: please enter a number from the list" if answer else "\nERROR: no number on stdin")
     return known[int(answer) - 1]
 
 
 def _check_reach(ctx: Context, nodes: Sequence[str]) -> None:
-    """Raise Failure when a client has no process id, or when the daemon runs in another process namespace."""
+    """Raise Failure when clients or the daemon run in another container, where process ids mean other processes."""
     clients = {node: int(match["pid"]) for node in nodes if (match := _CLIENT.match(node))}
-    if not clients:
-        return
     # The pid is 0 when the daemon cannot see the process; a signal to 0 would go to our own process group.
-    unseen = [node for node, pid in clients.items() if pid == 0]
-    if unseen:
-        listed = "\n".join(f" * {node}" for node in unseen)
-        raise Failure(f"ERROR: the daemon cannot see the process of these nodes (they run in a container?):\n{listed}")
-    if ctx.call("/slidectl/status")["pid"] != ctx.client.daemon_pid:
-        raise Failure("ERROR: the daemon runs in another container, where process ids mean other processes: kill there")
+    if 0 in clients.values() or (clients and ctx.call("/slidectl/status")["pid"] != ctx.client.daemon_pid):
+        listed = "\n".join(f" * {node}" for node in clients)
+        raise Failure(f"ERROR: these nodes, or the daemon, run in another container; kill them there:\n{listed}")
 
 
 def _end(ctx: Context, node: str) -> None:

@@ -16,7 +16,7 @@ from slidectl.errors import BadFile, UsageError, closest
 from slidectl.extensions.ros_commands.arguments import Failure, Parser, Tool, option, refusals, resolve
 from slidectl.input_files import MOST_TEXT, near, read_bytes
 
-_VERBOSE = option("-v", "say what is done", dest="verbose")
+_VERBOSE = option("-v", "print what is done", dest="verbose")
 _INT32 = range(-(2**31), 2**31)
 _DEEP = 2
 """Names with no more slashes than this get no hint: they are often new, and not mistyped."""
@@ -109,7 +109,7 @@ def _check_integers(name: str, value: Any) -> None:
 
 def get(ctx: Context, argv: Sequence[str]) -> None:
     """Print a parameter as YAML."""
-    pretty_option = option("-p", "for reading: text without quotes", dest="pretty")
+    pretty_option = option("-p", "pretty: text without quotes", dest="pretty")
     parser = Parser("rosparam", "rosparam get [options] parameter", pretty_option, _VERBOSE)
     given = parser.parse(argv, 1, 1, _NO_NAME, _TOO_MANY)
     full = _full(ctx, given.words[0])

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 _USAGE = """rosrun [--prefix cmd] [--debug] PACKAGE EXECUTABLE [ARGS]
   rosrun will locate PACKAGE and try to find an executable named EXECUTABLE in it,
-  else the counterpart that slidectl has of it, and run it with the given ARGS."""
+  else the counterpart that slidectl provides, and run it with the given ARGS."""
 _NOT_A_NAME = 1
 _NO_PACKAGE = 2
 _NO_EXECUTABLE = 3
@@ -48,7 +48,7 @@ _HELP = frozenset(("-h", "--help"))
 _PLACE = Location("rosrun", None)
 _ASSIGNMENT = re.compile(r"(?P<name>[A-Za-z0-9_~/]+):=(?P<value>.*)\Z", re.DOTALL)
 _TOOLS = ("rostopic", "rosservice", "rosparam", "rosnode", "rosmsg", "rossrv", "roslaunch")
-_STATIC_USAGE = """Puts child_frame_id into frame_id, for as long as it runs. Metres, radians:
+_STATIC_USAGE = """Publishes the transform from frame_id to child_frame_id until it ends. Metres, radians:
 Usage: static_transform_publisher x y z yaw pitch roll frame_id child_frame_id{period}
 or with a quaternion:
 Usage: static_transform_publisher x y z qx qy qz qw frame_id child_frame_id{period}
@@ -62,21 +62,21 @@ Commands: load, unload, start, stop, spawn (or sp: load and start), kill (or kl:
 """,
     ("controller_manager", "unspawner"): """Usage: unspawner <name>...
 
-Stops the controllers as long as it runs, and starts them again at its end.
+Stops the controllers while it runs, and starts them again when it ends.
 """,
     ("controller_manager", "spawner"): """usage: spawner [-h] [--stopped] [--wait-for TOPIC] [--namespace NS]
                [--timeout S] [--no-timeout] controllers [controllers ...]
 
-Loads and starts controllers (their names, or YAML files), and stops and unloads them at its end.
-It waits 30 s for the controller manager, and with --wait-for until a true std_msgs/Bool comes.
+Loads and starts controllers (their names, or YAML files), and stops and unloads them when it ends.
+It waits 30 s for the controller manager, and with --wait-for until a true std_msgs/Bool arrives.
 """,
     ("gazebo_ros", "spawn_model"): """usage: spawn_model [-h] -urdf (-param NAME | -file FILE) -model NAME
                    [-x X] [-y Y] [-z Z] [-R R] [-P P] [-Y Y] [-J JOINT POSITION]
                    [-robot_namespace NS] [-reference_frame FRAME] [-unpause]
                    [-wait MODEL] [-package_to_model] [-b]
 
-Puts a robot into the world: its URDF is in a parameter or a file. Metres, radians. -J may repeat;
--wait waits for another robot; with -b it stays, and takes the robot away at its end.
+Spawns a robot whose URDF is in a parameter or a file. Metres, radians. -J may be repeated;
+-wait waits for another robot; with -b it keeps running, and deletes the robot when it ends.
 """,
     ("tf", "static_transform_publisher"): _STATIC_USAGE.format(period=" period(milliseconds)"),
     ("tf2_ros", "static_transform_publisher"): _STATIC_USAGE.format(period=""),
@@ -90,8 +90,8 @@ def rosrun(ctx: Context, argv: Sequence[str]) -> None:
     parser = Parser(
         "rosrun",
         _USAGE,
-        option("--prefix", "run it behind this command", "cmd"),
-        option("-d --debug", "show where it is looked for"),
+        option("--prefix", "command to run it with", "cmd"),
+        option("-d --debug", "print the folders that are searched"),
     )
     parser.disable_interspersed_args()  # the words behind PACKAGE belong to the program
     given = parser.parse(argv)
@@ -236,7 +236,7 @@ def _xacro(ctx: Context, argv: Sequence[str]) -> None:
     parser = Parser(
         "xacro",
         "rosrun xacro xacro [-o FILE] MODEL.xacro [name:=value...]",
-        option("-o", "write the URDF that the model makes into a file", "FILE", dest="file"),
+        option("-o", "write the URDF into a file", "FILE", dest="file"),
         option("-i --inorder --xacro-ns --check-order --debug -q -v", "no effect", dest="idle"),
     )
     given = parser.parse(argv)
@@ -273,7 +273,7 @@ def _find(ctx: Context, package: str, executable: str, debug: bool) -> Path:
         known = sorted({name for name, _ in ours} | set(lookup.names()))
         meant = closest(package, known)
         ways = f"did you mean {meant}?" if meant else "ROS_PACKAGE_PATH names the folders of your own packages"
-        text = f"[rospack] Error: package '{package}' not found\n{ways}\nthere are: {' '.join(known)}"
+        text = f"[rospack] Error: package '{package}' not found\n{ways}\navailable: {' '.join(known)}"
         raise Failure(text, _NO_PACKAGE)
     if debug:
         output.write("\n".join(["[rosrun] Looking in:", *map(str, folders)]))
@@ -287,7 +287,7 @@ def _find(ctx: Context, package: str, executable: str, debug: bool) -> Path:
         meant = closest(executable, here)
         suggestion = f"did you mean {meant}? " if meant else ""
         programs = (
-            f"{suggestion}slidectl has of {package}: {', '.join(here)}"
+            f"{suggestion}slidectl provides for {package}: {', '.join(here)}"
             if here
             else (error.hint or "").partition("\n")[0]
         )

@@ -37,7 +37,7 @@ def list_services(ctx: Context, argv: Sequence[str]) -> None:
         output.write("\n".join(known))
 
 
-def _known(ctx: Context, full: str) -> ResolveResponseMsg | None:
+def _find(ctx: Context, full: str) -> ResolveResponseMsg | None:
     """Name, type, typedefs and node of a service (slidectl/Resolve), None when it does not exist."""
     try:
         return ctx.resolve("service", full)
@@ -45,7 +45,7 @@ def _known(ctx: Context, full: str) -> ResolveResponseMsg | None:
         return None
 
 
-def _asked(
+def _service(
     ctx: Context,
     argv: Sequence[str],
     verb: str,
@@ -57,7 +57,7 @@ def _asked(
     parser = Parser("rosservice", f"rosservice {verb} /service")
     extra = f"you may only specify one {'service' if verb == 'info' else 'input service'}"
     full = resolve(ctx, parser.parse(without_remappings(argv), 1, 1, missing, extra).words[0], "rosservice")
-    found = _known(ctx, full)
+    found = _find(ctx, full)
     if found is None:
         raise Failure(unknown.format(full) + _near(ctx, full), code)
     return found
@@ -73,30 +73,30 @@ def _near(ctx: Context, full: str) -> str:
 
 def info(ctx: Context, argv: Sequence[str]) -> None:
     """Print node, URI, type and arguments of a service."""
-    found = _asked(ctx, argv, "info", "ERROR: unknown service", missing="you must specify a service name")
+    found = _service(ctx, argv, "info", "ERROR: unknown service", missing="you must specify a service name")
     arguments = " ".join(argument_names(found["typedefs"]))
     output.write(f"Node: {found['nodes'][0]}\nURI: {ctx.uri}\nType: {found['type']}\nArgs: {arguments}")
 
 
 def node(ctx: Context, argv: Sequence[str]) -> None:
     """Print the node that provides a service."""
-    output.write(_asked(ctx, argv, "node", "Unknown service: {}")["nodes"][0])
+    output.write(_service(ctx, argv, "node", "Unknown service: {}")["nodes"][0])
 
 
 def type_of(ctx: Context, argv: Sequence[str]) -> None:
     """Print the type of a service."""
-    output.write(_asked(ctx, argv, "type", "Unknown service [{}]")["type"])
+    output.write(_service(ctx, argv, "type", "Unknown service [{}]")["type"])
 
 
 def uri(ctx: Context, argv: Sequence[str]) -> None:
     """Print the URI of a service."""
-    _asked(ctx, argv, "uri", "Unknown service: {}")
+    _service(ctx, argv, "uri", "Unknown service: {}")
     output.write(ctx.uri)
 
 
 def args(ctx: Context, argv: Sequence[str]) -> None:
     """Print the fields of the request in one line."""
-    output.write(" ".join(argument_names(_asked(ctx, argv, "args", _NOT_AVAILABLE, _FAILED)["typedefs"])))
+    output.write(" ".join(argument_names(_service(ctx, argv, "args", _NOT_AVAILABLE, _FAILED)["typedefs"])))
 
 
 def find(ctx: Context, argv: Sequence[str]) -> None:
@@ -112,7 +112,7 @@ def call(ctx: Context, argv: Sequence[str]) -> None:
         "rosservice",
         "rosservice call /service [args...]",
         option("-v", "print the request, too", dest="verbose"),
-        option("--wait", "wait until somebody provides the service"),
+        option("--wait", "wait until the service exists"),
     )
     given = parser.parse(without_remappings(argv, payload_from=1), 1, missing="service must be specified")
     name, *words = given.words
@@ -122,7 +122,7 @@ def call(ctx: Context, argv: Sequence[str]) -> None:
     except genpy.NotYaml as error:
         parser.error(f"Argument error: {error}")
     full = resolve(ctx, name, "rosservice")
-    found = _awaited(ctx, full) if given.wait else _known(ctx, full)
+    found = _awaited(ctx, full) if given.wait else _find(ctx, full)
     if found is None:
         raise Failure(_NOT_AVAILABLE.format(full) + _near(ctx, full), _FAILED)
     request, response = found["typedefs"], found["response_typedefs"]
@@ -144,9 +144,9 @@ def _awaited(ctx: Context, full: str) -> ResolveResponseMsg:
     """Wait until a node provides the service. Raises TimedOut after `--timeout`; without it there is no limit."""
     limit = ctx.wait_limit(float("inf"))
     deadline = ctx.client.monotonic() + limit
-    while (found := _known(ctx, full)) is None:
+    while (found := _find(ctx, full)) is None:
         if ctx.client.monotonic() >= deadline:
-            raise TimedOut(f"nobody provided {full} within {limit:g} s")
+            raise TimedOut(f"no node provided {full} within {limit:g} s")
         ctx.pause(_LOOK_AGAIN_S)
     return found
 
@@ -199,10 +199,10 @@ rosservice = Tool(
         "args": (args, "print the fields of a request"),
         "call": (call, "call a service"),
         "find": (find, "list services by type"),
-        "info": (info, "show who provides a service, its type and arguments"),
+        "info": (info, "show node, type and arguments of a service"),
         "list": (list_services, "list services"),
         "node": (node, ""),
         "type": (type_of, "print the type of a service"),
-        "uri": (uri, "print where a service answers"),
+        "uri": (uri, "print the URI of a service"),
     },
 )

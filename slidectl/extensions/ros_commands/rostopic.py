@@ -33,6 +33,7 @@ from slidectl.extensions.ros_commands.arguments import (
     resolve,
     without_remappings,
 )
+from slidectl.extensions.ros_commands.rostopic_pub import pub
 
 if TYPE_CHECKING:
     from slidectl.cli.topic_measure import Record
@@ -51,17 +52,17 @@ def list_topics(ctx: Context, argv: Sequence[str]) -> None:
         "rostopic",
         "rostopic list [/namespace]",
         option("-b --bag", "the topics of a bag", "BAGFILE"),
-        option("-v --verbose", "types, and how many use them"),
-        option("-p", "only those that somebody publishes", dest="published"),
-        option("-s", "only those that somebody subscribes to", dest="subscribed"),
-        option("--host", "below the name of the machine"),
+        option("-v --verbose", "types, and numbers of publishers and subscribers"),
+        option("-p", "only topics with publishers", dest="published"),
+        option("-s", "only topics with subscribers", dest="subscribed"),
+        option("--host", "grouped by host"),
     )
     given = parser.parse(without_remappings(argv), most=1, extra="you may only specify one input topic")
     namespace = given.words[0] if given.words else None
     if given.published and given.subscribed:
         parser.error("you may only specify one of -p, -s")
     if given.bag:
-        from slidectl.extensions.ros_commands import bag_echo as bag
+        from slidectl.extensions.ros_commands import rosbag as bag
 
         return bag.list_topics(given.bag, namespace and (resolve(ctx, namespace, "rostopic").rstrip("/") or "/"))
     types = ctx.client.topics()
@@ -116,18 +117,14 @@ def find(ctx: Context, argv: Sequence[str]) -> None:
 # --- following --------------------------------------------------------------------------------------------------------
 
 
-def awaited(ctx: Context, name: str) -> Target:
+def awaited(ctx: Context, name: str) -> tuple[Target, list[Subscription]]:
     """Wait until a node publishes or subscribes to the topic; print a warning when none does yet.
 
-    Raises TimedOut after `--timeout`; without it the wait has no limit, as with rostopic.
+    Returns the topic, and the subscription to one that came later. Raises TimedOut after `--timeout`; without it the
+    wait has no limit, as with rostopic.
     """
-    return _followed(ctx, name)[0]
 
-
-def _followed(ctx: Context, name: str) -> tuple[Target, list[Subscription]]:
-    """As `awaited`, with the subscription of a topic that came later."""
-
-    def tell(full: str) -> None:
+    def warn(full: str) -> None:
         near = closest(full, ctx.call("/rosapi/topics")["topics"])
         suggestion = f"; did you mean {near}?" if near else ""
         if not near and full.endswith("/joint_states"):
@@ -136,7 +133,7 @@ def _followed(ctx: Context, name: str) -> tuple[Target, list[Subscription]]:
             suggestion = f"; {step_to_joint_states(ctx)}"
         print(f"WARNING: topic [{full}] does not appear to be published yet{suggestion}", file=sys.stderr, flush=True)
 
-    return wait_for_topic(ctx, resolve(ctx, name, "rostopic"), tell)
+    return wait_for_topic(ctx, resolve(ctx, name, "rostopic"), warn)
 
 
 def echo(ctx: Context, argv: Sequence[str]) -> None:
@@ -148,13 +145,13 @@ def echo(ctx: Context, argv: Sequence[str]) -> None:
         "rostopic echo [options] /topic",
         option("-b --bag", "messages of a bag", "BAGFILE"),
         option("-p", "CSV, for plotting", dest="plot"),
-        option("-w", "characters of a number", "NUM_WIDTH", dest="width"),
-        option("--filter", "only messages for which it is true; m is the message", "EXPR", dest="condition"),
+        option("-w", "width of numbers, in characters", "NUM_WIDTH", dest="width"),
+        option("--filter", "only messages for which EXPR is true; m is the message", "EXPR", dest="condition"),
         option("--nostr", "without the contents of strings"),
         option("--noarr", "without the contents of arrays"),
         option("-c --clear", "clear the screen before each message"),
         option("-a --all", "with -b: all topics of the bag"),
-        option("-n", "end after so many messages", "COUNT", dest="count"),
+        option("-n", "number of messages after which it ends", "COUNT", dest="count"),
         option("--offset", "times as difference from now"),
     )
     given = parser.parse(without_remappings(argv), most=1, extra="you may only specify one input topic")
@@ -164,32 +161,32 @@ def echo(ctx: Context, argv: Sequence[str]) -> None:
         parser.error("offset time option is not valid with bag files")
     if not given.words and not given.all:
         parser.error("topic must be specified")
-    count = None if given.count is None else parser.integer(given.count, 0, "COUNT must be an integer")
-    width = None if given.width is None else parser.integer(given.width, 0, "NUM_WIDTH must be an integer")
+    count = parser.number(int, given.count, None, "COUNT must be an integer")
+    width = parser.number(int, given.width, None, "NUM_WIDTH must be an integer")
     if width is not None and width < 2:
         parser.error("Fixed width for numeric values must be at least 2")
     form = "csv" if given.plot else "text"
-    look = MessageFormat(
+    message_format = MessageFormat(
         form, not given.noarr, not given.nostr, width, bool(given.clear), bool(given.offset), from_bag=bool(given.bag)
     )
     if given.bag:
-        from slidectl.extensions.ros_commands import bag_echo as bag
+        from slidectl.extensions.ros_commands import rosbag as bag
 
         name = None if given.all else resolve(ctx, given.words[0], "rostopic")
-        return bag.echo(ctx, given.bag, name, look, given.condition, count)
-    target, begun = _followed(ctx, given.words[0])
-    return print_messages(ctx, target, look, given.condition, count, begun=begun)
+        return bag.echo(ctx, given.bag, name, message_format, given.condition, count)
+    target, begun = awaited(ctx, given.words[0])
+    return print_messages(ctx, target, message_format, given.condition, count, begun=begun)
 
 
 # --- measuring --------------------------------------------------------------------------------------------------------
 
-_WINDOW = option("-w --window", "how many messages to count in", "WINDOW")
+_WINDOW = option("-w --window", "number of messages in the window", "WINDOW")
 _NODELAY = option("--tcpnodelay", "no effect: there is no TCP")
 
 
 def _window(parser: Parser, text: str | None, default: int) -> int:
     argparse_text = f"argument -w/--window: invalid int value: {text!r}"
-    window = parser.integer(text, default, argparse_text if parser.modern else "window size must be an integer")
+    window = parser.number(int, text, default, argparse_text if parser.modern else "window size must be an integer")
     return min(window, sys.maxsize) if window > 1 else default
 
 
@@ -201,13 +198,13 @@ def hz(ctx: Context, argv: Sequence[str]) -> None:
         "rostopic",
         "rostopic hz [options] /topic_0 [/topic_1 [topic_2 [..]]]",
         _WINDOW,
-        option("--filter", "only count messages for which it is true; m is the message", "EXPR", dest="condition"),
+        option("--filter", "only messages for which EXPR is true; m is the message", "EXPR", dest="condition"),
         option("--wall-time", "rates on the computer's clock, not in simulated time"),
         _NODELAY,
     )
     given = parser.parse(without_remappings(argv), 1, missing="topic must be specified")
     window = _window(parser, given.window, _LONGEST_WINDOW)
-    targets = [awaited(ctx, name) for name in given.words]
+    targets = [awaited(ctx, name)[0] for name in given.words]
     stream, meters = rates(ctx, targets, window, given.condition, bool(given.wall_time))
     measure(ctx, stream, meters, _rates_text, output.write)
 
@@ -222,7 +219,7 @@ def bw(ctx: Context, argv: Sequence[str]) -> None:
     complaints = "topic must be specified", "you may only specify one input topic"
     given = parser.parse(without_remappings(argv), 1, 1, *complaints)
     window = _window(parser, given.window, _BW_WINDOW)
-    target = awaited(ctx, given.words[0])
+    target, _ = awaited(ctx, given.words[0])
     pack = packer(target.schema.root, target.schema.fields)
     meter = SizeMeter(target.topic, window, lambda message: len(pack(message)), monotonic)
     measure(ctx, Stream(ctx, [target.topic]), [meter], _sizes_text, output.write)
@@ -237,7 +234,7 @@ def delay(ctx: Context, argv: Sequence[str]) -> None:
     complaints = "the following arguments are required: topic", "unrecognized arguments: {}"
     given = parser.parse(without_remappings(argv), 1, 1, *complaints)
     window = _window(parser, given.window, _LONGEST_WINDOW)
-    target = awaited(ctx, given.words[0])
+    target, _ = awaited(ctx, given.words[0])
     if not target.schema.has_header:
         output.write(f"subscribed to [{target.topic}]")
         raise Failure("[ERROR] msg does not have header")
@@ -278,23 +275,16 @@ def _sizes_text(records: Sequence[Record]) -> str:
     return f"average: {shown}/s\n\tmean: {mean} min: {least} max: {most} window: {records[0]['window']}"
 
 
-def pub(ctx: Context, argv: Sequence[str]) -> None:
-    """Publish messages."""
-    from slidectl.extensions.ros_commands import rostopic_pub
-
-    rostopic_pub.pub(ctx, argv)
-
-
 rostopic = Tool(
     "rostopic",
     "rostopic shows topics, and publishes and measures messages.",
     {
-        "bw": (bw, "measure how many bytes come"),
-        "delay": (delay, "measure how late messages come, by their headers"),
+        "bw": (bw, "measure the bandwidth"),
+        "delay": (delay, "measure the delay of messages, by their headers"),
         "echo": (echo, "print messages"),
         "find": (find, "list topics by type"),
-        "hz": (hz, "measure how often messages come"),
-        "info": (info, "show who publishes and who subscribes"),
+        "hz": (hz, "measure the rate of messages"),
+        "info": (info, "show publishers and subscribers"),
         "list": (list_topics, "list topics"),
         "pub": (pub, "publish messages"),
         "type": (type_of, "print the type of a topic or of a field"),

@@ -50,12 +50,12 @@ _PARSER = Parser(
     "rostopic",
     "rostopic pub /topic type [args...]",
     option("-v", "show each message", dest="verbose"),
-    option("-r --rate", "again and again, so many a second; 10 for documents of a file or of stdin", "RATE"),
+    option("-r --rate", "publish repeatedly, at this rate in Hz; default for documents: 10", "RATE"),
     Option("-1", "--once", dest="once", action="callback", callback=_once, help="only one message"),
     option("-f --file", "messages from a YAML file", "FILE"),
-    option("-l --latch", "stay, with the message latched for those who subscribe later"),
-    option("-s --substitute-keywords", "with -r: 'now' and 'auto' anew in each message", dest="renew"),
-    option("--use-rostime", "no effect: stamps are always of the simulated time"),
+    option("-l --latch", "keep running, with the message latched for later subscribers"),
+    option("-s --substitute-keywords", "with -r: new values of 'now' and 'auto' in each message", dest="renew"),
+    option("--use-rostime", "no effect: stamps are always in simulated time"),
 )
 
 
@@ -93,7 +93,7 @@ def _rate(given: Any) -> float | None:
         return None
     if given.once:
         _PARSER.error("You cannot select both -r and -1 (--once)")
-    rate = _PARSER.number(given.rate, 0.0, "rate must be a number")
+    rate = _PARSER.number(float, given.rate, 0.0, "rate must be a number")
     if not rate > 0:
         _PARSER.error("rate must be greater than zero")
     return rate
@@ -125,7 +125,7 @@ def _with_type(ctx: Context, topic: str) -> str:
     try:
         known = ctx.find_topic(topic, SUBSCRIBERS, with_field=False).type
     except (UnknownName, Unused):
-        return "the type stands behind the topic: rostopic pub TOPIC std_msgs/Float64 'data: 1.0'"
+        return "the type follows the topic: rostopic pub TOPIC std_msgs/Float64 'data: 1.0'"
     return f"type: rostopic pub {topic} {known} VALUE"
 
 
@@ -168,7 +168,7 @@ class _Run:
             raise self._nobody
         self._publish(iter([message]), None, self._latch)
         if not self._given.once:
-            self._ctx.say(f"taken in by {', '.join(self._target.users)}; -l would keep it latched until Ctrl-C")
+            self._ctx.say(f"received by {', '.join(self._target.users)}; -l keeps it latched until Ctrl-C")
         return None
 
     def documents(self, rate: float | None) -> None:
@@ -222,7 +222,7 @@ class _Run:
     def _again(self, values: Sequence[Any], message: genpy.Message, rate: float) -> Iterator[genpy.Message]:
         """Yield the message without end. Without -s its times stay those of the first one."""
         if self._nobody is not None:
-            self._ctx.say(f"nobody subscribes to {self._target.topic} yet; publishing at {rate:g} Hz")
+            self._ctx.say(f"{self._target.topic} has no subscribers yet; publishing at {rate:g} Hz")
         while True:
             if self._given.verbose:
                 output.write(f"publishing {genpy.as_yaml(self._target.typedefs, message)}")

@@ -18,9 +18,9 @@ from slidectl.transform_tree import Frames, View
 _WRONG = 255
 _USAGE = """tf_echo source_frame target_frame [echo_rate]
 
-Prints where target_frame is in source_frame, and how it is turned there: what takes
-coordinates of target_frame into source_frame. Again and again, echo_rate times a
-second (1 if it is left out), until Ctrl-C.
+Prints the position and the orientation of target_frame in source_frame: the transform
+of coordinates from target_frame to source_frame. It prints echo_rate times a second
+(default: 1), until Ctrl-C.
 """
 
 
@@ -30,11 +30,11 @@ def tf_echo(ctx: Context, argv: Sequence[str]) -> None:
     if len(words) not in (2, 3):
         output.write(_USAGE)
         raise click.exceptions.Exit(_WRONG)
-    rate = _rate(words[2]) if len(words) == 3 else 1.0
+    rate = _rate([*words, "1"][2])
     if not rate > 0:
         print("Echo rate must be > 0.0", file=sys.stderr, flush=True)
         raise click.exceptions.Exit(_WRONG)
-    for now, view, why_not, frames in _look_ups(ctx, words[0], words[1], rate):
+    for now, view, why_not, frames in _lookups(ctx, words[0], words[1], rate):
         if view is not None:
             output.write(f"At time {(view.time_ns or 0) / 1e9:.3f}\n{pose_text(view.pose)}")
             continue
@@ -53,22 +53,22 @@ def echo_py(ctx: Context, argv: Sequence[str]) -> None:
         option("-c --cache_time", "no effect: the latest transforms are looked up", "SECONDS", dest="cache"),
         option("-o --offset", "no effect: the latest transforms are looked up", "SECONDS"),
         option("-t --time", "no effect: the latest transforms are looked up", "SECONDS"),
-        option("-l --limit", "end after so many", "COUNT"),
+        option("-l --limit", "number of look-ups after which it ends", "COUNT"),
         option("-p --precision", "decimals (3)", "DIGITS"),
         modern=True,
     )
     complaint = "the following arguments are required: source_frame, target_frame"
     given = parser.parse(without_remappings(argv), 2, 2, complaint, complaint)
-    rate = 1.0 if given.rate is None else _rate(given.rate)
+    rate = _rate(given.rate or "1")
     if not rate > 0:
         parser.error("the rate must be above 0")
-    limit = math.inf if given.limit is None else parser.integer(given.limit, 0, "limit: no integer")
-    digits = parser.integer(given.precision, 3, "precision: no integer")
+    limit = parser.number(int, given.limit, math.inf, "the limit must be an integer")
+    digits = parser.number(int, given.precision, 3, "the precision must be an integer")
     idle = [f"-{dest[0]}" for dest in ("cache", "offset", "time") if getattr(given, dest) is not None]
     if idle:
         ctx.warn(f"{', '.join(idle)} without effect: the latest transforms are looked up")
     source, target = given.words
-    for count, (now, view, why_not, _) in enumerate(_look_ups(ctx, source, target, rate), start=1):
+    for count, (now, view, why_not, _) in enumerate(_lookups(ctx, source, target, rate), start=1):
         if view is None:
             text = f"At time 0.0, (current time {now}) {why_not}"
             print(f"[ERROR] [{now}]: {text}", file=sys.stderr, flush=True)
@@ -86,7 +86,7 @@ def _rate(text: str) -> float:
         return 0.0
 
 
-def _look_ups(ctx: Context, source: str, target: str, rate: float) -> Iterator[tuple[str, View | None, str, Frames]]:
+def _lookups(ctx: Context, source: str, target: str, rate: float) -> Iterator[tuple[str, View | None, str, Frames]]:
     """Look up the pose of the target in the source repeatedly, without end.
 
     Yields:

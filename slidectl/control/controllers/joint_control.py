@@ -1,7 +1,8 @@
-"""Positions of joints by PIDs, after ros_controllers' JointPositionController and JointGroupPositionController.
+"""Positions and velocities of joints by PIDs.
 
-Parameters `joint` and `pid/*`, or `joints` and `<joint>/pid/*`; limits and types of the joints
-from `robot_description`. The hardware bounds the command, not this law.
+After ros_controllers' JointPositionController, JointGroupPositionController and JointVelocityController. Parameters
+`joint` and `pid/*`, or `joints` and `<joint>/pid/*`. For positions, limits and types of the joints come from
+`robot_description`. The hardware bounds the command, not these laws.
 """
 
 from __future__ import annotations
@@ -101,7 +102,7 @@ class JointPositionController(PidController):
 
     def init(self, interface: JointCommandInterface, node: NodeHandle) -> None:
         """Raises SlidectlError: a parameter, the joint, or the robot description is missing."""
-        name = params.needed_text(node, JOINT.name)
+        name = params.value_of(node, JOINT)
         self._offer_pid(node)
         self._joint = interface.get_handle(name)
         self.lower, self.upper, self.turns = range_of(joint_of_model(node, name))
@@ -129,7 +130,7 @@ class JointPositionController(PidController):
     def publish(self, time_ns: int, period_s: float) -> None:
         """Publish the state after an update."""
         joint = self._joint
-        self._tell_state(time_ns, period_s, value=joint.position, value_dot=joint.velocity)
+        self._publish_state(time_ns, period_s, value=joint.position, value_dot=joint.velocity)
 
 
 @controller("effort_controllers/JointPositionController")
@@ -184,4 +185,54 @@ class EffortJointGroupPositionController(GroupController):
         for goal, pid, joint in zip(self._goals, self._pids, self._joints, strict=True):
             track_position(goal, pid, joint, period_s)
             if pid.observer is not None:
-                pid.tell(goal.error, period_s)
+                pid.report(goal.error, period_s)
+
+
+@law
+def track_velocity(goal: JointVelocityController, pid: Pid, joint: JointHandle, period_s: float) -> None:
+    """command = pid(set point - velocity)."""
+    goal.error = goal.set_point - joint.velocity
+    joint.command = next_command(pid, goal.error, period_s)
+
+
+@law
+def update_velocity(goal: Any, tables: LawTables, time_ns: int, period_s: float) -> bool:  # noqa: ARG001
+    """The update on rows."""
+    track_velocity(goal, tables.pids[goal.pid], tables.joints[goal.joint], period_s)
+    return state_is_due(goal) and goal.wanted != 0
+
+
+@controller("effort_controllers/JointVelocityController")
+class JointVelocityController(PidController):
+    """effort = pid(commanded velocity - velocity)."""
+
+    interface_type = EffortJointInterface
+    compiled = Compiled(
+        update_velocity,
+        Columns(changing="error updates_to_state states", fixed="set_point", whole="updates_to_state states"),
+        instead_of="track",
+    )
+    track = staticmethod(track_velocity)
+
+    def init(self, interface: JointCommandInterface, node: NodeHandle) -> None:
+        """Raises SlidectlError: a parameter or the joint is missing."""
+        self._joint = interface.get_handle(params.value_of(node, JOINT))
+        self._offer_pid(node)
+        self._listen(node, "std_msgs/Float64", self._receive)
+
+    def starting(self, time_ns: int) -> None:  # noqa: ARG002
+        """Set the set point to 0."""
+        self.set_point = 0.0
+        self._pid.reset()
+
+    def bounds(self) -> tuple[float, float]:
+        """No bounds: the hardware bounds the effort, not the set point."""
+        return -inf, inf
+
+    def set_command(self, value: float) -> None:
+        """Move at this velocity (m/s or rad/s)."""
+        self.set_point = value
+
+    def publish(self, time_ns: int, period_s: float) -> None:
+        """Publish the state after an update. As upstream, the derivative of the velocity is always 0."""
+        self._publish_state(time_ns, period_s, value=self._joint.velocity, value_dot=0.0)
