@@ -272,7 +272,7 @@ class _Evaluation:
     def _call(self, node: ast.Call) -> Any:
         function = self.value(node.func)
         if not callable(function):
-            raise ExpressionError(f"{ast.unparse(node.func)} is no function")
+            raise ExpressionError(f"{ast.unparse(node.func)} is not a function")
         named = {word.arg: self.value(word.value) for word in node.keywords if word.arg is not None}
         if len(named) < len(node.keywords):
             raise ExpressionError("uses **, which expressions here do not have")

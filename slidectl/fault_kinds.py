@@ -122,7 +122,7 @@ KINDS = {
 def check_span(start: float, end: float) -> None:
     """Raise Refused unless `end` is after `start` (both in s of simulated time)."""
     if end <= start:
-        raise Refused(f"a fault from {start:g} s to {end:g} s would never act")
+        raise Refused(f"a fault from {start:g} s to {end:g} s never acts")
 
 
 def checked_options(kind: str, given: Mapping[str, Any]) -> dict[str, Any]:

@@ -50,10 +50,10 @@ def stranger(peer: Address, here: Address) -> str:
     if uid == own:
         return ""
     if uid is not None:
-        return f"this belongs to the user {own}, and the connection comes from the user {uid}"
+        return f"this belongs to user {own}, the connection comes from user {uid}"
     address = _numbers(peer)[0]
     if address.is_loopback or address == _numbers(here)[0]:
-        return "the user of the connection cannot be told"
+        return "the user of the connection cannot be determined"
     return ""
 
 

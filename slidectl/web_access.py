@@ -47,7 +47,7 @@ def shown_host(host: str) -> str:
 def check_token(token: str) -> str:
     """Return the token. Raises UsageError unless it is long enough and legal in a URL."""
     if not _TOKEN.match(token):
-        raise UsageError("a token has 8 or more letters, digits and -._~")
+        raise UsageError("a token needs 8 or more letters, digits and -._~")
     return token
 
 
@@ -62,8 +62,8 @@ def check_users_can_be_told(any_user: bool) -> None:
     """Raise UsageError where connections of other users cannot be told from those of this process's user."""
     if not any_user and not local_peers.can_be_told():
         raise UsageError(
-            "this system does not tell whose a connection is, so that every user of this machine could come in",
-            "give --token WORD, where there are tokens, or --any-user",
+            "this system does not report the user of a connection: every user of this machine could connect",
+            "use --token TOKEN where the gateway has tokens, or --any-user",
         )
 
 

@@ -141,7 +141,7 @@ class GraphClient:
         """
         service = names.join("/", service)
         if service in self._handlers:
-            raise Refused(f"this client provides {service} already")
+            raise Refused(f"this client already provides {service}")
         self._handlers[service] = handler
         try:
             self._confirm(*self._peer.request("advertise_service", service=service, type=type, effect=effect))
@@ -355,7 +355,7 @@ class GraphClient:
         if status.get("paused") and status.get("trouble"):
             return f"the simulation is paused ({status['trouble']}); first: {command(self.paths, 'sim reset')}"
         if status.get("paused"):
-            return "the simulation is paused; let it go on with: " + command(self.paths, "sim resume")
+            return "the simulation is paused; resume it with: " + command(self.paths, "sim resume")
         if status.get("lockstep"):
             return "the world waits for clients in lock-step: " + listing(status["lockstep"])
         return None

@@ -65,7 +65,7 @@ class Manager:
 
     def refusal(self, what: str, reasons: Sequence[str]) -> Refused:
         """The error of a request that was refused for these reasons."""
-        return Refused("\n".join(reasons) or f"cannot {what}, and no reason was given")
+        return Refused("\n".join(reasons) or f"cannot {what}: no reason was given")
 
     def is_there(self) -> bool:
         """True when the services of the controller manager exist."""

@@ -137,7 +137,7 @@ class Daemon:
             return
         except (SlidectlError, OSError) as error:  # it may be deleted while it is created again
             if str(error) != self._place_trouble:
-                self._log.write("error", f"nobody can find this daemon any more: {error}")
+                self._log.write("error", f"clients cannot find this daemon any more: {error}")
             self._place_trouble = str(error)
             return
         self._place_trouble = ""

@@ -257,7 +257,7 @@ class _Reader:
         try:
             return angle(node.value, node.tag)
         except (ValueError, ArithmeticError, RecursionError) as error:
-            raise self.error(node, f"{node.value.strip()!r} is no angle: {error}") from None
+            raise self.error(node, f"{node.value.strip()!r} is not an angle: {error}") from None
 
     def notice(self, node: yaml.Node, subject: str, text: str) -> None:
         self.notices.append(Notice("wrong", subject, text, self.file, _line(node)))

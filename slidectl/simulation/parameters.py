@@ -432,7 +432,7 @@ def _checked_text(text: str, where: str) -> str:
     try:
         text.encode()
     except UnicodeEncodeError:
-        raise UsageError(f"parameter {where}: {text[:40]!r} holds half of a surrogate pair, which is no text") from None
+        raise UsageError(f"parameter {where}: {text[:40]!r} holds half of a surrogate pair") from None
     return text
 
 

@@ -29,7 +29,7 @@ def nobody_answers(paths: InstancePaths, error: OSError) -> NoDaemon:
         return NoDaemon(f"no daemon answers on {paths.socket_text}", hint)
     if isinstance(error, BlockingIOError | TimeoutError):
         return NoDaemon(
-            f"the daemon on {paths.socket_text} takes no connection: it hangs, is stopped, or has too many",
+            f"the daemon on {paths.socket_text} accepts no connections: it hangs, is stopped, or has too many",
             f"see: {command(paths, 'daemon logs')}\nend it with: {command(paths, 'daemon stop')}",
         )
     return NoDaemon(f"no daemon answers on {paths.socket_text}: {error.strerror or error}", hint)

@@ -221,7 +221,7 @@ def test_a_dump_that_does_not_fit_leaves_what_was_there(world: World, tmp_path: 
         (["set", "/x", "{1: 2}"], 2, "the key 1"),
         (["set", "/x", "a: [1"], 2, "not valid YAML"),
         (["set", "/x", ".inf"], 2, "parameters hold finite numbers"),
-        (["set", "/x", "deg(banana)"], 2, "'deg(banana)' is no angle: expected one number of degrees"),
+        (["set", "/x", "deg(banana)"], 2, "'deg(banana)' is not an angle: expected one number of degrees"),
         (["set", "/bad name", "1"], 2, "is not a legal name"),
         (["set", "/x"], 2, "give a VALUE or -t FILE"),
         (["set", "/x", "-t", "/no/file"], 2, "/no/file: no such file"),

@@ -143,7 +143,7 @@ def test_the_user_of_a_connection_is_told_by_the_kernel() -> None:
                 found = [listener.accept() for _ in range(3)]
                 told = [local_peers.stranger(peer[:2], here.getsockname()[:2]) for here, peer in found]
                 # nobody's connections are closed by now: the kernel has no process for them, and shows root
-                assert ["cannot be told" in text for text in told] == [True, True, False]
+                assert ["cannot be determined" in text for text in told] == [True, True, False]
                 assert own.fileno() > 0
             for here, _ in found:
                 here.close()
