@@ -11,7 +11,7 @@ import socket
 import struct
 from ipaddress import IPv4Address, IPv6Address, ip_address
 
-from slidectl.operating_system import knows_owners_of_connections
+from slidectl.operating_system import LINUX
 
 Address = tuple[str, int]
 """Host, as a number, and port."""
@@ -29,7 +29,7 @@ def owner(peer: Address, here: Address) -> int | None:
     None when it is no connection of this machine, or when its process has closed it already: the kernel then shows it
     as one of root.
     """
-    if not knows_owners_of_connections():
+    if not LINUX:
         return None
     for name, size in (("tcp", 4), ("tcp6", 16)):
         wanted = [_written(_numbers(end), size) for end in (peer, here)]

@@ -114,8 +114,7 @@ class AsyncClient:
         if self._transport is not None:
             self._transport.close()
             self._end()
-        for inbox in [one for inboxes in self._peer.inboxes.values() for one in inboxes]:
-            inbox.warn_of_dropped()
+        self._peer.warn_of_dropped()
 
     async def __aenter__(self) -> Self:
         return await self.connect()

@@ -269,6 +269,12 @@ class ClientPeer:
         if refusals:
             raise refusals[0]
 
+    def warn_of_dropped(self) -> None:
+        """Warn of the dropped messages of all subscriptions, once."""
+        for inboxes in self.inboxes.values():
+            for inbox in inboxes:
+                inbox.warn_of_dropped()
+
     def check_heard(self) -> None:
         """Raise MessageRefused for a topic none of whose counted messages reached a subscriber."""
         for topic, unheard in self._unheard.items():
