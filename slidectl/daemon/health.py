@@ -248,7 +248,7 @@ def _packages() -> _Found:
         if gone:
             yield (
                 LOOK,
-                f"{variable}: there is no {', '.join(gone)}",
+                f"{variable}: not found: {', '.join(gone)}",
                 "set it anew; folders that are not there are passed over",
             )
         elif folders:
