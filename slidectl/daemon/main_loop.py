@@ -145,7 +145,7 @@ class Daemon:
             self._server.listen_on(listener)
         if gone:
             self._log.reopen()
-            self._log.write("warn", f"{' and '.join(gone)} was deleted; created again")
+            self._log.write("warn", f"deleted by another program, created again: {' and '.join(gone)}")
 
     def _collect_garbage(self) -> None:
         """Collect garbage. Lasting objects are not scanned: with 100 robots this would block the world for 20 ms.

@@ -378,7 +378,7 @@ def test_a_daemon_whose_files_are_deleted_makes_them_again_and_says_so(runtime: 
         assert before.call("/slidectl/status")["pid"] == pid
     with runtime.client() as client:
         assert client.call("/slidectl/status")["pid"] == pid
-    assert " was deleted; created again" in runtime.log
+    assert "deleted by another program, created again: its " in runtime.log
     assert runtime.start() == (pid, True)
     assert runtime.stop() == pid
     assert [file.name for file in runtime.paths.folder.iterdir()] == ["log"]
