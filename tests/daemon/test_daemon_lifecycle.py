@@ -140,7 +140,7 @@ def test_a_socket_of_any_name_has_its_own_daemon(runtime: Runtime) -> None:
 def test_a_file_that_is_no_socket_is_left_alone(runtime: Runtime) -> None:
     runtime.paths.folder.mkdir(mode=0o700, parents=True)
     runtime.paths.socket.write_text("precious")
-    with pytest.raises(Refused, match="no socket"):
+    with pytest.raises(Refused, match="is not a socket"):
         runtime.start()
     assert runtime.paths.socket.read_text() == "precious"
     assert runtime.pid is None
