@@ -149,7 +149,6 @@ ELSEWHERE = {
     "daemon/lifecycle.py": "a pipe to the new daemon",
     "entry_points.py": "the metadata of installed packages",
     "extensions/gateways/process.py": "the lock of a gateway, which slidectl wrote, and a pipe to it",
-    "web_access.py": "/proc",
     "operating_system.py": "/proc, and files in memory, which are written",
     "msgs/definitions.py": "the package's own definitions of messages",
     "physics/rendering.py": "a file in memory for another process",
