@@ -108,7 +108,7 @@ RRBOT = [
     slip(f"slidectl ros rostopic pub {COMMAND} 'data: 1.0'", 1,
          "invalid topic type", f"type: rostopic pub {COMMAND} std_msgs/Float64"),
     slip(f"slidectl ros rostopic pub {COMMAND} {TYPE} data: 1.0", 1,
-         "it needs quotes", f"type: rostopic pub {COMMAND} {TYPE} 'data: 1.0'"),
+         "quote it", f"type: rostopic pub {COMMAND} {TYPE} 'data: 1.0'"),
     slip(f"slidectl ros rostopic pub {COMMAND} {TYPE} 'data:1.0'", 1,
          "must be float type", "write a space after the colon: 'data: 1.0'"),
     slip(f"slidectl ros rostopic pub {COMMAND} {TYPE} 'data: 1,5'", 1, "numbers have a point, not a comma: 1.5"),
