@@ -22,18 +22,14 @@ CALLED = {
     "/rosapi/get_param_names": "rosapi/GetParamNames",
     "/rosapi/services": "rosapi/Services",
     "/rosapi/topics": "rosapi/Topics",
-    "/slidectl/fault/add": "slidectl/AddFault",
-    "/slidectl/fault/list": "slidectl/ListFaults",
     "/slidectl/joint_states": "slidectl/JointStates",
     "/slidectl/list_robots": "slidectl/ListRobots",
-    "/slidectl/lockstep": "slidectl/LockStep",
     "/slidectl/scene": "slidectl/Scene",
     "/slidectl/set_params": "slidectl/SetParams",
     "/slidectl/snapshots": "slidectl/ListSnapshots",
     "/slidectl/status": "slidectl/Status",
     "/slidectl/step": "slidectl/Step",
     "/slidectl/update_times": "slidectl/ListUpdateTimes",
-    "/slidectl/wait": "slidectl/Wait",
 }
 """Service -> type, of the services whose answers `Client.call` types."""
 SERVICES = (

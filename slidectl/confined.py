@@ -145,7 +145,7 @@ def run(work: Callable[[], bytes], limits: Limits, most_bytes: int) -> bytes:
         os.close(reading)  # who still writes is ended by that
         status = _wait(pid, limits)
     if len(result) > most_bytes:
-        raise EndedError(f"it comes to more than {most_bytes >> 20} MiB")
+        raise EndedError(f"its result exceeds {most_bytes >> 20} MiB")
     if status or not result:
         raise EndedError(limits.reason(status))
     return bytes(result)
@@ -179,11 +179,11 @@ def _refuse(event: str, arguments: tuple[Any, ...]) -> None:
         _, mode, flags = arguments
         writes = isinstance(flags, int) and flags & (os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND)
         if not isinstance(arguments[0], int) and (writes or (isinstance(mode, str) and set(mode) & set("wax+"))):
-            raise PermissionError("files are only read here")
+            raise PermissionError("files may only be read here")
     elif event == "os.kill" and arguments[0] == os.getpid():
         pass  # the portable way to end with the parent
     elif event.startswith(_REFUSED) and event not in _MAY_LIST:
-        raise PermissionError(f"{event} is not for a file that is read")
+        raise PermissionError(f"{event} is not allowed while a file is read")
 
 
 def _limit(what: int, soft: int, hard: int | None = None) -> None:

@@ -229,7 +229,7 @@ class BadName(UsageError):
     def __init__(self, name: str, rule: str = "", hint: str | None = None) -> None:
         rule = rule or "name: letters, digits, '_' and '/', and the first is a letter, '/' or '~'"
         if hint is None and " " in name:  # as a printed page has it, or a reader who copies from one
-            hint = f"names have no blanks: did you mean {quoted('_'.join(name.split()))}?"
+            hint = f"names have no spaces: did you mean {quoted('_'.join(name.split()))}?"
         super().__init__(f"{quoted(name)} is not a legal {rule}", hint)
 
 

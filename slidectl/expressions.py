@@ -182,9 +182,9 @@ class _Evaluation:
         self.steps = 0
 
     def value(self, node: ast.AST) -> Any:
-        return self.charged(self.found(node))
+        return self.charged(self.uncharged(node))
 
-    def found(self, node: ast.AST) -> Any:
+    def uncharged(self, node: ast.AST) -> Any:
         """The value, without counting its size: for callers that use only one element of it."""
         kind = type(node).__name__
         compute = getattr(self, f"_{kind.lower()}", None)
@@ -272,14 +272,14 @@ class _Evaluation:
     def _call(self, node: ast.Call) -> Any:
         function = self.value(node.func)
         if not callable(function):
-            raise ExpressionError(f"{ast.unparse(node.func)} is no function")
+            raise ExpressionError(f"{ast.unparse(node.func)} is not a function")
         named = {word.arg: self.value(word.value) for word in node.keywords if word.arg is not None}
         if len(named) < len(node.keywords):
             raise ExpressionError("uses **, which expressions here do not have")
         return function(*[self.value(argument) for argument in node.args], **named)
 
     def _attribute(self, node: ast.Attribute) -> Any:
-        owner = self.found(node.value)
+        owner = self.uncharged(node.value)
         if isinstance(owner, self.dotted):
             try:
                 return owner[node.attr]
@@ -291,7 +291,7 @@ class _Evaluation:
         return getattr(self.charged(owner), node.attr)
 
     def _subscript(self, node: ast.Subscript) -> Any:
-        owner = self.found(node.value)
+        owner = self.uncharged(node.value)
         if not isinstance(node.slice, ast.Slice):
             return owner[self.value(node.slice)]
         bounds = (node.slice.lower, node.slice.upper, node.slice.step)

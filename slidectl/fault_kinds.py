@@ -60,21 +60,21 @@ class UnknownFaultKind(UnknownName):
 
 
 OPTIONS = {
-    "of": FaultOption("what is measured wrongly: position, velocity, effort or all", "quantity"),
-    "sd": FaultOption("standard deviation, in the unit of what is measured", lowest=0.0),
-    "bias": FaultOption("what is added, in the unit of what is measured"),
-    "rate": FaultOption("what is added in each simulated s, in the unit of what is measured"),
-    "step": FaultOption("width of a step, in the unit of what is measured", lowest=1e-300),
-    "delay": FaultOption("how late it comes, s of simulated time", lowest=0.0, highest=3600.0),
-    "probability": FaultOption("of each cycle, or message, by itself, from 0 to 1", lowest=0.0, highest=1.0),
-    "limit": FaultOption("largest size of a command, in the unit of the command", lowest=0.0),
+    "of": FaultOption("the faulty quantity: position, velocity, effort or all", "quantity"),
+    "sd": FaultOption("standard deviation, in the unit of the quantity", lowest=0.0),
+    "bias": FaultOption("offset, in the unit of the quantity"),
+    "rate": FaultOption("drift per simulated s, in the unit of the quantity"),
+    "step": FaultOption("width of a step, in the unit of the quantity", lowest=1e-300),
+    "delay": FaultOption("delay, s of simulated time", lowest=0.0, highest=3600.0),
+    "probability": FaultOption("per cycle or message, from 0 to 1", lowest=0.0, highest=1.0),
+    "limit": FaultOption("largest absolute value of a command, in its unit", lowest=0.0),
     "friction": FaultOption("dry friction, N or N m", lowest=0.0),
     "damping": FaultOption("viscous friction, N s/m or N m s/rad", lowest=0.0),
-    "mass": FaultOption("what is added to the link, kg", lowest=_LIGHTEST_KG, highest=_HEAVIEST_KG),
-    "at": FaultOption("place on the link, in its frame, m", "vector", -_FARTHEST_M, _FARTHEST_M),
-    "force": FaultOption("what pushes, N, in the axes of the world", "vector", -_STRONGEST, _STRONGEST),
-    "torque": FaultOption("what turns, N m, in the axes of the world", "vector", -_STRONGEST, _STRONGEST),
-    "takes": FaultOption("how long an update takes, s of simulated time", lowest=_SHORTEST_S, highest=3600.0),
+    "mass": FaultOption("added mass, kg", lowest=_LIGHTEST_KG, highest=_HEAVIEST_KG),
+    "at": FaultOption("position on the link, in its frame, m", "vector", -_FARTHEST_M, _FARTHEST_M),
+    "force": FaultOption("force in world axes, N", "vector", -_STRONGEST, _STRONGEST),
+    "torque": FaultOption("torque in world axes, N m", "vector", -_STRONGEST, _STRONGEST),
+    "takes": FaultOption("duration of an update, s of simulated time", lowest=_SHORTEST_S, highest=3600.0),
 }
 """All options of all kinds, by name."""
 
@@ -95,25 +95,25 @@ _ALL = {"of": "all"}
 _NOTHING = (0.0, 0.0, 0.0)
 
 KINDS = {
-    "sensor-noise": FaultKind("joint", "Gaussian noise on what is read", {"sd": REQUIRED, **_POSITION}),
-    "sensor-bias": FaultKind("joint", "what is read is too large by a constant", {"bias": REQUIRED, **_POSITION}),
-    "sensor-drift": FaultKind("joint", "what is read moves away at a rate", {"rate": REQUIRED, **_POSITION}),
-    "sensor-quantisation": FaultKind("joint", "what is read comes in steps", {"step": REQUIRED, **_POSITION}),
-    "sensor-delay": FaultKind("joint", "what is read is old", {"delay": REQUIRED, **_ALL}),
-    "sensor-dropout": FaultKind("joint", "readings fail: the last one stays", {"probability": REQUIRED, **_ALL}),
-    "sensor-frozen": FaultKind("joint", "the last reading before it stays", _ALL),
+    "sensor-noise": FaultKind("joint", "Gaussian noise on readings", {"sd": REQUIRED, **_POSITION}),
+    "sensor-bias": FaultKind("joint", "constant error of readings", {"bias": REQUIRED, **_POSITION}),
+    "sensor-drift": FaultKind("joint", "readings drift at a constant rate", {"rate": REQUIRED, **_POSITION}),
+    "sensor-quantisation": FaultKind("joint", "readings come in steps", {"step": REQUIRED, **_POSITION}),
+    "sensor-delay": FaultKind("joint", "readings come late", {"delay": REQUIRED, **_ALL}),
+    "sensor-dropout": FaultKind("joint", "readings are lost: the last one stays", {"probability": REQUIRED, **_ALL}),
+    "sensor-frozen": FaultKind("joint", "the last reading stays", _ALL),
     "command-delay": FaultKind("joint", "commands come late", {"delay": REQUIRED}),
-    "command-loss": FaultKind("joint", "commands get lost: the last one stays", {"probability": REQUIRED}),
-    "command-saturation": FaultKind("joint", "commands are cut", {"limit": REQUIRED}),
-    "command-reversed": FaultKind("joint", "commands have the other sign"),
-    "joint-stuck": FaultKind("moving joint", "it stays where it is, whatever acts on it"),
-    "joint-friction": FaultKind("moving joint", "friction is another", {"friction": None, "damping": None}),
+    "command-loss": FaultKind("joint", "commands are lost: the last one stays", {"probability": REQUIRED}),
+    "command-saturation": FaultKind("joint", "commands are limited", {"limit": REQUIRED}),
+    "command-reversed": FaultKind("joint", "commands have the opposite sign"),
+    "joint-stuck": FaultKind("moving joint", "it stays in place, whatever acts on it"),
+    "joint-friction": FaultKind("moving joint", "its friction is changed", {"friction": None, "damping": None}),
     "payload": FaultKind("link", "a point mass is fixed to the link", {"mass": REQUIRED, "at": _NOTHING}),
     "push": FaultKind("link", "a wrench acts on its centre of mass", {"force": _NOTHING, "torque": _NOTHING}),
-    "controller-raise": FaultKind("controller", "its update raises, once: it is aborted"),
+    "controller-raise": FaultKind("controller", "its update raises an exception, once: it is aborted"),
     "controller-slow": FaultKind("controller", "its update holds up the robot's whole cycle", {"takes": REQUIRED}),
     "controller-kill": FaultKind("controller", "it is stopped and unloaded, once"),
-    "topic-loss": FaultKind("topic", "messages get lost", {"probability": REQUIRED}),
+    "topic-loss": FaultKind("topic", "messages are lost", {"probability": REQUIRED}),
     "topic-delay": FaultKind("topic", "messages come late", {"delay": REQUIRED, "probability": 1.0}),
 }
 """All kinds, by name."""
@@ -122,7 +122,7 @@ KINDS = {
 def check_span(start: float, end: float) -> None:
     """Raise Refused unless `end` is after `start` (both in s of simulated time)."""
     if end <= start:
-        raise Refused(f"a fault from {start:g} s to {end:g} s would never act")
+        raise Refused(f"a fault from {start:g} s to {end:g} s never acts")
 
 
 def checked_options(kind: str, given: Mapping[str, Any]) -> dict[str, Any]:

@@ -142,11 +142,6 @@ def peer(connection: socket.socket) -> tuple[int, int | None]:
     return pid or 0, uid
 
 
-def knows_owners_of_connections() -> bool:
-    """True where the kernel tells the user of a TCP connection of this machine: see local_peers.py."""
-    return LINUX
-
-
 def keepalive(idle_s: int, interval_s: int, count: int) -> list[tuple[int, int]]:
     """Options of a TCP socket, with their values: probe a silent peer after a time, and give up after some probes."""
     idle = getattr(socket, "TCP_KEEPIDLE" if LINUX else "TCP_KEEPALIVE", None)

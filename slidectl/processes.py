@@ -43,7 +43,7 @@ def holder(path: Path) -> int | None:
     except (FileNotFoundError, NotADirectoryError):
         return None
     except OSError as error:
-        raise _lock_failed("ask", path, error) from None
+        raise _lock_failed("check", path, error) from None
     return None if pid is None else max(0, pid)
 
 
@@ -77,14 +77,14 @@ def lock(path: Path) -> int | None:
             # Without links, against: a second user, who has put one into a folder that others can write.
             fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
         except OSError as error:
-            raise _lock_failed("make", path, error) from None
+            raise _lock_failed("create", path, error) from None
         try:
             fcntl.lockf(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             os.close(fd)
             if error.errno in _HELD:
                 return None
-            raise _lock_failed("take", path, error) from None
+            raise _lock_failed("acquire", path, error) from None
         if is_at(path, os.fstat(fd)):
             break
         os.close(fd)  # its last owner removed the file after our open and before our lock
@@ -136,4 +136,4 @@ def last_lines(log: Path, after: int) -> str:
         text = log.read_bytes()[after:].decode("utf-8", "replace")
     except OSError:
         text = ""
-    return "\n".join(text.splitlines()[-_LAST_LINES:]) or f"its log {log} says nothing"
+    return "\n".join(text.splitlines()[-_LAST_LINES:]) or f"its log {log} is empty"

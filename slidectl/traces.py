@@ -223,7 +223,7 @@ def number(value: Any) -> float:
         return math.hypot(*map(number, value.values()))
     if isinstance(value, list) and all(isinstance(one, dict) and one.keys() == {"x", "y", "z"} for one in value):
         return math.hypot(*(sum(number(one[axis]) for one in value) for axis in "xyz"))
-    raise UsageError(f"{str(value)[:80]} is no number", "choose an element or a field: NAME/position[0]")
+    raise UsageError(f"{str(value)[:80]} is not a number", "choose an element or a field: NAME/position[0]")
 
 
 class _Samples:
@@ -325,14 +325,12 @@ def _of_topic(
         else:
             if client.call("/slidectl/status")["paused"] and not samples.rows:
                 raise NoMeasure(
-                    f"{found['name']} says nothing while the simulation is paused",
+                    f"{found['name']} publishes nothing while the simulation is paused",
                     "name a joint, whose state is always there, or let it go on: slidectl sim resume",
                 )
             client.wait_until(lambda: bool(samples.rows), timeout, f"no message on {found['name']}")
     if subscription.dropped:
-        raise NoMeasure(
-            f"{subscription.dropped} messages of {found['name']} were lost: they came faster than they were read"
-        )
+        raise NoMeasure(f"{subscription.dropped} messages of {found['name']} were lost: the reader is too slow")
     return samples.trace()
 
 

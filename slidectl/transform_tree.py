@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from slidectl import names
 from slidectl.errors import AmbiguousName, Refused, UnknownName
 from slidectl.msgs.schema import nanoseconds
-from slidectl.rotations import IDENTITY, Quaternion, Vector, conjugate, multiply, normalized
+from slidectl.rotations import ORIGIN, Pose, Quaternion, Vector, compose, normalized, relative
 
 MOVING, STATIC = "/tf", "/tf_static"
 
@@ -39,9 +39,6 @@ class View(NamedTuple):
 
     pose: FramePose
     time_ns: int | None
-
-
-ORIGIN = FramePose((0.0, 0.0, 0.0), IDENTITY)
 
 
 class Frames:
@@ -124,10 +121,10 @@ class Frames:
         common = next(name for name in up if name in down)
         up, down = up[: up.index(common)], down[: down.index(common)]
         times = [edge.time_ns for edge in map(self.edges.__getitem__, up + down) if not edge.is_static]
-        pose = compose(inverse(self._along(up)), self._along(down))
+        pose = FramePose(*relative(self._along(down), self._along(up)))
         return View(pose, min(times) if times else None)
 
-    def _along(self, way: Iterable[str]) -> FramePose:
+    def _along(self, way: Iterable[str]) -> Pose:
         """The pose of the first frame of the path in the parent of the last one."""
         pose = ORIGIN
         for name in way:
@@ -143,26 +140,6 @@ def _plain(frame: str) -> str:
 def _pose(transform: Mapping[str, Mapping[str, float]]) -> FramePose:
     t, q = transform["translation"], transform["rotation"]
     return FramePose((t["x"], t["y"], t["z"]), normalized((q["x"], q["y"], q["z"], q["w"])))
-
-
-def rotate(q: Quaternion, v: Vector) -> Vector:
-    """The vector rotated by a unit quaternion."""
-    x, y, z, _ = multiply(multiply(q, (*v, 0.0)), conjugate(q))
-    return x, y, z
-
-
-def compose(outer: FramePose, inner: FramePose) -> FramePose:
-    """The pose of `inner`'s frame, given the pose `outer` of its parent."""
-    ox, oy, oz = outer.translation
-    x, y, z = rotate(outer.rotation, inner.translation)
-    return FramePose((ox + x, oy + y, oz + z), multiply(outer.rotation, inner.rotation))
-
-
-def inverse(pose: FramePose) -> FramePose:
-    """The pose of the parent in the frame."""
-    back = conjugate(pose.rotation)
-    tx, ty, tz = rotate(back, pose.translation)
-    return FramePose((-tx, -ty, -tz), back)
 
 
 def roll_pitch_yaw(q: Quaternion) -> Vector:

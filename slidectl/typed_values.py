@@ -126,7 +126,7 @@ def check_quotes(words: Sequence[str], fields: Iterable[str] = ()) -> None:
     if start is not None:
         line = [*typed[:start], whole, *typed[start + len(words) :]]
         hint = "type: " + " ".join(map(quote, line[2:] if line[1] == "ros" else line))
-    raise UsageError(f"the shell made {len(words)} words of one value: it needs quotes", hint)
+    raise UsageError(f"the shell made {len(words)} words of one value: quote it", hint)
 
 
 def _depth(text: str) -> int:
@@ -216,7 +216,7 @@ def _angle(loader: Any, node: Any) -> float:
 def _checked(value: Any, what: str, left: Iterator[int]) -> Any:
     """A copy of a value. Raises UsageError for types that no message holds, and for too many values by aliases."""
     if next(left) <= 0:
-        raise UsageError(f"the {what} unfolds to more than {_MOST_NODES} values")
+        raise UsageError(f"the {what} expands to more than {_MOST_NODES} values")
     if isinstance(value, dict):
         for key in value:
             if not isinstance(key, str):

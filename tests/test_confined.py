@@ -52,7 +52,7 @@ def fail() -> bytes:
         (die, "the process that read it was ended by SIGABRT"),
         (fail, "the process that read it failed"),
         (lambda: b"", "the process that read it failed"),
-        (lambda: b"x" * (3 << 20), "it comes to more than 1 MiB"),
+        (lambda: b"x" * (3 << 20), "its result exceeds 1 MiB"),
         pytest.param(
             lambda: bytes(1 << 29),
             "the process that read it failed",

@@ -15,7 +15,7 @@ from pathlib import Path
 PACKAGE = Path(__file__).parent.parent / "slidectl"
 
 FLOORS = {
-    "command_steps": 0, "confined": 0, "effects": 0, "entry_points": 0, "errors": 0, "local_peers": 0,
+    "command_steps": 0, "confined": 0, "effects": 0, "entry_points": 0, "errors": 0,
     "names": 0, "expressions": 0, "fault_kinds": 0, "input_files": 0,
     "operating_system": 0, "paths": 0, "wire": 0,
     "logfile": 1, "processes": 1,
@@ -39,7 +39,7 @@ SAME_FLOOR = {
     ("open_page", "processes"),
     ("journal", "daemon"),
     ("control", "description"),
-    *(("web_access", room) for room in ("effects", "local_peers")),
+    ("web_access", "effects"),
     *(("wire", room) for room in ("names", "paths")),
     *(("msgs", room) for room in ("expressions", "names")),
     *((room, below) for room in FLOORS if not FLOORS[room] for below in ("errors", "operating_system")),
@@ -50,7 +50,6 @@ FORBIDDEN = {
     "entry_points": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "confined": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket", "threading"},
     "effects": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
-    "local_peers": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml"},
     "errors": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "logfile": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "processes": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
@@ -130,7 +129,7 @@ LINUX_ONLY = {
 LINUX_PATHS = ("/proc/", "/sys/", "/dev/shm")
 
 # Rooms that the command line reaches through the client only.
-NOT_FOR_CLI = {"control", "event_loop", "features", "local_peers", "physics", "rasteriser", "simulation"}
+NOT_FOR_CLI = {"control", "event_loop", "features", "physics", "rasteriser", "simulation"}
 
 EXTENSIONS = {"gateways", "journal", "launch", "recording", "ros_commands", "scenarios", "viewing"}
 # What imports an extension from outside of it, and why.
@@ -263,10 +262,10 @@ def linux_only(source: str) -> set[str]:
 
 
 def test_what_linux_alone_has_is_used_in_one_module() -> None:
-    """And in local_peers.py, which asks there whether it may: elsewhere whose a connection is cannot be told."""
+    """And in web_access.py, which asks there whether it may: elsewhere whose a connection is cannot be told."""
     used = {str(path.relative_to(PACKAGE)): linux_only(path.read_text(encoding="utf-8")) for path in modules()}
-    assert {name for name, found in used.items() if found} == {"operating_system.py", "local_peers.py"}, used
-    assert used["local_peers.py"] == {"/proc/"}
+    assert {name for name, found in used.items() if found} == {"operating_system.py", "web_access.py"}, used
+    assert used["web_access.py"] == {"socket.AF_NETLINK"}
 
 
 def test_the_search_for_what_linux_alone_has_finds_it() -> None:

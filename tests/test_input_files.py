@@ -135,8 +135,6 @@ ELSEWHERE = {
     "cli/detached.py": "the log of a process that slidectl started: written, and read with a lock",
     "confined.py": "/dev/null, and a pipe to the parent process",
     "daemon/lifecycle.py": "a pipe to the new daemon",
-    "daemon/mesh_reader.py": "a pipe to the daemon",
-    "local_peers.py": "/proc",
     "entry_points.py": "the metadata of installed packages",
     "extensions/gateways/process.py": "the lock of a gateway, which slidectl wrote, and a pipe to it",
     "operating_system.py": "/proc, and files in memory, which are written",

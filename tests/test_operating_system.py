@@ -185,7 +185,6 @@ def test_memory_is_told_and_bounded_where_it_can_be(ways: ModuleType) -> None:
     assert (resource.getrlimit(resource.RLIMIT_AS) == before) == (not ways.LINUX)
     resource.setrlimit(resource.RLIMIT_AS, before)
     assert ways.usable_cores() >= 1
-    assert ways.knows_owners_of_connections() == ways.LINUX
     ways.set_timer_slack(ways.set_timer_slack(1))
 
 

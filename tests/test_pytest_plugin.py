@@ -214,7 +214,7 @@ def test_module(slidectl_daemon):
     result = run("--strict-markers")
     result.assert_outcomes(passed=3, failed=3, errors=6)
     said = result.stdout.str()
-    assert "gravity is three finite numbers in m/s²" in said
+    assert "gravity must be three finite numbers in m/s²" in said
     assert "could not convert string to float: 'long'" in said
     assert said.count("no module 'no_such_module' is installed") >= 2
     assert "fixturedef" not in said, "an error of a fixture shows no code of pytest"
@@ -223,7 +223,7 @@ def test_module(slidectl_daemon):
     assert len(re.findall(r"^E +assert np\.float64\(3\.0\) == 4\.0$", said, re.M)) == 2
     assert "which differs from the test" not in said
     assert "takes timestep, gravity, ground, engine, imports, paused, rtf, sim_timeout by name, not timestp" in said
-    assert "there is no engine 'steam'" in said
+    assert "unknown engine 'steam'" in said
     assert "client.py" not in said, "the traceback ends with the test's own line"
 
 

@@ -291,10 +291,10 @@ def message_of(
     """
     if is_numeric(list(values)):  # no value can be an expression or stand for the time
         return fill(schema.fields, schema.root, values)
-    from slidectl.msgs.message_expressions import Numbers
+    from slidectl.msgs.message_expressions import number_converter
 
     now = None
     if mentions_clock(values):
         time = ctx.call("/rosapi/get_time")["time"]
         now = time["secs"], time["nsecs"]
-    return fill(schema.fields, schema.root, values, now, Numbers(expressions).at(index, seconds))
+    return fill(schema.fields, schema.root, values, now, number_converter(index, seconds, expressions))

@@ -32,7 +32,7 @@ TOLERANCE_CODES = (-4, -5)
 _SUFFIX = "ActionGoal"
 _LOOK_EVERY_S = 1.0
 """Wall seconds between two checks that the action still has a server."""
-_NOBODY = "nobody serves the action any more: its robot or its controller has gone"
+_NOBODY = "the action has no server any more: its robot or its controller was removed"
 
 _serial = itertools.count(1)
 

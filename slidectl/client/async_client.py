@@ -114,8 +114,7 @@ class AsyncClient:
         if self._transport is not None:
             self._transport.close()
             self._end()
-        for inbox in [one for inboxes in self._peer.inboxes.values() for one in inboxes]:
-            inbox.warn_of_dropped()
+        self._peer.warn_of_dropped()
 
     async def __aenter__(self) -> Self:
         return await self.connect()
@@ -243,9 +242,9 @@ class AsyncClient:
         service = request["service"]
         handler = self._handlers.get(service)
         if handler is None:
-            self.send_line(self._peer.respond(request, f"{service} is provided no longer"))
+            self.send_line(self._peer.respond(request, f"{service} is no longer provided"))
         elif len(self._serving) >= _MOST_SERVED:
-            text = f"{service} has {_MOST_SERVED} calls under way already"
+            text = f"{service} already has {_MOST_SERVED} calls in progress"
             self.send_line(self._peer.respond(request, text))
         else:
             task = asyncio.get_running_loop().create_task(self._serve_with(handler, request))

@@ -281,7 +281,9 @@ class Client(GraphClient):
             found = self.managers()
             if len(found) != 1:
                 known = listing([manager.namespace for manager in found])
-                raise UsageError(f"which controller manager? there are: {known}", "name its namespace, as '/slider'")
+                raise UsageError(
+                    f"which controller manager? known namespaces: {known}", "name one, for example '/slider'"
+                )
             return found[0]
         return Manager(self, names.join("/", namespace).rstrip("/") or "/")
 

@@ -43,6 +43,9 @@ class GraphClient:
         self._link = link or SocketLink(paths.instance(instance, socket), time.monotonic() + timeout)
         self._peer = ClientPeer()
         self._peer.on_call = self._serve
+        self._peer.on_other_version = lambda version: self.on_other_version(version)
+        self.on_other_version: Callable[[str], None] = lambda _version: None
+        """Called once with the daemon's version if it differs from the client's; empty if the daemon sends none."""
         self.paths = self._link.paths
         self.timeout = timeout
         self.reasons: list[str] = []
@@ -57,15 +60,6 @@ class GraphClient:
         self._full_names: dict[tuple[str, str], str] = {}
         self._handlers: dict[str, Callable[[Message], Message]] = {}
         """Service -> handler, of the services that this client provides."""
-
-    @property
-    def on_other_version(self) -> Callable[[str], None]:
-        """Called once with the daemon's version if it differs from the client's; empty if the daemon sends none."""
-        return self._peer.on_other_version
-
-    @on_other_version.setter
-    def on_other_version(self, action: Callable[[str], None]) -> None:
-        self._peer.on_other_version = action
 
     # --- services -----------------------------------------------------------------------------------------------
 
@@ -141,7 +135,7 @@ class GraphClient:
         """
         service = names.join("/", service)
         if service in self._handlers:
-            raise Refused(f"this client provides {service} already")
+            raise Refused(f"this client already provides {service}")
         self._handlers[service] = handler
         try:
             self._confirm(*self._peer.request("advertise_service", service=service, type=type, effect=effect))
@@ -355,7 +349,7 @@ class GraphClient:
         if status.get("paused") and status.get("trouble"):
             return f"the simulation is paused ({status['trouble']}); first: {command(self.paths, 'sim reset')}"
         if status.get("paused"):
-            return "the simulation is paused; let it go on with: " + command(self.paths, "sim resume")
+            return "the simulation is paused; resume it with: " + command(self.paths, "sim resume")
         if status.get("lockstep"):
             return "the world waits for clients in lock-step: " + listing(status["lockstep"])
         return None
@@ -395,8 +389,7 @@ class GraphClient:
     def close(self) -> None:
         """Close the connection without waiting. Its advertisements and subscriptions end. Warns of dropped messages."""
         self._link.close()
-        for inbox in [one for inboxes in self._peer.inboxes.values() for one in inboxes]:
-            inbox.warn_of_dropped()
+        self._peer.warn_of_dropped()
 
     def __enter__(self) -> Self:
         return self

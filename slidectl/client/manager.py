@@ -65,7 +65,7 @@ class Manager:
 
     def refusal(self, what: str, reasons: Sequence[str]) -> Refused:
         """The error of a request that was refused for these reasons."""
-        return Refused("\n".join(reasons) or f"cannot {what}, and no reason was given")
+        return Refused("\n".join(reasons) or f"cannot {what}: no reason was given")
 
     def is_there(self) -> bool:
         """True when the services of the controller manager exist."""
@@ -76,14 +76,14 @@ class Manager:
         """Send the request of `controllers` and `states` ahead."""
         return self.client.call_async(f"{self.name}/list_controllers")
 
-    def controllers(self, asked: str | None = None) -> list[ControllerStateMsg]:
+    def controllers(self, call_id: str | None = None) -> list[ControllerStateMsg]:
         """The loaded controllers, in load order (controller_manager_msgs/ControllerState)."""
-        call_id = self.ask_for_controllers() if asked is None else asked
+        call_id = self.ask_for_controllers() if call_id is None else call_id
         return list(self.client.answer(call_id, timeout=self._limit_s)["controller"])
 
-    def states(self, asked: str | None = None) -> dict[str, str]:
+    def states(self, call_id: str | None = None) -> dict[str, str]:
         """Name -> state of the loaded controllers."""
-        return {controller["name"]: controller["state"] for controller in self.controllers(asked)}
+        return {controller["name"]: controller["state"] for controller in self.controllers(call_id)}
 
     def update_times(self) -> list[UpdateTimesMsg]:
         """Update durations of the loaded controllers, in load order (slidectl/UpdateTimes)."""

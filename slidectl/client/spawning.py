@@ -84,11 +84,11 @@ def check_scene_options(
     if arguments:
         raise UsageError(f"SDF takes no arguments: {', '.join(arguments)}")
     if joints:
-        raise UsageError(f"models of SDF start as their file says, and not with joints at {', '.join(joints)}")
+        raise UsageError(f"SDF models take no joint positions: {', '.join(joints)}")
     if controllers is not None or start:
-        raise UsageError("models of SDF have no controllers", "describe a robot that is driven in URDF or xacro")
+        raise UsageError("SDF models have no controllers", "describe a robot that is driven in URDF or xacro")
     if transmissions is not None:
-        raise UsageError("models of SDF have no transmissions", "describe a robot that is driven in URDF or xacro")
+        raise UsageError("SDF models have no transmissions", "describe a robot that is driven in URDF or xacro")
 
 
 def scene(source: str, places: Packages | None = None, missing: Missing | None = None) -> Scene:
@@ -369,9 +369,7 @@ def check_free(robots: Sequence[Mapping[str, Any]], name: str, namespace: str) -
     """Raise Refused when the name or the namespace is taken, before any parameter is touched."""
     for robot in robots:
         if robot["name"] == name:
-            raise Refused(
-                f"a robot {name!r} is there already", f"give another name with -n, or: slidectl delete {name}"
-            )
+            raise Refused(f"a robot {name!r} already exists", f"give another name with -n, or: slidectl delete {name}")
         if robot["namespace"] == namespace and robot["kind"] == "robot":
             hint = "a model with an xacro argument `namespace` gets its own with -n NAME"
             raise Refused(f"the namespace {namespace} is that of the robot {robot['name']!r}", hint)
@@ -381,7 +379,7 @@ def _check_all_free(robots: Sequence[Mapping[str, Any]], names: Sequence[str]) -
     taken = sorted({robot["name"] for robot in robots} & set(names))
     if taken:
         there = ", ".join(repr(name) for name in taken)
-        raise Refused(f"there is already: {there}", f"slidectl delete {' '.join(taken)}")
+        raise Refused(f"already in the world: {there}", f"slidectl delete {' '.join(taken)}")
 
 
 # --- files of controllers ---------------------------------------------------------------------------------------------

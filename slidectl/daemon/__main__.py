@@ -79,7 +79,7 @@ def _begin(start: Start, stack: ExitStack) -> Daemon | None:
     if not place.acquire():
         pid = holder(start.paths.lock)
         _report(start, "running", pid=pid)
-        print(f"a daemon runs there already (process {pid})", file=sys.stderr, flush=True)
+        print(f"a daemon already runs there (process {pid})", file=sys.stderr, flush=True)
         return None
     log = LogFile(start.paths.log, start.foreground)
     listener = place.listen()

@@ -87,7 +87,7 @@ def _python() -> _Found:
     if sys.version_info < _PYTHON:
         yield BROKEN, here, f"slidectl needs Python {'.'.join(map(str, _PYTHON))} or newer"
     elif sys.platform != "linux":
-        yield LOOK, f"{here}; slidectl {__version__}, on {sys.platform}", "slidectl was tried on Linux alone"
+        yield LOOK, f"{here}; slidectl {__version__}, on {sys.platform}", "slidectl is tested on Linux only"
     else:
         yield OK, f"{here}; slidectl {__version__}"
 
@@ -248,7 +248,7 @@ def _packages() -> _Found:
         if gone:
             yield (
                 LOOK,
-                f"{variable}: there is no {', '.join(gone)}",
+                f"{variable}: not found: {', '.join(gone)}",
                 "set it anew; folders that are not there are passed over",
             )
         elif folders:

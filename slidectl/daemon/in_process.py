@@ -129,7 +129,7 @@ class InProcessWorld:
         if self._still_s + left_s > _LONGEST_STILL_S:
             trouble = run.trouble
             why = f" ({trouble})" if trouble else ""
-            raise TimedOut(f"the simulation is paused{why}, and nobody lets it go on", "first: slidectl sim resume")
+            raise TimedOut(f"the simulation is paused{why}, and nobody resumes it", "first: slidectl sim resume")
         self._still_s += left_s
         self._wall_s += left_s
 

@@ -102,7 +102,7 @@ def _remove_old(path: Path) -> None:
     except FileNotFoundError:
         return
     if not stat.S_ISSOCK(mode):
-        raise Refused(f"{path} is there and is no socket", "choose another --socket, or remove it")
+        raise Refused(f"{path} exists and is not a socket", "choose another --socket, or remove it")
     with socket.socket(socket.AF_UNIX) as probe:
         probe.setblocking(False)
         try:

@@ -109,7 +109,7 @@ class DaemonStart:
             if not select.select([ready], [], [], max(0.0, deadline - time.monotonic()))[0]:
                 # The process keeps starting.
                 hint = command(self._paths, "daemon logs")
-                raise TimedOut(f"the daemon (process {process.pid}) does not get ready", hint)
+                raise TimedOut(f"the daemon (process {process.pid}) is not ready in time", hint)
             with ready:
                 line = ready.readline()
             self._process = None
@@ -159,7 +159,7 @@ def stop(paths: InstancePaths, timeout: float = 10.0) -> int | None:
                 process.send_signal(signal.SIGTERM)
         while not _has_ended(process, pid, paths):
             if time.monotonic() > deadline:
-                raise TimedOut(f"the daemon (process {pid}) is still there after {timeout:g} s", f"kill -KILL {pid}")
+                raise TimedOut(f"the daemon (process {pid}) is still running after {timeout:g} s", f"kill -KILL {pid}")
     finally:
         if process is not None:
             process.close()

@@ -137,7 +137,7 @@ class Daemon:
             return
         except (SlidectlError, OSError) as error:  # it may be deleted while it is created again
             if str(error) != self._place_trouble:
-                self._log.write("error", f"nobody can find this daemon any more: {error}")
+                self._log.write("error", f"clients cannot find this daemon any more: {error}")
             self._place_trouble = str(error)
             return
         self._place_trouble = ""
@@ -145,7 +145,7 @@ class Daemon:
             self._server.listen_on(listener)
         if gone:
             self._log.reopen()
-            self._log.write("warn", f"somebody deleted {' and '.join(gone)}; made again")
+            self._log.write("warn", f"deleted by another program, created again: {' and '.join(gone)}")
 
     def _collect_garbage(self) -> None:
         """Collect garbage. Lasting objects are not scanned: with 100 robots this would block the world for 20 ms.

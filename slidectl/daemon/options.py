@@ -50,13 +50,13 @@ class DaemonOptions:
 
     def __post_init__(self) -> None:
         if not self.rtf > 0:
-            raise UsageError(f"the real-time factor is above 0 or 'max', not {self.rtf:g}")
+            raise UsageError(f"the real-time factor must be above 0 or 'max', not {self.rtf:g}")
         if not 1e-6 <= self.timestep <= 1:
-            raise UsageError(f"the time step is between 1e-6 s and 1 s, not {self.timestep:g}")
+            raise UsageError(f"the time step must be between 1e-6 s and 1 s, not {self.timestep:g}")
         if len(self.gravity) != 3 or not all(math.isfinite(component) for component in self.gravity):
-            raise UsageError("gravity is three finite numbers in m/s²")
+            raise UsageError("gravity must be three finite numbers in m/s²")
         if self.engine not in ENGINES:
-            raise UsageError(f"there is no engine {self.engine!r}", f"choose one of: {', '.join(ENGINES)}")
+            raise UsageError(f"unknown engine {self.engine!r}", f"choose one of: {', '.join(ENGINES)}")
 
     @classmethod
     def read(cls, values: dict[str, Any]) -> DaemonOptions:
@@ -78,7 +78,7 @@ class DaemonOptions:
         """Raise Refused when the file exists: it may be the journal of an earlier run."""
         if self.journal and os.path.lexists(self.journal):
             raise Refused(
-                f"there is a file {self.journal} already", "give the journal another name, or remove that file"
+                f"the file {self.journal} already exists", "give the journal another name, or remove that file"
             )
 
 

@@ -191,7 +191,7 @@ class Session:
         size = self._line_bytes
         if len(self._timed) >= _MOST_TIMED or sum(self._timed.values()) + size > _MOST_TIMED_BYTES:
             most = f"{_MOST_TIMED} messages, or {_MOST_TIMED_BYTES >> 20} MiB,"
-            raise Refused(f"{most} of this connection wait for their time", "send later ones later")
+            raise Refused(f"{most} of this connection wait for their time", "send the others later")
         kind = messages.text(message, "type", "") or self._graph.topics.type_of(topic)
         message["msg"] = msgs.check(kind, message.get("msg", {}))  # raises now, not when it is due
 
@@ -220,7 +220,7 @@ class Session:
         topic = messages.name(message, "topic")
         throttle, queue = messages.number(message, "throttle_rate"), messages.number(message, "queue_length")
         if messages.text(message, "compression", "none") != "none":
-            raise UsageError(f"compression {shortened(message['compression'])} is not offered", "compression: none")
+            raise UsageError(f"compression {shortened(message['compression'])} is not supported", "compression: none")
         kind, stamped = messages.text(message, "type", "") or None, bool(message.get("stamped", False))
         feed = self._feeds.get(topic)
         if feed is None:
@@ -243,7 +243,7 @@ class Session:
     def _call_service(self, message: Message) -> None:
         service = messages.name(message, "service")
         if len(self._calls) >= _MOST_OPEN_CALLS:
-            raise Refused(f"{_MOST_OPEN_CALLS} calls of this connection wait for their answers", "take these first")
+            raise Refused(f"{_MOST_OPEN_CALLS} calls of this connection wait for their answers", "read them first")
         request = self._by_name(service, message.get("args") or {})
         pending = self._graph.services.call(service, request)
         if not pending.done:
@@ -281,7 +281,7 @@ class Session:
                 what = f"its answer has {len(line)} bytes, and a line has at most {LONGEST_LINE}"
                 line = encode(response | messages.failure(Refused(f"{service}: {what}", "ask for less")))
             if len(line) > _LONGEST_LATE and self._connection.unread > _MOST_LATE:
-                what = f"its answer of {len(line)} bytes was given up: this connection does not read its answers"
+                what = f"its answer of {len(line)} bytes was dropped: this connection does not read its answers"
                 line = encode(response | messages.failure(Refused(f"{service}: {what}")))
         except Exception as error:  # this may be called from within a control cycle, which must not fail
             self.unexpected(f"the answer of {service} to {self.node}")
@@ -324,7 +324,7 @@ class Session:
     def _service_response(self, message: Message) -> None:
         pending = self._asked.pop(str(message.get("id")), None)
         if pending is None:
-            raise Refused(f"nobody waits for the service response {shortened(message.get('id'))}")
+            raise Refused(f"no call waits for the service response {shortened(message.get('id'))}")
         values = message.get("values", {})
         if message.get("result", True):
             pending.resolve(values)
@@ -337,7 +337,7 @@ class Session:
             raise Refused(f"this connection is the node {self.node} already", "set_node is its first op")
         name = messages.name(message, "node")
         if _GIVEN_NODE.fullmatch(name):
-            raise Refused(f"{name} is a name that the daemon gives", "choose another one")
+            raise Refused(f"{name} is reserved for clients without a name", "choose another one")
         self._graph.claim_node(name)
         self._graph.close_node(self.node)  # services drop their state about the old name
         self.node = self._connection.node = name

@@ -9,8 +9,6 @@ does not return to the interpreter cannot be interrupted.
 from __future__ import annotations
 
 import signal
-import sys
-from contextlib import suppress
 from math import inf
 from time import monotonic
 from types import FrameType
@@ -26,8 +24,6 @@ _TICK_S = 0.1
 _AGAIN_S = 0.005
 _MOST_AGAIN = 200
 """The number of signals that may meet slidectl's own code before that is interrupted too."""
-_OWN_DEPTH = 50
-"""Calls that a signal's handler may nest."""
 _ENTRIES = tuple(
     str(module.__file__) for module in (controller_interface, controller_manager, cycle, graph, user_classes)
 )
@@ -44,10 +40,7 @@ class TimeLimit(CodeLimit):
         """The time at which the code inside is interrupted; infinite outside."""
         self.has_ended = False
         """True when the code inside was ended."""
-        self.deepest = sys.getrecursionlimit()
         self._depth = 0
-        self._outer: TimeLimit | None = None
-        """The limit of another world whose code runs this one's."""
         signal.signal(signal.SIGALRM, _TIMER.tick)
 
     def __enter__(self) -> None:
@@ -55,8 +48,7 @@ class TimeLimit(CodeLimit):
         if self._depth == 1:
             self.end_s = monotonic() + self.most_s
             timer = _TIMER
-            if timer.limit is not self:
-                self._outer, timer.limit = timer.limit, self
+            timer.limit = self
             timer.was_entered = True
             if not timer.period_s:
                 timer.set(_TICK_S)
@@ -65,12 +57,8 @@ class TimeLimit(CodeLimit):
         self._depth -= 1
         if not self._depth:
             self.end_s = inf
-            if self._outer is not None:
-                _TIMER.limit = self._outer if self._outer.end_s < inf else self
-                self._outer = None
             if self.has_ended:
                 self.has_ended = False
-                sys.setrecursionlimit(self.deepest)
                 for tell in self.on_end:
                     tell()
 
@@ -98,16 +86,6 @@ class _LimitTimer:
 
     def tick(self, _number: int, frame: FrameType | None) -> None:
         """Handle the signal."""
-        deepest = sys.getrecursionlimit()
-        if self.limit is not None and deepest == self.limit.deepest:  # the code may be as deep as it can get
-            sys.setrecursionlimit(deepest + _OWN_DEPTH)
-        try:
-            self._check(frame)
-        finally:
-            with suppress(RecursionError):  # it may be that deep; then the limit's `__exit__` does it
-                sys.setrecursionlimit(deepest)
-
-    def _check(self, frame: FrameType | None) -> None:
         limit = self.limit
         late_s = -inf if limit is None else monotonic() - limit.end_s
         if limit is None or late_s < 0.0:

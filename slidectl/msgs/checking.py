@@ -81,7 +81,7 @@ class UnknownField(Mismatch):
         """`given` are the keys of the value; one of them is not in `fields`."""
         self.field = _short(str(next(key for key in given if key not in fields)))
         hint = f"{type_name} has {'the fields ' + ', '.join(fields) if fields else 'no fields'}"
-        super().__init__(f"{self.field!r} is no field of {type_name}", hint)
+        super().__init__(f"{self.field!r} is not a field of {type_name}", hint)
         self.near = closest(self.field, fields)
 
     def as_error(self, type_name: str) -> BadMessage:
@@ -118,7 +118,7 @@ def describe(value: Any) -> str:
         return "true" if value else "false"
     if isinstance(value, str):
         found = _NO_BLANK.fullmatch(value)
-        advice = f" (a blank follows the colon: '{found[1]}: {found[2]}')" if found else ""
+        advice = f" (write a space after the colon: '{found[1]}: {found[2]}')" if found else ""
         return f"the text {_short(repr(value[:_LONGEST_SHOWN]))}{advice}"
     if isinstance(value, (int, float)):
         return f"the number {_short(_number_text(value))}"
@@ -291,7 +291,7 @@ def _check_string(value: Any) -> str:
     try:
         value.encode()
     except UnicodeEncodeError:
-        raise Mismatch("holds half of a surrogate pair, which is no text") from None
+        raise Mismatch("holds half of a surrogate pair") from None
     return str(value)
 
 

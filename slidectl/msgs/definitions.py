@@ -84,7 +84,7 @@ def parse_message(text: str, name: str) -> Definition:
         # A string constant takes all of its line, '#' included.
         match = _LINE.fullmatch(line.strip() if bare.startswith("string ") and "=" in bare else bare)
         if match is None:
-            raise ValueError(f"not a field nor a constant: {line!r}")
+            raise ValueError(f"neither a field nor a constant: {line!r}")
         type_name, array, value = _resolved(match["type"], package), match["array"], match["value"]
         if value is None:
             length = SCALAR if array is None else int(array[1:-1] or 0)

@@ -165,7 +165,7 @@ class _Filler:
     def _time(self, type_name: str, value: Any) -> Any:
         if type_name == "time" and value == "now":
             if self._now is None:
-                raise Mismatch("cannot be 'now': there is no clock to ask")
+                raise Mismatch("cannot be 'now': there is no clock")
             return {"secs": self._now[0], "nsecs": self._now[1]}
         if isinstance(value, int) and not isinstance(value, bool):
             value = {"secs": value // _NS, "nsecs": value % _NS}

@@ -130,32 +130,28 @@ class Filter:
         return _Record(value, lambda name, inner: self._shown(inner, self._schema.field(field.type, name)))
 
 
-class Numbers:
-    """Converts texts to numbers for `fill`: `nan` and `inf`, and with `expressions` any expression in i and t.
+def number_converter(
+    index: int, seconds: float, expressions: bool = True, most_steps: int = _MOST_STEPS
+) -> Callable[[str, str], Any]:
+    """A converter of texts to numbers for `fill`: `nan` and `inf`, and any expression in i = index and t = seconds.
 
-    `most_steps` limits each evaluation.
+    It takes a text and the expected type, and returns other texts unchanged. It raises UsageError: a text is no
+    expression. Refused: it cannot be computed.
+
+    Args:
+        expressions: False leaves expressions unchanged.
+        most_steps: the limit of each evaluation.
     """
 
-    def __init__(self, expressions: bool, most_steps: int = _MOST_STEPS) -> None:
-        self._expressions = expressions
-        self._most_steps = most_steps
+    def number(text: str, type_name: str) -> Any:
+        is_finite = _NOT_FINITE.match(text) is None
+        if is_finite and not expressions:
+            return text
+        value = _in_i_and_t(text if is_finite else text.lower(), most_steps)(i=index, t=seconds)
+        is_whole = type_name in INTEGER_RANGES and isinstance(value, float) and value.is_integer()
+        return int(value) if is_whole else value
 
-    def at(self, index: int, seconds: float) -> Callable[[str, str], Any]:
-        """A converter for i = index and t = seconds. It takes a text and the expected type, and returns other texts
-        unchanged.
-
-        It raises UsageError: a text is no expression. Refused: it cannot be computed.
-        """
-
-        def number(text: str, type_name: str) -> Any:
-            is_finite = _NOT_FINITE.match(text) is None
-            if is_finite and not self._expressions:
-                return text
-            value = _in_i_and_t(text if is_finite else text.lower(), self._most_steps)(i=index, t=seconds)
-            is_whole = type_name in INTEGER_RANGES and isinstance(value, float) and value.is_integer()
-            return int(value) if is_whole else value
-
-        return number
+    return number
 
 
 @lru_cache(1000)

@@ -35,26 +35,6 @@ class TopicsResponseMsg(TypedDict):
     types: list[str]
 
 
-class FaultMsg(TypedDict):
-    name: str
-    kind: str
-    target: str
-    start: float
-    end: float
-    seed: int
-    options: str
-    state: str
-    count: int
-
-
-class AddFaultResponseMsg(TypedDict):
-    fault: FaultMsg
-
-
-class ListFaultsResponseMsg(TypedDict):
-    faults: list[FaultMsg]
-
-
 class JointStatesResponseMsg(TypedDict):
     joints: list[str]
     position: list[float]
@@ -100,13 +80,6 @@ class RobotInfoMsg(TypedDict):
 
 class ListRobotsResponseMsg(TypedDict):
     robots: list[RobotInfoMsg]
-
-
-class LockStepResponseMsg(TypedDict):
-    success: bool
-    message: str
-    time: float
-    cycles: int
 
 
 class PointMsg(TypedDict):
@@ -211,14 +184,6 @@ class ListUpdateTimesResponseMsg(TypedDict):
     controllers: list[UpdateTimesMsg]
 
 
-class WaitResponseMsg(TypedDict):
-    success: bool
-    message: str
-    last: str
-    closest: str
-    time: float
-
-
 class HardwareInterfaceResourcesMsg(TypedDict):
     hardware_interface: str
     resources: list[str]
@@ -280,16 +245,6 @@ class Call(Protocol):
 
     @overload
     def __call__(
-        self, service: Literal["/slidectl/fault/add"], request: Request = None, *, timeout: float | None = None
-    ) -> AddFaultResponseMsg: ...
-
-    @overload
-    def __call__(
-        self, service: Literal["/slidectl/fault/list"], request: Request = None, *, timeout: float | None = None
-    ) -> ListFaultsResponseMsg: ...
-
-    @overload
-    def __call__(
         self, service: Literal["/slidectl/joint_states"], request: Request = None, *, timeout: float | None = None
     ) -> JointStatesResponseMsg: ...
 
@@ -297,11 +252,6 @@ class Call(Protocol):
     def __call__(
         self, service: Literal["/slidectl/list_robots"], request: Request = None, *, timeout: float | None = None
     ) -> ListRobotsResponseMsg: ...
-
-    @overload
-    def __call__(
-        self, service: Literal["/slidectl/lockstep"], request: Request = None, *, timeout: float | None = None
-    ) -> LockStepResponseMsg: ...
 
     @overload
     def __call__(
@@ -332,11 +282,6 @@ class Call(Protocol):
     def __call__(
         self, service: Literal["/slidectl/update_times"], request: Request = None, *, timeout: float | None = None
     ) -> ListUpdateTimesResponseMsg: ...
-
-    @overload
-    def __call__(
-        self, service: Literal["/slidectl/wait"], request: Request = None, *, timeout: float | None = None
-    ) -> WaitResponseMsg: ...
 
     @overload
     def __call__(self, service: str, request: Request = None, *, timeout: float | None = None) -> dict[str, Any]: ...

@@ -82,9 +82,9 @@ def decode(line: bytes) -> dict[str, Any]:
         is_plain = line.startswith(b"{")
         value = _decode(line.decode("utf-8", "surrogatepass")) if is_plain else json.loads(line)
     except (ValueError, RecursionError) as error:
-        raise BadLine(f"a line that is no JSON ({error}): {_beginning(line)}") from None
+        raise BadLine(f"a line that is not JSON ({error}): {_beginning(line)}") from None
     if not isinstance(value, dict):
-        raise BadLine(f"a line that is no JSON object but {type(value).__name__}: {_beginning(line)}")
+        raise BadLine(f"a line that is not a JSON object but {type(value).__name__}: {_beginning(line)}")
     return value
 
 

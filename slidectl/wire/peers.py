@@ -29,7 +29,7 @@ def nobody_answers(paths: InstancePaths, error: OSError) -> NoDaemon:
         return NoDaemon(f"no daemon answers on {paths.socket_text}", hint)
     if isinstance(error, BlockingIOError | TimeoutError):
         return NoDaemon(
-            f"the daemon on {paths.socket_text} takes no connection: it hangs, is stopped, or has too many",
+            f"the daemon on {paths.socket_text} accepts no connections: it hangs, is stopped, or has too many",
             f"see: {command(paths, 'daemon logs')}\nend it with: {command(paths, 'daemon stop')}",
         )
     return NoDaemon(f"no daemon answers on {paths.socket_text}: {error.strerror or error}", hint)
@@ -268,6 +268,12 @@ class ClientPeer:
         self.refusals.clear()
         if refusals:
             raise refusals[0]
+
+    def warn_of_dropped(self) -> None:
+        """Warn of the dropped messages of all subscriptions, once."""
+        for inboxes in self.inboxes.values():
+            for inbox in inboxes:
+                inbox.warn_of_dropped()
 
     def check_heard(self) -> None:
         """Raise MessageRefused for a topic none of whose counted messages reached a subscriber."""

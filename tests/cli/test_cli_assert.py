@@ -103,7 +103,7 @@ def test_what_cannot_be_measured_does_not_hold(run: tuple[CommandLine, Path]) ->
         ("joint1 --above 1 --tol 5", 2, "--tol needs --near"),
         ("elbow --near 1", 1, "joints: /slider/joint1"),
         ("joint_states/position[0] --near 1 --last 5", 2, "the past is kept of joints only"),
-        ("joint_states/position[0] --near 1", 1, "says nothing while the simulation is paused"),
+        ("joint_states/position[0] --near 1", 1, "publishes nothing while the simulation is paused"),
         ("joint1 --near 1 --from nothing.bag", 2, "nothing.bag: no such file"),
         ("joint1 --settling <0.5s --set-point nan --last 5", 2, "nan is not a finite number"),
         ("joint1 --settling <0.5s --band nan --last 5", 2, "nan is not a finite number"),

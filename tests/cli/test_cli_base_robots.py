@@ -154,7 +154,7 @@ def test_a_taken_name_or_namespace_is_refused_and_changes_nothing(world: Command
     gains.write_text("slider:\n  joint1_position_controller:\n    pid: {p: 1.0}\n    type: x/Y\n")
     again = world("spawn", "slider", "--controllers", str(gains))
     assert again.returncode == 1
-    assert "a robot 'slider' is there already" in again.stderr
+    assert "a robot 'slider' already exists" in again.stderr
     same_namespace = world("spawn", "slider", "-n", "second", "namespace:=/slider", "--controllers", str(gains))
     assert same_namespace.returncode == 1
     assert "the namespace /slider is that of the robot 'slider'" in same_namespace.stderr
@@ -539,4 +539,4 @@ def test_a_missing_blank_after_a_colon_is_named(world: CommandLine, tmp_path: Pa
     assert done.returncode == 2
     assert "a blank follows the colon: joint: joint1" in done.stderr
     done = world("pub", "--allow-unheard", "/numbers", "std_msgs/Float64", "data:1.0")
-    assert "a blank follows the colon: 'data: 1.0'" in done.stderr
+    assert "write a space after the colon: 'data: 1.0'" in done.stderr

@@ -64,7 +64,7 @@ def test_where_no_lock_can_be_had_no_daemon_starts_and_the_reason_is_told(
     write("sitecustomize.py", NO_LOCKS)
     done = slidectl(*words.split(), **with_modules(slidectl, tmp_path))
     assert done.returncode == 1
-    assert f"cannot take the lock {runtime.paths.lock}: No locks available\n" in done.stderr
+    assert f"cannot acquire the lock {runtime.paths.lock}: No locks available\n" in done.stderr
     assert "XDG_RUNTIME_DIR" in done.stderr
-    assert "runs there already" not in done.stderr
+    assert "already runs there" not in done.stderr
     assert "Traceback" not in done.stderr

@@ -89,7 +89,7 @@ NOBODY = [
          "does not understand 'description'", "did you mean -param robot_description?"),
     slip("slidectl launch blank_file.launch", 2,
          "no such file", "slider control.yaml", "did you mean", "slider_control.yaml?"),
-    slip("slidectl launch blank_find.launch", 2, "names have no blanks: did you mean $(find my_slider)?"),
+    slip("slidectl launch blank_find.launch", 2, "names have no spaces: did you mean $(find my_slider)?"),
     slip("slidectl launch blank_spawner.launch --strict", 2, "no program 'spawn model'", "Did you mean 'spawn_model'?"),
     slip("slidectl launch bare_param.launch --dry-run", 0,
          "the text 'param name=\"robot_description\"", "a tag without its '<'?"),
@@ -108,9 +108,9 @@ RRBOT = [
     slip(f"slidectl ros rostopic pub {COMMAND} 'data: 1.0'", 1,
          "invalid topic type", f"type: rostopic pub {COMMAND} std_msgs/Float64"),
     slip(f"slidectl ros rostopic pub {COMMAND} {TYPE} data: 1.0", 1,
-         "it needs quotes", f"type: rostopic pub {COMMAND} {TYPE} 'data: 1.0'"),
+         "quote it", f"type: rostopic pub {COMMAND} {TYPE} 'data: 1.0'"),
     slip(f"slidectl ros rostopic pub {COMMAND} {TYPE} 'data:1.0'", 1,
-         "must be float type", "a blank follows the colon: 'data: 1.0'"),
+         "must be float type", "write a space after the colon: 'data: 1.0'"),
     slip(f"slidectl ros rostopic pub {COMMAND} {TYPE} 'data: 1,5'", 1, "numbers have a point, not a comma: 1.5"),
     slip(f"slidectl ros rostopic pub {COMMAND} {TYPE} 'data: 90'", 0, "90 rad are 14.3 turns", "send 1.571"),
     slip("slidectl echo joint_states/postion -n 1", 1, "no field 'postion'", "Did you mean 'position'?"),
@@ -134,7 +134,7 @@ RRBOT = [
          "is not set", "did you mean /rrbot/joint1_position_controller/pid/p?"),
     # Programs, and things that are there twice.
     slip("slidectl ros rosrun controller_manager spwaner joint_state_controller", 3, "did you mean spawner?"),
-    slip("slidectl spawn rrbot", 1, "a robot 'rrbot' is there already", "slidectl delete rrbot"),
+    slip("slidectl spawn rrbot", 1, "a robot 'rrbot' already exists", "slidectl delete rrbot"),
     slip("slidectl ros roscore", 1, "roscore cannot run as another roscore/master is already running"),
 ]  # fmt: skip
 

@@ -10,7 +10,7 @@ from cli_graph_types import schema
 
 from slidectl.errors import UsageError
 from slidectl.msgs.fill import fill, mentions_clock
-from slidectl.msgs.message_expressions import Numbers
+from slidectl.msgs.message_expressions import number_converter
 from slidectl.typed_values import split
 
 
@@ -52,7 +52,7 @@ def test_a_broken_document_is_named_by_its_number() -> None:
 
 def at(type_name: str, values: list[Any], index: int = 2, seconds: float = 0.5) -> Any:
     types = schema(type_name)
-    return fill(types.fields, types.root, values, (0, 0), Numbers(expressions=True).at(index, seconds))
+    return fill(types.fields, types.root, values, (0, 0), number_converter(index, seconds))
 
 
 @pytest.mark.parametrize(
@@ -95,7 +95,7 @@ def test_an_expression_that_cannot_be_is_refused(type_name: str, values: list[An
 
 
 def test_without_expressions_only_nan_and_inf_are_numbers() -> None:
-    number_of = Numbers(expressions=False).at(0, 0.0)
+    number_of = number_converter(0, 0.0, expressions=False)
     assert math.isnan(number_of("nan", "float64"))
     assert number_of("-Inf", "float64") == -math.inf
     assert number_of("t", "float64") == "t"

@@ -73,7 +73,7 @@ def test_dot_nan_is_not_a_number() -> None:
         ("&a [*a]", "is nested too deeply"),
         ("a: &a [x,x,x,x,x,x,x,x,x,x]\nb: &b [*a,*a,*a,*a,*a,*a,*a,*a,*a,*a]\n"
          "c: &c [*b,*b,*b,*b,*b,*b,*b,*b,*b,*b]\nd: &d [*c,*c,*c,*c,*c,*c,*c,*c,*c,*c]\n"
-         "e: &e [*d,*d,*d,*d,*d,*d,*d,*d,*d,*d]\nf: [*e,*e,*e,*e,*e,*e,*e,*e,*e,*e]", "unfolds to more than"),
+         "e: &e [*d,*d,*d,*d,*d,*d,*d,*d,*d,*d]\nf: [*e,*e,*e,*e,*e,*e,*e,*e,*e,*e]", "expands to more than"),
     ],
 )  # fmt: skip
 def test_text_that_is_no_value_is_refused_with_the_reason(text: str, reason: str) -> None:

@@ -141,7 +141,7 @@ SESSIONS = [
     Session(
         "rosparam set '/bad name' 1",
         "",
-        ILLEGAL.format("/bad name") + "names have no blanks: did you mean '/bad_name'?\n",
+        ILLEGAL.format("/bad name") + "names have no spaces: did you mean '/bad_name'?\n",
         2,
     ),
     Session("rosparam set /text 'grün ☃'; rosparam get -p /text; rosparam get /text", GREEN),

@@ -63,7 +63,7 @@ def test_only_controllers_that_a_spawn_starts_from_files_alone_are_judged(slidec
         ("assert: joint1 --overshoot '<5%'", ["--overshoot is measured over a time"]),
         ("fault add: joint1 --kind nokind", ["no kind of fault 'nokind'."]),
         ("fault add: joint1 --kind sensor-noise", ["sensor-noise needs sd"]),
-        ("fault add: joint1 --kind joint-stuck --from 5 --to 3", ["a fault from 5 s to 3 s would never act"]),
+        ("fault add: joint1 --kind joint-stuck --from 5 --to 3", ["a fault from 5 s to 3 s never acts"]),
         ("spawn: slidr", ["no shipped model 'slidr'"]),
         ("spawn: none/robot.urdf", ["none/robot.urdf: no such file"]),
         ("record: '-a -O ${tmp}/x.txt'", ["/x.txt is neither a .bag nor a .mcap file"]),

@@ -273,7 +273,7 @@ def test_whoever_waits_for_a_goal_is_told_when_its_robot_is_deleted(world: Comma
         _, err = process.communicate(timeout=60)
     assert process.returncode == 1
     assert err.startswith("error: /other/arm_controller/follow_joint_trajectory: preempted")
-    assert err.endswith(": nobody serves the action any more: its robot or its controller has gone\n")
+    assert err.endswith(": the action has no server any more: its robot or its controller was removed\n")
 
 
 @pytest.mark.parametrize(
@@ -338,7 +338,7 @@ def test_a_goal_is_lost_when_the_process_that_serves_its_action_ends(world: Comm
         goal_id = tool.send({})
     assert tool.wait(goal_id, timeout=30) == (
         9,
-        "nobody serves the action any more: its robot or its controller has gone",
+        "the action has no server any more: its robot or its controller was removed",
         {},
     )
 
@@ -396,9 +396,7 @@ def test_a_goal_in_a_paused_world_is_given_up_unless_the_world_goes_on(world: Co
         done = plan(world, "--to", "joint1=0.1", "--duration", "0.2", "--wait")
         assert done.returncode == 4
         assert "the simulation is paused; this waits 10 s for it to go on: slidectl sim resume" in done.stderr
-        assert (
-            "has not ended within 10 s\nthe simulation is paused; let it go on with: slidectl sim resume" in done.stderr
-        )
+        assert "has not ended within 10 s\nthe simulation is paused; resume it with: slidectl sim resume" in done.stderr
         waiting = world.start("trajectory", "plan", "arm_controller", "--to", "joint1=0", "--duration", "2", "--wait")
         assert waiting.stderr is not None
         assert "this waits 10 s" in waiting.stderr.readline()

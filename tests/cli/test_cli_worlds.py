@@ -55,7 +55,7 @@ def test_a_world_is_spawned_checked_and_deleted(ends: CommandLine, hall: Path) -
     records = [json.loads(line) for line in ends.ok("robots", "--json").splitlines()]
     assert [(one["name"], one["kind"]) for one in records] == [("crate", "model"), ("wall", "static")]
     assert "no controllers" in ends("controller", "list").stderr + ends("controller", "list").stdout
-    assert "there is already: 'crate', 'wall'" in ends("spawn", str(hall), "--keep-going").stderr
+    assert "already in the world: 'crate', 'wall'" in ends("spawn", str(hall), "--keep-going").stderr
     assert "a name goes with one model" in ends("spawn", str(hall), "--keep-going", "-n", "x").stderr
     ends.ok("delete", "crate", "wall")
     crate = str(hall.parent / "models")
@@ -113,6 +113,6 @@ def test_options_that_models_of_sdf_do_not_have_are_refused(ends: CommandLine, h
     ends.ok("daemon", "start", "--paused")
     crate = str(hall.parent / "models" / "crate" / "model.sdf")
     done = ends("spawn", crate, "--transmissions", "real")
-    assert (done.returncode, "models of SDF have no transmissions" in done.stderr) == (2, True)
+    assert (done.returncode, "SDF models have no transmissions" in done.stderr) == (2, True)
     with ends.client() as client, pytest.raises(UsageError, match="have no transmissions"):
         client.spawn(crate, transmissions="bogus")

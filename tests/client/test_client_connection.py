@@ -97,7 +97,7 @@ def test_a_daemon_that_does_not_read_times_out(runtime: Runtime) -> None:
 def test_a_full_backlog_is_waited_for_and_then_is_no_daemon(runtime: Runtime) -> None:
     with listen_without_answering(runtime) as listener:
         listener.listen(0)
-        with runtime.client(), pytest.raises(NoDaemon, match="takes no connection: it hangs") as caught:
+        with runtime.client(), pytest.raises(NoDaemon, match="accepts no connections: it hangs") as caught:
             runtime.client(timeout=0.05)
         assert "daemon start" not in str(caught.value)
         assert "daemon stop" in str(caught.value)

@@ -38,7 +38,7 @@ def test_a_spawn_with_a_controller_that_nothing_describes_changes_nothing(client
 def test_a_spawn_under_a_name_that_is_taken_changes_nothing(client: Client) -> None:
     client.spawn("slider")
     before = client.params.names()
-    with pytest.raises(Refused, match="a robot 'slider' is there already"):
+    with pytest.raises(Refused, match="a robot 'slider' already exists"):
         client.spawn("slider", controllers=CONTROLLERS)
     assert client.params.names() == before
     client.delete("slider")

@@ -41,7 +41,7 @@ def test_a_name_of_a_node_is_taken_once_and_free_when_its_connection_has_ended(c
     second.send(op="set_node", node="/gazebo")
     assert "there is a node /gazebo already" in second.receive()["msg"]
     second.send(op="set_node", node="/slidectl_1_1")
-    assert "a name that the daemon gives" in second.receive()["msg"]
+    assert "reserved for clients without a name" in second.receive()["msg"]
     second.send(op="set_node", node="no name")
     assert second.receive()["level"] == "error"
     watcher.send(op="advertise", topic="/mine", type="std_msgs/String")

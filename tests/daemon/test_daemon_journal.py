@@ -588,7 +588,7 @@ def test_a_file_that_is_there_is_not_written_over(runtime: Runtime, journal_file
     refused = command(runtime, "daemon", "start", "--journal", str(journal_file))
     assert (refused.returncode, journal_file.read_text("utf-8")) == (1, "precious")
     assert refused.stderr.splitlines() == [
-        f"error: there is a file {journal_file} already",
+        f"error: the file {journal_file} already exists",
         "give the journal another name, or remove that file",
     ]
     runtime.start()

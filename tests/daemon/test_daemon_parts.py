@@ -67,13 +67,13 @@ def test_a_file_system_without_locks_is_told_from_a_lock_that_is_held(
         raise OSError(errno.ENOLCK, "No locks available")
 
     monkeypatch.setattr("slidectl.processes.fcntl.lockf", refuse)
-    with pytest.raises(Refused, match=r"cannot take the lock .*: No locks available"):
+    with pytest.raises(Refused, match=r"cannot acquire the lock .*: No locks available"):
         place(folder).acquire()
 
 
 def test_a_lock_that_cannot_be_had_is_not_taken_for_one_that_is_held(folder: Path) -> None:
     (folder / "lock").mkdir()
-    with pytest.raises(Refused, match=f"cannot make the lock {folder / 'lock'}: "):
+    with pytest.raises(Refused, match=f"cannot create the lock {folder / 'lock'}: "):
         place(folder).acquire()
 
 

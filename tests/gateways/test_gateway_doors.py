@@ -18,7 +18,7 @@ from other_user import as_nobody, needs_root
 from rosbridge_client import RosbridgeClient
 from running_gateway import running_gateway
 
-from slidectl import local_peers
+from slidectl import web_access
 from slidectl.errors import SlidectlError
 
 CONTROLLER = """
@@ -89,7 +89,7 @@ def test_another_user_of_the_machine_is_refused_without_a_token(world: Runtime, 
         assert status_of(address)[0] == 101
         status, text = as_nobody(lambda: status_of(address))
         assert status == 403
-        assert "the connection comes from the user 65534" in text
+        assert "the connection comes from user 65534" in text
         assert "--token" in text
 
 
@@ -141,9 +141,9 @@ def test_the_user_of_a_connection_is_told_by_the_kernel() -> None:
                 as_nobody(connect)
             with socket.create_connection((host, port)) as own:
                 found = [listener.accept() for _ in range(3)]
-                told = [local_peers.stranger(peer[:2], here.getsockname()[:2]) for here, peer in found]
+                told = [web_access.stranger(peer[:2], here.getsockname()[:2]) for here, peer in found]
                 # nobody's connections are closed by now: the kernel has no process for them, and shows root
-                assert ["cannot be told" in text for text in told] == [True, True, False]
+                assert ["cannot be determined" in text for text in told] == [True, True, False]
                 assert own.fileno() > 0
             for here, _ in found:
                 here.close()

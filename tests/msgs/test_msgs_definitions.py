@@ -172,7 +172,7 @@ def test_comments_blank_lines_and_a_hash_in_a_text_constant_are_read_as_genmsg_r
 
 @pytest.mark.parametrize("text", ["float64", "float64 a b", "float64[x] a", "float64 1a"])
 def test_a_line_that_is_no_field_is_refused(text: str) -> None:
-    with pytest.raises(ValueError, match="not a field nor a constant"):
+    with pytest.raises(ValueError, match="neither a field nor a constant"):
         parse_message(text, "some_pkg/Thing")
 
 

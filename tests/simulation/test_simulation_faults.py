@@ -599,7 +599,7 @@ def test_a_controller_cannot_add_a_fault_in_the_middle_of_a_cycle() -> None:
         (("box1", "payload"), {"mass": 1e300}, UsageError, "is 1e-09 to 1e+09, not 1e+300"),
         (("joint1", "joint-stuck"), {"name": "a/b"}, UsageError, "'a/b' is not a name for a fault"),
         (("joint1", "joint-stuck", 0.05), {}, Refused, "it is 0.1 s already: a fault cannot begin at 0.05 s"),
-        (("joint1", "joint-stuck", 0.5, 0.4), {}, Refused, "from 0.5 s to 0.4 s would never act"),
+        (("joint1", "joint-stuck", 0.5, 0.4), {}, Refused, "from 0.5 s to 0.4 s never acts"),
         (("joint1", "joint-stuck", 0.5, math.nan), {}, UsageError, "nan s is not a valid duration"),
         (("joint1", "joint-stuck"), {"name": "taken"}, Refused, "there is a fault 'taken' already"),
         (("joint2", "joint-friction", 0.5), {"friction": 1.0}, Refused, "joint-stuck 'taken' is on /cart/joint2"),

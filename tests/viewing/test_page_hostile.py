@@ -370,4 +370,4 @@ def test_another_user_of_the_machine_does_not_get_the_page(page: str, other: Pag
 
     assert status()[0] == 200
     code, text = as_nobody(status)
-    assert (code, "the connection comes from the user 65534" in text) == (403, True)
+    assert (code, "the connection comes from user 65534" in text) == (403, True)

@@ -140,7 +140,7 @@ def test_what_is_too_long_for_a_line_is_not_sent_and_not_awaited() -> None:
 @pytest.mark.parametrize(
     ("line", "known", "text"),
     [
-        (b"[1]", {}, "no JSON object but list"),
+        (b"[1]", {}, "not a JSON object but list"),
         (b'{"op": "jump", "id": "a"}', {"op": "jump", "id": "a"}, "unknown op 'jump'"),
         (b'{"id": "a"}', {"id": "a"}, "a message without an op"),
         (b'{"op": "publish", "id": "' + b"i" * 1001 + b'"}', {"op": "publish"}, "an id of more than 1000"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from contextlib import suppress
 
-from slidectl import local_peers
+from slidectl import web_access
 
 MOST = 10
 """Connections of other users that wait for their refusal at a time; more are cut without a word."""
@@ -23,11 +23,11 @@ class Strangers:
         self.refused = 0
 
     def seen(self, connection: object, transport: asyncio.BaseTransport) -> str:
-        """Why a new connection is one of another user, as `local_peers.stranger`; empty when it is not."""
+        """Why a new connection is one of another user, as `web_access.stranger`; empty when it is not."""
         if self._lets_all_in:
             return ""
         peer, here = transport.get_extra_info("peername"), transport.get_extra_info("sockname")
-        why = local_peers.stranger(peer[:2], here[:2]) if peer and here else "the connection has ended"
+        why = web_access.stranger(peer[:2], here[:2]) if peer and here else "the connection has ended"
         if why:
             self.refused += 1
             self._open.add(connection)

@@ -338,7 +338,7 @@ def _split(match: re.Match[str], text: str) -> tuple[str, list[str]]:
 
 def _one(command: str, words: list[str]) -> str:
     if len(words) != 1:
-        meant = f"$({command} NAME), and names have no blanks: did you mean $({command} {'_'.join(words)})?"
+        meant = f"$({command} NAME), and names have no spaces: did you mean $({command} {'_'.join(words)})?"
         text = f"$({command}) takes exactly one name, not {len(words)}"
         raise SubstitutionError(text, meant if words else f"$({command} NAME)")
     return words[0]

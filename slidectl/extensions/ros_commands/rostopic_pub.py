@@ -263,5 +263,5 @@ def _slip(values: Sequence[Any]) -> str:
         if isinstance(text, str) and re.fullmatch(r"[-+]?\d+,\d+", text):
             return f"\nnumbers have a point, not a comma: {text.replace(',', '.')}"
         if isinstance(value, str) and (match := re.fullmatch(r"([A-Za-z]\w*):(\S.*)", value)):
-            return f"\na blank follows the colon: '{match[1]}: {match[2]}'"
+            return f"\nwrite a space after the colon: '{match[1]}: {match[2]}'"
     return ""

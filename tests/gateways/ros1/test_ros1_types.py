@@ -78,7 +78,7 @@ def nesting(depth: int) -> str:
     ("definition", "reason"),
     [
         ("a/Other other\n", "the definition of a/T lacks that of a/Other"),
-        ("float64 x\nnonsense", "the definition of a/T cannot be read: not a field nor a constant: 'nonsense'"),
+        ("float64 x\nnonsense", "the definition of a/T cannot be read: neither a field nor a constant: 'nonsense'"),
         ("a/T again\n", "the definition of a/T cannot be read"),
         (nesting(30), "a/T is too large"),
     ],

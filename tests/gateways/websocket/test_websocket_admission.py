@@ -139,7 +139,7 @@ def test_a_reader_changes_nothing(world: Runtime) -> None:
         )
         assert not browser.op("service_response", id=" ")["result"]
         browser.socket.send('{"op":"publish","topic":"/x","type":"std_msgs/Empty"')
-        assert "no JSON" in browser.op("status", level="error")["msg"]
+        assert "not JSON" in browser.op("status", level="error")["msg"]
         assert not browser.call("/rosapi/has_param", name="/set")["values"]["exists"]
         topics = browser.call("/rosapi/topics")["values"]["topics"]
         assert "/x" not in topics

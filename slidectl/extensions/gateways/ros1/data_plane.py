@@ -441,7 +441,7 @@ class DataPlane:
     async def _offer(self, daemon: DaemonConnection, service: str, kind: str) -> None:
         async def handle(request: Message) -> Message:
             if service not in self._offers:
-                raise Refused(f"{service} is provided no longer")
+                raise Refused(f"{service} is no longer provided")
             return await call_service(service, self._offers[service][1], kind, request, self._node)
 
         await daemon.advertise_service(service, kind, handle)

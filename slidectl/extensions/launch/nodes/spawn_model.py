@@ -33,7 +33,7 @@ def _joined(words: Sequence[str], surplus: Sequence[str]) -> str | None:
     at = words.index(surplus[0]) if surplus[0] in words else 0
     if at < 2 or not words[at - 2].startswith("-"):
         return None
-    return f"names have no blanks: did you mean {words[at - 2]} {'_'.join([words[at - 1], *surplus])}?"
+    return f"names have no spaces: did you mean {words[at - 2]} {'_'.join([words[at - 1], *surplus])}?"
 
 
 class SpawnModel(Task):

@@ -291,4 +291,4 @@ def _follow(
         elif sleep:
             client.answer(sleep)
     if dropped := sum(subscription.dropped for subscription in every):
-        ctx.warn(f"{dropped} messages were lost: they came faster than they were read")
+        ctx.warn(f"{dropped} messages were lost: the reader is too slow")

@@ -28,11 +28,10 @@ from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
-from slidectl import local_peers
 from slidectl.errors import Refused, UnknownName
 from slidectl.extensions.gateways.bounded_websocket import BoundedConnection, ConnectionBounds, answering_bad_requests
 from slidectl.operating_system import return_large_blocks
-from slidectl.web_access import LOOPBACK, host_of, is_secret
+from slidectl.web_access import LOOPBACK, host_of, is_secret, stranger
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -104,7 +103,7 @@ class AccessGuard:
         """The refusal of a connection of another user of this machine, who has no token to show; None for others."""
         if self._token or self._any_user:
             return None
-        why = local_peers.stranger(connection.remote_address[:2], connection.local_address[:2])
+        why = stranger(connection.remote_address[:2], connection.local_address[:2])
         return _refused(f"{why}; see --token and --any-user") if why else None
 
     def answer(self, request: Request) -> Response | None:

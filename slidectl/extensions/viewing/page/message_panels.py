@@ -18,7 +18,7 @@ from slidectl.client import Client
 from slidectl.errors import NoDaemon, Refused, SlidectlError, UsageError, cut
 from slidectl.extensions.viewing.page.page import SCROLLED, Page, Panel, WorldState, offer
 from slidectl.msgs.fill import Time, field_paths, fill
-from slidectl.msgs.message_expressions import Numbers
+from slidectl.msgs.message_expressions import number_converter
 from slidectl.msgs.message_text import YamlForm
 from slidectl.msgs.schema import FLOATS, SCALAR, Field, Schema, from_typedefs, nanoseconds
 from slidectl.typed_values import read
@@ -86,8 +86,10 @@ class MessageForm:
                 inside[name] = text if is_text else read(str(text))
             except UsageError as error:
                 raise UsageError(f"{path}: {error.message}", error.hint) from None
-        schema, numbers = self._schema, Numbers(expressions=True, most_steps=_MOST_STEPS)
-        return lambda i, t, now: fill(schema.fields, schema.root, [values], now, numbers.at(i, t))
+        schema = self._schema
+        return lambda i, t, now: fill(
+            schema.fields, schema.root, [values], now, number_converter(i, t, most_steps=_MOST_STEPS)
+        )
 
 
 def _field(schema: Schema, path: str) -> Field:

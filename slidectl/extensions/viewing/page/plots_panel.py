@@ -267,7 +267,7 @@ class _LivePlot:
         if not self._troubles and not any(one.curves for every in self._followed.values() for one in every):
             lines.append("no message has come yet" + (": the simulation is paused" if is_paused else ""))
         if dropped := sum(subscription.dropped for subscription in self._subscriptions):
-            lines.append(f"{dropped} messages were lost: they came faster than they were read")
+            lines.append(f"{dropped} messages were lost: the reader is too slow")
         text = "<br>".join(escape(line, quote=False) for line in lines)
         return f'<div style="overflow-wrap: anywhere; font-size: 0.85em">{text}</div>'
 
