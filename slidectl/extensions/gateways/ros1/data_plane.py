@@ -152,7 +152,7 @@ class DataPlane:
         for connection in list(self._connections):
             connection.close()
 
-    # --- what is told -------------------------------------------------------------------------------------------
+    # --- setting ------------------------------------------------------------------------------------------------
 
     def set_graph(self, state: Message) -> None:
         """Set the newest answer of /slidectl/graph, without this process and foreign nodes."""
@@ -185,7 +185,7 @@ class DataPlane:
             self._service_types[service, uri] = ""
             self._tasks.begin(self._find_type(service, uri))
 
-    def node_gone(self, node: str) -> None:
+    def remove_node(self, node: str) -> None:
         """Remove a foreign node that has unregistered or ended."""
         for topic, (kind, publishers, subscribers) in list(self._foreign_topics.items()):
             if node in publishers or node in subscribers:
@@ -193,7 +193,7 @@ class DataPlane:
                 self.set_foreign_topic(topic, kind, others, subscribers - {node})
         self.set_foreign_services({s: offer for s, offer in self._offers.items() if offer[0] != node})
 
-    # --- what is asked ------------------------------------------------------------------------------------------
+    # --- querying -----------------------------------------------------------------------------------------------
 
     def serves(self, topic: str) -> bool:
         """True for topics that foreign nodes may subscribe here: they have native publishers or foreign subscribers."""
@@ -239,7 +239,7 @@ class DataPlane:
         """Serve a subscriber or a client of a service, until it disconnects."""
         connection = TcprosConnection(reader, writer)
         try:
-            why = self.strangers.seen(connection, writer.transport)
+            why = self.strangers.check(connection, writer.transport)
             if why or not self._has_room():
                 why = why or f"too many connections: {self._most_connections} are open"
                 writer.write(encode_header({"error": why}))
@@ -261,7 +261,7 @@ class DataPlane:
         except (EOFError, OSError, asyncio.CancelledError):
             pass  # it has disconnected (`on_end`), or is slow
         finally:
-            self.strangers.gone(connection)
+            self.strangers.remove(connection)
             self._connections.pop(connection, None)
             connection.close()
 
@@ -344,16 +344,15 @@ class DataPlane:
                 node.connection.close()
                 return
         daemon = node.connection
-        for topic in [topic for topic, kind in node.published.items() if published.get(topic) != kind]:
-            daemon.unadvertise(topic)
-            node.latched.pop(topic, None)
-            del node.published[topic]
-        for topic in [topic for topic, kind in node.subscribed.items() if subscribed.get(topic) != kind]:
-            daemon.unsubscribe(topic)
-            del node.subscribed[topic]
-        for service in [service for service, kind in node.services.items() if services.get(service) != kind]:
-            daemon.unadvertise_service(service)
-            del node.services[service]
+        for present, wanted, end in (
+            (node.published, published, daemon.unadvertise),
+            (node.subscribed, subscribed, daemon.unsubscribe),
+            (node.services, services, daemon.unadvertise_service),
+        ):
+            for key in [key for key, kind in present.items() if wanted.get(key) != kind]:
+                end(key)
+                del present[key]
+        node.latched = {topic: key for topic, key in node.latched.items() if topic in node.published}
         for topic, kind in published.items():
             if topic not in node.published:
                 daemon.advertise(topic, kind)
@@ -361,12 +360,12 @@ class DataPlane:
                 self._update_followers(topic)
         for topic, kind in subscribed.items():
             if topic not in node.subscribed:
-                with self._told(name):
+                with self._warning_of_refusals(name):
                     await daemon.subscribe(topic, kind, throttle_rate=_LISTED_ONLY_MS, take=lambda _: None)
                     node.subscribed[topic] = kind
         for service, kind in services.items():
             if service not in node.services:
-                with self._told(name):
+                with self._warning_of_refusals(name):
                     await self._offer(daemon, service, kind)
                     node.services[service] = kind
         if not (node.published or node.subscribed or node.services):
@@ -374,7 +373,7 @@ class DataPlane:
             self._foreign.pop(name, None)
 
     @contextmanager
-    def _told(self, name: str) -> Iterator[None]:
+    def _warning_of_refusals(self, name: str) -> Iterator[None]:
         """Log a refusal of the daemon as a warning and continue."""
         try:
             yield
@@ -441,7 +440,7 @@ class DataPlane:
     async def _offer(self, daemon: DaemonConnection, service: str, kind: str) -> None:
         async def handle(request: Message) -> Message:
             if service not in self._offers:
-                raise Refused(f"{service} is provided no longer")
+                raise Refused(f"{service} is no longer provided")
             return await call_service(service, self._offers[service][1], kind, request, self._node)
 
         await daemon.advertise_service(service, kind, handle)

@@ -23,7 +23,7 @@ class NativeGraph:
         self.service_uri = ""
         """The rosrpc address of all services."""
 
-    def take(self, state: dict[str, Any], is_hidden: Callable[[str], bool]) -> dict[str, Any]:
+    def update(self, state: dict[str, Any], is_hidden: Callable[[str], bool]) -> dict[str, Any]:
         """Store this state without the hidden nodes. Returns the remaining state."""
         topics = []
         for topic in state["topics"]:

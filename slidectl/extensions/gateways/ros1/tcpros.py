@@ -128,7 +128,7 @@ class TcprosConnection:
         async with asyncio.timeout(HANDSHAKE_LIMIT_S):
             (length,) = _U32.unpack(await self.reader.readexactly(4))
             if length > LONGEST_HEADER:
-                raise BadHeader(f"a header of {length} bytes, and {LONGEST_HEADER} is the most")
+                raise BadHeader(f"a header of {length} bytes; the maximum is {LONGEST_HEADER}")
             fields = decode_header(await self.reader.readexactly(length))
         self.has_header = True
         self.reader.handled()
@@ -139,7 +139,7 @@ class TcprosConnection:
         (length,) = _U32.unpack(await self.reader.readexactly(4))
         if length > LONGEST_MESSAGE:
             await self.reader.discard(length)
-            raise TooLong(f"a message of {length} bytes, and {LONGEST_MESSAGE} is the most")
+            raise TooLong(f"a message of {length} bytes; the maximum is {LONGEST_MESSAGE}")
         body = await self.reader.readexactly(length)
         self.received += 1
         return body
