@@ -1,7 +1,7 @@
 """The WebSocket listener of a gateway: it decides who may connect, and from where.
 
 It checks tokens, origins, host names, TLS and the number of connections. It knows no protocol on top of WebSocket.
-What connections may hold is bounded by slidectl/bounded_websocket.py.
+What connections may hold is bounded by bounded_websocket.py.
 """
 
 from __future__ import annotations
@@ -164,8 +164,6 @@ class WebSocketListener:
         self._origins = {*map(_checked_origin, options.origins), *known_origins}
         self._server: Server | None = None
         self.bounds = ConnectionBounds(_MOST_HELD, options.max_connections + _MORE_HANDSHAKES, self._tls)
-        self.connections = 0
-        """The present number of connections."""
         self.refused = 0
 
     def is_local(self) -> bool:
@@ -200,11 +198,7 @@ class WebSocketListener:
         strangers = Strangers(lets_all_in=bool(self._token) or options.any_user)
         made = partial(ListenerConnection, bounds=self.bounds, strangers=strangers)
 
-        async def count(connection: ServerConnection) -> None:
-            if self.connections >= options.max_connections:  # several connected at the same time
-                await connection.close(1013, "too many are connected")
-                return
-            self.connections += 1
+        async def handle(connection: ServerConnection) -> None:
             try:
                 await handler(cast(ListenerConnection, connection))
             except ConnectionClosed:
@@ -212,12 +206,10 @@ class WebSocketListener:
             except Exception:  # an internal error ends one connection
                 traceback.print_exc(file=sys.stderr)
                 await connection.close(1011, "internal error; the log of the gateway has more")
-            finally:
-                self.connections -= 1
 
         try:
             self._server = await serve(
-                count,
+                handle,
                 cast(str, addresses if options.port else addresses[:1]),  # asyncio's server accepts a list
                 options.port,
                 process_request=answering_bad_requests(self._judge),
@@ -272,8 +264,8 @@ class WebSocketListener:
                 return http.HTTPStatus.UNAUTHORIZED, f"a token is needed: {where}"
             if not is_secret(given, self._token):
                 return http.HTTPStatus.UNAUTHORIZED, "the token is wrong"
-        if self.connections >= self._options.max_connections:
-            most = self._options.max_connections
+        most = self._options.max_connections
+        if self.bounds.open >= most:
             return http.HTTPStatus.SERVICE_UNAVAILABLE, f"{most} clients are connected, which is the maximum"
         return http.HTTPStatus.OK, ""
 

@@ -18,9 +18,8 @@ from slidectl.errors import Refused, SlidectlError, cut
 from slidectl.extensions.gateways.gateway import Tasks
 from slidectl.extensions.gateways.ros1 import xmlrpc
 from slidectl.extensions.gateways.ros1.api_calls import ANY_TYPE
-from slidectl.extensions.gateways.ros1.data_plane import DataPlane
+from slidectl.extensions.gateways.ros1.data_plane import OWN_NODE, DataPlane, NativeGraph
 from slidectl.extensions.gateways.ros1.master import MOST_NODES
-from slidectl.extensions.gateways.ros1.native_graph import OWN_NODE, NativeGraph
 from slidectl.extensions.gateways.ros1.parameter_server import DaemonParameters
 
 _log = logging.getLogger(__name__)

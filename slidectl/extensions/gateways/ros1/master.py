@@ -16,8 +16,7 @@ from slidectl.errors import Refused, SlidectlError, cut
 from slidectl.extensions.gateways.gateway import Tasks
 from slidectl.extensions.gateways.ros1 import api_calls, xmlrpc
 from slidectl.extensions.gateways.ros1.api_calls import ANY_TYPE, Answered, Api
-from slidectl.extensions.gateways.ros1.data_plane import DataPlane
-from slidectl.extensions.gateways.ros1.native_graph import OWN_NODE, NativeGraph
+from slidectl.extensions.gateways.ros1.data_plane import OWN_NODE, DataPlane, NativeGraph
 
 _log = logging.getLogger(__name__)
 

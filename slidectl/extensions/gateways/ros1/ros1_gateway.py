@@ -17,10 +17,9 @@ from slidectl.extensions.gateways.daemon_connection import GRAPH_CHANGES, PARAME
 from slidectl.extensions.gateways.gateway import Gateway, GatewayOptions, is_offered
 from slidectl.extensions.gateways.ros1 import xmlrpc
 from slidectl.extensions.gateways.ros1.api_calls import Answered, Api
-from slidectl.extensions.gateways.ros1.data_plane import DataPlane
+from slidectl.extensions.gateways.ros1.data_plane import OWN_NODE, DataPlane, NativeGraph
 from slidectl.extensions.gateways.ros1.joined_master import JoinedMaster
 from slidectl.extensions.gateways.ros1.master import Master, NodeCalls
-from slidectl.extensions.gateways.ros1.native_graph import OWN_NODE, NativeGraph
 from slidectl.extensions.gateways.ros1.parameter_server import DaemonParameters, ParameterServer
 from slidectl.extensions.gateways.ros1.slave import Slave
 from slidectl.paths import InstancePaths
