@@ -19,8 +19,8 @@ from slidectl.extensions.gateways.ros1.ros1_types import Ros1Type, ros1_type
 from slidectl.extensions.gateways.ros1.tcpros import (
     ANY_MD5,
     Fields,
+    MessageTooLong,
     TcprosConnection,
-    TooLong,
     check_has,
     connect,
     frame,
@@ -321,7 +321,7 @@ class Follower:
             while True:
                 try:
                     message = kind.unpack(body := await connection.read_message())
-                except (BadMessage, TooLong) as error:
+                except (BadMessage, MessageTooLong) as error:
                     self._warn(str(error))
                     continue
                 daemon = self._publish(message, header.get("latching") == "1")
