@@ -16,7 +16,14 @@ from slidectl import msgs
 from slidectl.errors import BadMessage, SlidectlError
 from slidectl.extensions.gateways.ros1.counted_streams import connect
 from slidectl.extensions.gateways.ros1.ros1_types import ros1_type
-from slidectl.extensions.gateways.ros1.tcpros import HELD, BadHeader, TcprosConnection, TooLong, encode_header, frame
+from slidectl.extensions.gateways.ros1.tcpros import (
+    HELD,
+    BadHeader,
+    MessageTooLong,
+    TcprosConnection,
+    encode_header,
+    frame,
+)
 from slidectl.wire.json_lines import LONGEST_LINE, encode
 
 STREAMS = 100
@@ -87,7 +94,7 @@ class TcprosStreams:
                     connection.reader.handled()
         except TimeoutError:
             raise Fault("a stream that has ended is waited for") from None
-        except (BadHeader, TooLong, EOFError, OSError):
+        except (BadHeader, MessageTooLong, EOFError, OSError):
             pass
         finally:
             connection.close()

@@ -12,8 +12,8 @@ from fuzz_target import Fault, Target
 
 from slidectl.extensions.gateways.ros1 import xmlrpc
 from slidectl.extensions.gateways.ros1.api_calls import Api
+from slidectl.extensions.gateways.ros1.data_plane import NativeGraph
 from slidectl.extensions.gateways.ros1.master import Master
-from slidectl.extensions.gateways.ros1.native_graph import NativeGraph
 
 DOCUMENTS = 100
 """Of one case."""

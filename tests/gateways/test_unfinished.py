@@ -349,7 +349,7 @@ def test_a_thousand_clients_are_refused_plainly_and_leave_nothing(gateway: Gatew
         assert sum(b" 101 " in answer for answer in answers) == 199
         refused = [answer for answer in answers if b" 101 " not in answer]
         assert all(answer.startswith(b"HTTP/1.1 503") for answer in refused)
-        assert all(b"200 are connected, and no more may be" in answer for answer in refused)
+        assert all(b"200 clients are connected, which is the maximum" in answer for answer in refused)
         assert gateway.works()
     eventually(lambda: gateway.connections() == 1)
     eventually(lambda: descriptors(gateway.pid) <= had + 1)

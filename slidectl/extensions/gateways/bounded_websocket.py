@@ -197,7 +197,7 @@ class BoundedConnection(ServerConnection):
 
     def send_data(self) -> None:
         if self.request is None and self.protocol.handshake_exc is not None and self._head:
-            self._answer_bad_request("the request is no HTTP/1.1, or not one that a browser sends")
+            self._answer_bad_request("the request is not HTTP/1.1, or not one that browsers send")
         super().send_data()
 
     # --- reading ------------------------------------------------------------------------------------------------

@@ -15,7 +15,7 @@ from slidectl.errors import NoDaemon
 from slidectl.extensions.gateways.daemon_connection import DaemonConnection
 from slidectl.paths import InstancePaths
 
-_LOOK_EVERY_S = 0.1
+_RETRY_EVERY_S = 0.1
 """Wall seconds between two attempts to connect to the daemon."""
 
 
@@ -63,7 +63,7 @@ class Gateway:
         """Listen, and return the address to show.
 
         Raises:
-            Refused: the port is taken, or the host is no address of this machine.
+            Refused: the port is taken, or the host is not an address of this machine.
         """
         raise NotImplementedError
 
@@ -119,7 +119,7 @@ async def serve(gateway: Gateway, paths: InstancePaths, opened: Callable[[str], 
                 except Exception:  # possibly because the daemon ends; try again
                     traceback.print_exc()
                 with suppress(TimeoutError):
-                    await asyncio.wait_for(ended.wait(), _LOOK_EVERY_S)
+                    await asyncio.wait_for(ended.wait(), _RETRY_EVERY_S)
         connection.close()
     finally:
         await gateway.close()

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 START_LIMIT_S = 30.0
 STOP_LIMIT_S = 10.0
-_LOOK_EVERY_S = 0.02
+_POLL_EVERY_S = 0.02
 
 
 class RunningGateway(NamedTuple):
@@ -90,7 +90,7 @@ def start(
             process.stdin.write(text.encode())
         try:
             if not select.select([ready], [], [], timeout_s)[0]:
-                raise TimedOut(f"the {kind} gateway (process {process.pid}) does not get ready within {timeout_s:g} s")
+                raise TimedOut(f"the {kind} gateway (process {process.pid}) is not ready within {timeout_s:g} s")
             answer = json.loads(ready.readline() or "{}")
         except BaseException:
             process.terminate()
@@ -117,8 +117,8 @@ def stop(paths: InstancePaths, kind: str, timeout_s: float = STOP_LIMIT_S) -> Ru
     deadline = time.monotonic() + timeout_s
     while find(paths, kind) is not None:
         if time.monotonic() > deadline:
-            raise TimedOut(f"the {kind} gateway is still there after {timeout_s:g} s", f"kill -KILL {found.pid}")
-        time.sleep(_LOOK_EVERY_S)
+            raise TimedOut(f"the {kind} gateway still runs after {timeout_s:g} s", f"kill -KILL {found.pid}")
+        time.sleep(_POLL_EVERY_S)
     with suppress(ChildProcessError):  # a long-lived process that started it is still its parent
         os.waitpid(found.pid, os.WNOHANG)
     return found

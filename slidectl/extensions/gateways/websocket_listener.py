@@ -1,7 +1,7 @@
 """The WebSocket listener of a gateway: it decides who may connect, and from where.
 
 It checks tokens, origins, host names, TLS and the number of connections. It knows no protocol on top of WebSocket.
-What connections may hold is bounded by slidectl/bounded_websocket.py.
+What connections may hold is bounded by bounded_websocket.py.
 """
 
 from __future__ import annotations
@@ -103,12 +103,12 @@ class ListenerConnection(BoundedConnection):
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         super().connection_made(transport)
-        self.stranger = self._strangers.seen(self, transport)
+        self.stranger = self._strangers.check(self, transport)
         if self.stranger and self._strangers.are_many:
             cast(asyncio.Transport, transport).abort()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        self._strangers.gone(self)
+        self._strangers.remove(self)
         super().connection_lost(exc)
         self._may_write.set()
         if self.daemon is not None:  # the handler may be waiting in `drain`
@@ -164,8 +164,6 @@ class WebSocketListener:
         self._origins = {*map(_checked_origin, options.origins), *known_origins}
         self._server: Server | None = None
         self.bounds = ConnectionBounds(_MOST_HELD, options.max_connections + _MORE_HANDSHAKES, self._tls)
-        self.connections = 0
-        """The present number of connections."""
         self.refused = 0
 
     def is_local(self) -> bool:
@@ -187,7 +185,7 @@ class WebSocketListener:
         """Listen, and return the address to show. `more` goes to the library's server.
 
         Raises:
-            Refused: the port is taken, or the host is no address of this machine. UsageError: as `is_local`.
+            Refused: the port is taken, or the host is not an address of this machine. UsageError: as `is_local`.
         """
         options = self._options
         self.is_local()
@@ -200,11 +198,7 @@ class WebSocketListener:
         strangers = Strangers(lets_all_in=bool(self._token) or options.any_user)
         made = partial(ListenerConnection, bounds=self.bounds, strangers=strangers)
 
-        async def count(connection: ServerConnection) -> None:
-            if self.connections >= options.max_connections:  # several connected at the same time
-                await connection.close(1013, "too many are connected")
-                return
-            self.connections += 1
+        async def handle(connection: ServerConnection) -> None:
             try:
                 await handler(cast(ListenerConnection, connection))
             except ConnectionClosed:
@@ -212,12 +206,10 @@ class WebSocketListener:
             except Exception:  # an internal error ends one connection
                 traceback.print_exc(file=sys.stderr)
                 await connection.close(1011, "internal error; the log of the gateway has more")
-            finally:
-                self.connections -= 1
 
         try:
             self._server = await serve(
-                count,
+                handle,
                 cast(str, addresses if options.port else addresses[:1]),  # asyncio's server accepts a list
                 options.port,
                 process_request=answering_bad_requests(self._judge),
@@ -261,7 +253,7 @@ class WebSocketListener:
         headers = request.headers
         for name in headers.get_all("Host"):
             if not self._token and host_of(name) not in (*LOOPBACK, self._options.host):
-                return http.HTTPStatus.FORBIDDEN, f"this gateway does not go by the name {name!r}"
+                return http.HTTPStatus.FORBIDDEN, f"{name!r} is not a name of this gateway"
         for origin in headers.get_all("Origin"):
             if not self._is_allowed_origin(origin):
                 return http.HTTPStatus.FORBIDDEN, f"pages of {origin} may not use this gateway; see --origin"
@@ -272,9 +264,9 @@ class WebSocketListener:
                 return http.HTTPStatus.UNAUTHORIZED, f"a token is needed: {where}"
             if not is_secret(given, self._token):
                 return http.HTTPStatus.UNAUTHORIZED, "the token is wrong"
-        if self.connections >= self._options.max_connections:
-            most = self._options.max_connections
-            return http.HTTPStatus.SERVICE_UNAVAILABLE, f"{most} are connected, and no more may be"
+        most = self._options.max_connections
+        if self.bounds.open >= most:
+            return http.HTTPStatus.SERVICE_UNAVAILABLE, f"{most} clients are connected, which is the maximum"
         return http.HTTPStatus.OK, ""
 
     def _is_allowed_origin(self, origin: str) -> bool:
@@ -285,7 +277,7 @@ class WebSocketListener:
 def _token(options: ListenerOptions) -> str:
     """The token of the options. Raises UsageError, BadFile."""
     if options.token and options.token_file:
-        raise UsageError("--token and --token-file are two ways to say one thing", "give one of them")
+        raise UsageError("--token and --token-file exclude each other", "give one of them")
     token = options.token
     if options.token_file:
         try:
@@ -316,7 +308,7 @@ def _checked_origin(origin: str) -> str:
         is_site = False
     if not is_site:
         raise UsageError(
-            f"{origin!r} is no origin", "origins: https://site, http://site:8000, null for files, * for all"
+            f"{origin!r} is not an origin", "origins: https://site, http://site:8000, null for files, * for all"
         )
     return given
 
@@ -329,7 +321,7 @@ def _addresses(host: str) -> list[str]:
             probe.bind((address[0], 0))
             found[str(address[0])] = None
     if not found:
-        raise Refused(f"{host} is no address of this machine", "addresses: localhost, 0.0.0.0")
+        raise Refused(f"{host} is not an address of this machine", "addresses: localhost, 0.0.0.0")
     return list(found)
 
 
@@ -338,7 +330,7 @@ def _not_bound(options: ListenerOptions, error: OSError) -> SlidectlError:
     if error.errno == errno.EADDRINUSE:
         return Refused(f"{where} is taken", "choose another port")
     if error.errno == errno.EACCES:
-        return Refused(f"{where} is for root alone", "choose a port from 1024 on")
+        return Refused(f"{where} is for root only", "choose a port from 1024 on")
     return Refused(f"cannot listen on {where}: {error.strerror}")
 
 
@@ -387,4 +379,4 @@ def _check_dates(context: ssl.SSLContext, cert: str) -> None:
             continue
         except ssl.SSLCertVerificationError as error:
             hint = f"look at it: openssl x509 -noout -dates -in {cert}"
-            raise BadFile(f"no browser will take {cert}: {error.verify_message}", hint) from None
+            raise BadFile(f"browsers reject {cert}: {error.verify_message}", hint) from None

@@ -362,7 +362,7 @@ def test_yaml_is_loaded_dumped_and_deleted_as_trees(compare: Compare) -> None:
 def test_bytes_are_refused_as_a_parameter_with_the_reason(sides: list[Ros]) -> None:
     done = sides[0].run("rosparam set /bytes '!!binary \"AAEC/w==\"'")
     assert done.returncode == 1
-    assert "parameter /bytes: binary data is no value" in done.stderr
+    assert "parameter /bytes: binary data is not a value" in done.stderr
 
 
 # Nodes of others

@@ -247,13 +247,13 @@ def test_what_stops_the_start_is_said(world: Runtime, tmp_path: Path) -> None:
             assert f"port {port} of localhost is taken" in refusal(other, port=port)
             for options, text in (
                 ({"host": "no.such.host.invalid"}, "no host"),
-                ({"host": "192.0.2.1", "token": TOKEN}, "no address of this machine"),
+                ({"host": "192.0.2.1", "token": TOKEN}, "not an address of this machine"),
                 ({"host": "0.0.0.0"}, "--token"),
                 ({"token": "short"}, "8 or more"),
-                ({"token": TOKEN, "token_file": "x"}, "two ways"),
+                ({"token": TOKEN, "token_file": "x"}, "exclude each other"),
                 ({"token_file": str(tmp_path)}, "cannot be read"),
-                ({"origins": ["lab.example"]}, "no origin"),
-                ({"origins": ["https://lab.example/page"]}, "no origin"),
+                ({"origins": ["lab.example"]}, "not an origin"),
+                ({"origins": ["https://lab.example/page"]}, "not an origin"),
             ):
                 assert text in refusal(other, **options), options
             with running_gateway(other, "websocket", host="0.0.0.0", token=TOKEN) as wide:

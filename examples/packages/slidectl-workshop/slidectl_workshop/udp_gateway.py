@@ -15,7 +15,7 @@ class UdpGateway(Gateway):
 
     @dataclass(frozen=True)
     class Options(GatewayOptions):
-        port: int = field(default=9870, metadata={"help": "The port; 0 takes any."})
+        port: int = field(default=9870, metadata={"help": "Port; 0: a free one."})
         topic: str = field(default="/udp", metadata={"help": "Where the numbers are published."})
 
     def __init__(self, options):

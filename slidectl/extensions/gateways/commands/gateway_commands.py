@@ -45,7 +45,7 @@ class _GatewayGroup(Group):
     examples=["slidectl gateway ros1 start", "slidectl gateway websocket run --port 9090", "slidectl gateway status"],
 )
 def gateway() -> None:
-    """Let ROS 1 nodes, rosbridge clients and Foxglove in.
+    """Connect ROS 1 nodes, rosbridge clients and Foxglove.
 
     A gateway is a process of its own, and a client of the daemon. It waits for the daemon when that ends, and 'slidectl
     daemon stop' ends both. All listen on this machine alone unless --host says otherwise.
@@ -64,7 +64,7 @@ _TRUST = (
     click.option(
         "--any-user",
         is_flag=True,
-        help="Let in programs of all users of this machine; else, without a token, yours alone.",
+        help="Accept programs of all users of this machine. Default without a token: yours alone.",
     ),
 )
 _FOR_BROWSERS = (
@@ -72,14 +72,14 @@ _FOR_BROWSERS = (
                  help="Certificate (PEM), for TLS."),
     click.option("--key", default="", metavar="FILE", shell_complete=completion.files,
                  help="Its private key (PEM), if it is not in the same file."),
-    click.option("--token", default="", envvar="SLIDECTL_TOKEN", metavar="WORD", help="Let in who has this word."),
+    click.option("--token", default="", envvar="SLIDECTL_TOKEN", metavar="WORD", help="Require this token."),
     click.option("--token-file", default="", metavar="FILE", shell_complete=completion.files,
-                 help="As --token, from a file."),
+                 help="Read the token from this file."),
     click.option("--origin", "origins", multiple=True, metavar="URL",
-                 help="Let in pages of this site (https://site:port; null: files; *: all), else of none; may repeat."),
-    click.option("--read-only", is_flag=True, help="Let clients look, and change nothing."),
+                 help="Accept pages of this site (https://site:port; null: files; *: all); may repeat. Default: none."),
+    click.option("--read-only", is_flag=True, help="Let clients read only."),
     click.option("--max-connections", type=click.IntRange(1), default=200, show_default=True, metavar="N",
-                 help="Clients at a time."),
+                 help="Maximum number of clients."),
 )  # fmt: skip
 """Options of the gateways that browsers reach."""
 
@@ -87,7 +87,7 @@ _FOR_BROWSERS = (
 def _listening(kind: str, *more: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Add the argument and the options of every gateway, and `more` options."""
     port = click.option("--port", type=click.IntRange(0, 65535), default=PORTS[kind], show_default=True, metavar="N",
-                        help="The port; 0 takes any.")  # fmt: skip
+                        help="Port; 0: a free one.")  # fmt: skip
     action = click.argument("action", type=click.Choice(_ACTIONS), default="run")
 
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -100,9 +100,9 @@ def _listening(kind: str, *more: Any) -> Callable[[Callable[..., Any]], Callable
 
 @gateway.command("ros1", examples=["slidectl gateway ros1 start", "slidectl gateway ros1 --master http://other:11311"])
 @_listening("ros1")
-@click.option("--master", default="", metavar="URI", help="Join the ROS master there, in place of being one.")
+@click.option("--master", default="", metavar="URI", help="Join the ROS master at this URI instead of being one.")
 def ros1(ctx: Context, action: str, **options: Any) -> None:
-    """Let ROS 1 nodes and tools in, as their master.
+    """Serve ROS 1 nodes and tools, as their master.
 
     ACTION is run (until Ctrl-C, the default), start (in the background), stop or status. rostopic, rospy and roscpp
     nodes, rosbag and RViz work as with roscore, with ROS_MASTER_URI set to the address that is printed.
@@ -117,13 +117,13 @@ def ros1(ctx: Context, action: str, **options: Any) -> None:
 )
 @_listening("websocket", *_FOR_BROWSERS)
 @click.option("--max-rate", type=click.IntRange(1), default=5000, show_default=True, metavar="N",
-              help="Frames a second that are taken from one client; it waits with more.")  # fmt: skip
+              help="Maximum frames per second from one client; further ones wait.")  # fmt: skip
 @click.option("--max-size", type=click.IntRange(1, 16777216), default=16777216, show_default=True, metavar="BYTES",
-              help="Of a frame from a client, and of all of its fragments.")  # fmt: skip
+              help="Maximum size of a frame from a client, and of all of its fragments.")  # fmt: skip
 @click.option("--compress/--no-compress", default=None,
               help="Compress frames for clients that can; by default for other machines only.")  # fmt: skip
 def websocket(ctx: Context, action: str, **options: Any) -> None:
-    """Let clients of rosbridge in, over WebSocket.
+    """Serve rosbridge clients over WebSocket.
 
     ACTION is run (until Ctrl-C, the default), start (in the background), stop or status. Needs pip install
     '.[websocket]' in a clone.
@@ -136,7 +136,7 @@ def websocket(ctx: Context, action: str, **options: Any) -> None:
 @gateway.command("foxglove", examples=["slidectl gateway foxglove start"])
 @_listening("foxglove", *_FOR_BROWSERS)
 def foxglove(ctx: Context, action: str, **options: Any) -> None:
-    """Let the app of Foxglove in.
+    """Serve the Foxglove app.
 
     ACTION is run (until Ctrl-C, the default), start (in the background), stop or status. Needs pip install
     '.[foxglove]' in a clone.

@@ -224,7 +224,7 @@ class AppSession:
         """Run a task until the app disconnects. Raises BadFrame: too many tasks run already."""
         if len(self._tasks) >= _MOST_TASKS:
             work.close()
-            raise BadFrame(f"{_MOST_TASKS} calls and files of this app are under way already")
+            raise BadFrame(f"{_MOST_TASKS} calls and file requests of this app are in progress")
         frame_bytes = _COPIES * self._frame_bytes
 
         def ended() -> None:

@@ -15,15 +15,11 @@ from slidectl.extensions.gateways.ros1.xmlrpc import XmlRpcFault
 
 Answered = tuple[int, str, Any]
 Check = Callable[[Any, str], Any]
-"""Takes an argument and the caller's name; returns the converted argument. Raises Invalid."""
+"""Takes an argument and the caller's name; returns the converted argument. Raises Refused."""
 Method = Callable[..., Answered | Awaitable[Answered]]
 
 ANY_TYPE = "*"
 _LONGEST_URI = 2000
-
-
-class Invalid(Exception):
-    """An argument that is not allowed."""
 
 
 class Api:
@@ -55,8 +51,6 @@ class Api:
             checked = [check(value, caller) for check, value in zip(checks, rest, strict=True)]
             answered = method(*context, caller, *checked)
             return answered if isinstance(answered, tuple) else await answered
-        except Invalid as error:
-            return -1, str(error), on_failure
         except Refused as error:
             return -1, str(error), on_failure
         except SlidectlError as error:
@@ -70,7 +64,7 @@ def anything(value: Any, _: str) -> Any:
 def not_none(parameter: str) -> Check:
     def check(value: Any, _: str) -> Any:
         if value is None:
-            raise Invalid(f"ERROR: parameter [{parameter}] must be specified")
+            raise Refused(f"ERROR: parameter [{parameter}] must be specified")
         return value
 
     return check
@@ -79,9 +73,9 @@ def not_none(parameter: str) -> Check:
 def key(value: Any, caller: str) -> str:
     """Check the name of a parameter and resolve it."""
     if not value:
-        raise Invalid("ERROR: parameter [key] must be specified and non-empty")
+        raise Refused("ERROR: parameter [key] must be specified and non-empty")
     if not isinstance(value, str):
-        raise Invalid("ERROR: parameter [key] must be a string")
+        raise Refused("ERROR: parameter [key] must be a string")
     return resolve(_bounded("key", value), caller)
 
 
@@ -94,11 +88,11 @@ def search_key(value: Any, caller: str) -> str:
 def uri(parameter: str) -> Check:
     def check(value: Any, _: str) -> str:
         if not value or not isinstance(value, str):
-            raise Invalid(f"ERROR: parameter [{parameter}] is not an XMLRPC URI")
+            raise Refused(f"ERROR: parameter [{parameter}] is not an XMLRPC URI")
         if not value.startswith(("http://", "rosrpc://")):
-            raise Invalid(f"ERROR: parameter [{parameter}] is not an RPC URI")
+            raise Refused(f"ERROR: parameter [{parameter}] is not an RPC URI")
         if len(value) > _LONGEST_URI:
-            raise Invalid(f"ERROR: parameter [{parameter}] is longer than {_LONGEST_URI} characters")
+            raise Refused(f"ERROR: parameter [{parameter}] is longer than {_LONGEST_URI} characters")
         return value
 
     return check
@@ -109,11 +103,11 @@ def name(parameter: str, may_be_root: bool = False) -> Check:
 
     def check(value: Any, caller: str) -> str:
         if not value or not isinstance(value, str):
-            raise Invalid(f"ERROR: parameter [{parameter}] must be a non-empty string")
+            raise Refused(f"ERROR: parameter [{parameter}] must be a non-empty string")
         if ":" in value or " " in value:
-            raise Invalid(f"ERROR: parameter [{parameter}] contains illegal chars")
+            raise Refused(f"ERROR: parameter [{parameter}] contains illegal chars")
         if value == "/" and not may_be_root:
-            raise Invalid(f"ERROR: parameter [{parameter}] cannot be the global namespace")
+            raise Refused(f"ERROR: parameter [{parameter}] cannot be the global namespace")
         return resolve(_bounded(parameter, value), caller)
 
     return check
@@ -122,7 +116,7 @@ def name(parameter: str, may_be_root: bool = False) -> Check:
 def subgraph(value: Any, caller: str) -> str:
     """Check a namespace and resolve it; empty stays empty."""
     if not isinstance(value, str):
-        raise Invalid("ERROR: parameter [subgraph] must be a string")
+        raise Refused("ERROR: parameter [subgraph] must be a string")
     return resolve(_bounded("subgraph", value), caller) if value else ""
 
 
@@ -130,32 +124,32 @@ def type_name(value: Any, _: str) -> str:
     if value == ANY_TYPE:
         return ANY_TYPE
     if not value or not isinstance(value, str):
-        raise Invalid("ERROR: parameter [topic_type] must be a non-empty string")
+        raise Refused("ERROR: parameter [topic_type] must be a non-empty string")
     if len(value.split("/")) != 2:
-        raise Invalid("ERROR: parameter [topic_type] is not a valid package resource name")
+        raise Refused("ERROR: parameter [topic_type] is not a valid package resource name")
     return _bounded("topic_type", value)
 
 
 def publishers(value: Any, _: str) -> list[str]:
     if not isinstance(value, list):
-        raise Invalid("ERROR: param [publishers] must be a list")
+        raise Refused("ERROR: param [publishers] must be a list")
     for each in value:
         if not isinstance(each, str):
-            raise Invalid("ERROR: param [publishers] must be a list of strings")
+            raise Refused("ERROR: param [publishers] must be a list of strings")
         try:
             parts = urlsplit(each)
         except ValueError:
             parts = urlsplit("")
         if not parts.scheme or not parts.netloc:
-            raise Invalid(f"ERROR: param [publishers] does not contain valid URLs [{cut(each, 120)}]")
+            raise Refused(f"ERROR: param [publishers] does not contain valid URLs [{cut(each, 120)}]")
     return value
 
 
 def protocols(value: Any, _: str) -> list[Any]:
     if not value:
-        raise Invalid("ERROR: parameter [protocols] must be specified and non-empty")
+        raise Refused("ERROR: parameter [protocols] must be specified and non-empty")
     if not isinstance(value, list) or not all(isinstance(each, list) and each for each in value):
-        raise Invalid("ERROR: parameter [protocols] must be a list of lists")
+        raise Refused("ERROR: parameter [protocols] must be a list of lists")
     return value
 
 
@@ -172,5 +166,5 @@ def resolve(text: str, caller: str) -> str:
 
 def _bounded(parameter: str, text: str) -> str:
     if len(text) > names.LONGEST:
-        raise Invalid(f"ERROR: parameter [{parameter}] is longer than {names.LONGEST} characters")
+        raise Refused(f"ERROR: parameter [{parameter}] is longer than {names.LONGEST} characters")
     return text

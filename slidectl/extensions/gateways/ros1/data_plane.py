@@ -31,6 +31,8 @@ _log = logging.getLogger(__name__)
 
 OpenConnection = Callable[[str], Awaitable[DaemonConnection]]
 
+OWN_NODE = "/ros1_gateway"
+"""The node name of the gateway's own connections."""
 MOST_CONNECTIONS = 1000
 _LISTED_ONLY_MS = 10**9
 """Throttle of a subscription that only makes a node appear in the graph: after the first message nothing arrives."""
@@ -39,6 +41,47 @@ _OF_ACTIONS = ("ActionFeedback", "ActionResult", "actionlib_msgs/GoalStatusArray
 _PROBES = 4
 _FIRST_PROBE_PAUSE_S = 0.5
 _ASK_AGAIN_S = 1.0
+
+
+class NativeGraph:
+    """The part of the daemon's graph that ROS sees: all nodes but the gateway and those of foreign nodes."""
+
+    def __init__(self, uri_of: Callable[[str], str]) -> None:
+        """`uri_of` gives the address of the slave API of a node."""
+        self.uri_of = uri_of
+        self.types: dict[str, str] = {}
+        self.publishers: dict[str, list[str]] = {}
+        self.subscribers: dict[str, list[str]] = {}
+        self.services: dict[str, str] = {}
+        """Service -> its node."""
+        self.nodes: set[str] = set()
+        self.service_uri = ""
+        """The rosrpc address of all services."""
+
+    def update(self, state: dict[str, Any], is_hidden: Callable[[str], bool]) -> dict[str, Any]:
+        """Store this state without the hidden nodes. Returns the remaining state."""
+        topics = []
+        for topic in state["topics"]:
+            publishers = [node for node in topic["publishers"] if not is_hidden(node)]
+            subscribers = [node for node in topic["subscribers"] if not is_hidden(node)]
+            if publishers or subscribers:
+                topics.append({**topic, "publishers": publishers, "subscribers": subscribers})
+        services = [service for service in state["services"] if not is_hidden(service["node"])]
+        self.types = {topic["name"]: topic["type"] for topic in topics}
+        self.publishers = {topic["name"]: topic["publishers"] for topic in topics if topic["publishers"]}
+        self.subscribers = {topic["name"]: topic["subscribers"] for topic in topics if topic["subscribers"]}
+        self.services = {service["name"]: service["node"] for service in services}
+        lists = (*self.publishers.values(), *self.subscribers.values(), self.services.values())
+        self.nodes = {node for nodes in lists for node in nodes}
+        return {"topics": topics, "services": services}
+
+    def published_by(self, node: str) -> list[list[str]]:
+        """Topics that a node publishes, with their types."""
+        return [[topic, self.types[topic]] for topic, nodes in self.publishers.items() if node in nodes]
+
+    def subscribed_by(self, node: str) -> list[list[str]]:
+        """Topics that a node subscribes, with their types."""
+        return [[topic, self.types[topic]] for topic, nodes in self.subscribers.items() if node in nodes]
 
 
 class ForeignTopic(NamedTuple):
@@ -152,7 +195,7 @@ class DataPlane:
         for connection in list(self._connections):
             connection.close()
 
-    # --- what is told -------------------------------------------------------------------------------------------
+    # --- setting ------------------------------------------------------------------------------------------------
 
     def set_graph(self, state: Message) -> None:
         """Set the newest answer of /slidectl/graph, without this process and foreign nodes."""
@@ -185,7 +228,7 @@ class DataPlane:
             self._service_types[service, uri] = ""
             self._tasks.begin(self._find_type(service, uri))
 
-    def node_gone(self, node: str) -> None:
+    def remove_node(self, node: str) -> None:
         """Remove a foreign node that has unregistered or ended."""
         for topic, (kind, publishers, subscribers) in list(self._foreign_topics.items()):
             if node in publishers or node in subscribers:
@@ -193,7 +236,7 @@ class DataPlane:
                 self.set_foreign_topic(topic, kind, others, subscribers - {node})
         self.set_foreign_services({s: offer for s, offer in self._offers.items() if offer[0] != node})
 
-    # --- what is asked ------------------------------------------------------------------------------------------
+    # --- querying -----------------------------------------------------------------------------------------------
 
     def serves(self, topic: str) -> bool:
         """True for topics that foreign nodes may subscribe here: they have native publishers or foreign subscribers."""
@@ -239,7 +282,7 @@ class DataPlane:
         """Serve a subscriber or a client of a service, until it disconnects."""
         connection = TcprosConnection(reader, writer)
         try:
-            why = self.strangers.seen(connection, writer.transport)
+            why = self.strangers.check(connection, writer.transport)
             if why or not self._has_room():
                 why = why or f"too many connections: {self._most_connections} are open"
                 writer.write(encode_header({"error": why}))
@@ -261,7 +304,7 @@ class DataPlane:
         except (EOFError, OSError, asyncio.CancelledError):
             pass  # it has disconnected (`on_end`), or is slow
         finally:
-            self.strangers.gone(connection)
+            self.strangers.remove(connection)
             self._connections.pop(connection, None)
             connection.close()
 
@@ -344,16 +387,15 @@ class DataPlane:
                 node.connection.close()
                 return
         daemon = node.connection
-        for topic in [topic for topic, kind in node.published.items() if published.get(topic) != kind]:
-            daemon.unadvertise(topic)
-            node.latched.pop(topic, None)
-            del node.published[topic]
-        for topic in [topic for topic, kind in node.subscribed.items() if subscribed.get(topic) != kind]:
-            daemon.unsubscribe(topic)
-            del node.subscribed[topic]
-        for service in [service for service, kind in node.services.items() if services.get(service) != kind]:
-            daemon.unadvertise_service(service)
-            del node.services[service]
+        for present, wanted, end in (
+            (node.published, published, daemon.unadvertise),
+            (node.subscribed, subscribed, daemon.unsubscribe),
+            (node.services, services, daemon.unadvertise_service),
+        ):
+            for key in [key for key, kind in present.items() if wanted.get(key) != kind]:
+                end(key)
+                del present[key]
+        node.latched = {topic: key for topic, key in node.latched.items() if topic in node.published}
         for topic, kind in published.items():
             if topic not in node.published:
                 daemon.advertise(topic, kind)
@@ -361,12 +403,12 @@ class DataPlane:
                 self._update_followers(topic)
         for topic, kind in subscribed.items():
             if topic not in node.subscribed:
-                with self._told(name):
+                with self._warning_of_refusals(name):
                     await daemon.subscribe(topic, kind, throttle_rate=_LISTED_ONLY_MS, take=lambda _: None)
                     node.subscribed[topic] = kind
         for service, kind in services.items():
             if service not in node.services:
-                with self._told(name):
+                with self._warning_of_refusals(name):
                     await self._offer(daemon, service, kind)
                     node.services[service] = kind
         if not (node.published or node.subscribed or node.services):
@@ -374,7 +416,7 @@ class DataPlane:
             self._foreign.pop(name, None)
 
     @contextmanager
-    def _told(self, name: str) -> Iterator[None]:
+    def _warning_of_refusals(self, name: str) -> Iterator[None]:
         """Log a refusal of the daemon as a warning and continue."""
         try:
             yield

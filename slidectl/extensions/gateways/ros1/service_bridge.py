@@ -111,7 +111,7 @@ async def call_service(service: str, uri: str, type_name: str, request: Message,
     try:
         body = ros1_type(msgs.request_type(type_name)).pack(request)
         if len(body) > LONGEST_MESSAGE:
-            raise Refused(f"{service}: a request of {len(body)} bytes, and {LONGEST_MESSAGE} is the most")
+            raise Refused(f"{service}: a request of {len(body)} bytes; the maximum is {LONGEST_MESSAGE}")
         await connection.write(frame(body))
         is_done = await connection.reader.readexactly(1) != _FAILED
         answer = await connection.read_message()

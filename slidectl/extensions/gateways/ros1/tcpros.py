@@ -49,7 +49,7 @@ class BadHeader(UsageError):
     """Bytes that are no valid connection header. The texts are rosgraph's."""
 
 
-class TooLong(Refused):
+class MessageTooLong(Refused):
     """A message above the limit, which was discarded."""
 
 
@@ -128,18 +128,18 @@ class TcprosConnection:
         async with asyncio.timeout(HANDSHAKE_LIMIT_S):
             (length,) = _U32.unpack(await self.reader.readexactly(4))
             if length > LONGEST_HEADER:
-                raise BadHeader(f"a header of {length} bytes, and {LONGEST_HEADER} is the most")
+                raise BadHeader(f"a header of {length} bytes; the maximum is {LONGEST_HEADER}")
             fields = decode_header(await self.reader.readexactly(length))
         self.has_header = True
         self.reader.handled()
         return fields
 
     async def read_message(self) -> bytes:
-        """Read a message; call `reader.handled` when it is handled. Raises TooLong."""
+        """Read a message; call `reader.handled` when it is handled. Raises MessageTooLong."""
         (length,) = _U32.unpack(await self.reader.readexactly(4))
         if length > LONGEST_MESSAGE:
             await self.reader.discard(length)
-            raise TooLong(f"a message of {length} bytes, and {LONGEST_MESSAGE} is the most")
+            raise MessageTooLong(f"a message of {length} bytes; the maximum is {LONGEST_MESSAGE}")
         body = await self.reader.readexactly(length)
         self.received += 1
         return body

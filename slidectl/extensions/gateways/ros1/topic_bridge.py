@@ -19,8 +19,8 @@ from slidectl.extensions.gateways.ros1.ros1_types import Ros1Type, ros1_type
 from slidectl.extensions.gateways.ros1.tcpros import (
     ANY_MD5,
     Fields,
+    MessageTooLong,
     TcprosConnection,
-    TooLong,
     check_has,
     connect,
     frame,
@@ -73,7 +73,7 @@ class TopicStream:
         self.type = kind
         self.links: dict[SubscriberLink, None] = {}
         self.dropped = 0
-        self.takes_latched = False
+        self.wants_latched = False
         """True while subscribers from before a daemon restart still need the latched messages."""
         self._active: tuple[SubscriberLink, ...] = ()
         self._echoes: deque[int] = deque(maxlen=_MOST_ECHOES)
@@ -81,7 +81,7 @@ class TopicStream:
 
     def receive(self, publish: Message) -> None:
         """Send a message of the daemon to all links. Latched ones are skipped: each link requests these itself."""
-        if not self._active or (publish.get("latch") and not self.takes_latched):
+        if not self._active or (publish.get("latch") and not self.wants_latched):
             return
         body = self.type.pack(publish["msg"])
         if self._echoes and (key := self.type.key(body)) in self._echoes:
@@ -124,26 +124,26 @@ class TopicServer:
         """Returns the keys of a topic's messages latched by foreign publishers, which send these themselves."""
         self._streams: dict[str, TopicStream] = {}
         self._connection: DaemonConnection | None = None
-        self._asker: DaemonConnection | None = None
+        self._latched_reader: DaemonConnection | None = None
         """The connection that reads latched messages, one topic at a time."""
-        self._asking = asyncio.Lock()
+        self._reading_latched = asyncio.Lock()
         self._lost = 0
 
-    async def attach(self, connection: DaemonConnection, asker: DaemonConnection) -> None:
+    async def attach(self, connection: DaemonConnection, reader: DaemonConnection) -> None:
         """Subscribe all streams at a new daemon. Raises NoDaemon."""
-        self._connection, self._asker = connection, asker
+        self._connection, self._latched_reader = connection, reader
         for stream in list(self._streams.values()):
-            stream.takes_latched = True
+            stream.wants_latched = True
             try:
                 await connection.subscribe(stream.name, stream.type.name, _READ_AHEAD, take=stream.receive)
             except Refused as error:  # the topic has another type now
                 stream.close()
                 _log.warning("%s: %s", stream.name, error)
-            stream.takes_latched = False
+            stream.wants_latched = False
 
     def detach(self) -> None:
         """Handle the end of the daemon. Subscribers of topics that are still served stay connected."""
-        self._connection = self._asker = None
+        self._connection = self._latched_reader = None
 
     @property
     def dropped(self) -> int:
@@ -219,16 +219,16 @@ class TopicServer:
         """The framed latched messages for a new subscriber, one of each publisher that latches."""
         found: list[bytes] = []
 
-        def take(publish: Message) -> None:
+        def receive(publish: Message) -> None:
             if publish.get("latch"):
                 body = kind.pack(publish["msg"])
                 if kind.key(body) not in self.foreign_latched(name):
                     found.append(frame(body))
 
-        async with self._asking:
-            if (asker := self._asker) is not None:
-                await asker.subscribe(name, kind.name, take=take)
-                asker.unsubscribe(name)
+        async with self._reading_latched:
+            if (reader := self._latched_reader) is not None:
+                await reader.subscribe(name, kind.name, take=receive)
+                reader.unsubscribe(name)
         return found
 
     def rows(self, node: str) -> list[Row]:
@@ -321,7 +321,7 @@ class Follower:
             while True:
                 try:
                     message = kind.unpack(body := await connection.read_message())
-                except (BadMessage, TooLong) as error:
+                except (BadMessage, MessageTooLong) as error:
                     self._warn(str(error))
                     continue
                 daemon = self._publish(message, header.get("latching") == "1")

@@ -147,7 +147,7 @@ class _Reader(Unmarshaller):
             raise
         except (expat.ExpatError, ResponseError, ValueError, TypeError, LookupError, AttributeError) as error:
             # Python's reader checks no structure: it fails in one of these ways.
-            raise BadXmlRpc(f"this is no XML-RPC: {str(error) or type(error).__name__}") from None
+            raise BadXmlRpc(f"invalid XML-RPC: {str(error) or type(error).__name__}") from None
 
     def _refuse_document_type(self, *_: Any) -> None:
         raise BadXmlRpc("a document type (and its entities) has no place in XML-RPC")
@@ -252,7 +252,7 @@ class XmlRpcServer:
         task = asyncio.current_task()
         assert task is not None
         try:
-            if why := self.strangers.seen(task, writer.transport):
+            if why := self.strangers.check(task, writer.transport):
                 if not self.strangers.are_many:
                     await forbid(why, reader, writer)
                 return
@@ -270,7 +270,7 @@ class XmlRpcServer:
             except (OSError, EOFError, asyncio.LimitOverrunError, TimeoutError):
                 pass  # the client disconnected, sends no HTTP or is slow
         finally:
-            self.strangers.gone(task)
+            self.strangers.remove(task)
             self._clients.pop(task, None)
             reader.close()
             writer.close()
@@ -389,7 +389,7 @@ async def call(uri: str, method: str, *arguments: Any, timeout_s: float = CALL_L
         reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
         raise Refused(f"{uri} does not answer {method}: {reason}") from None
     except BadXmlRpc as error:
-        raise Refused(f"{uri} answers {method} with nonsense: {error.message}") from None
+        raise Refused(f"{uri} sent an invalid answer to {method}: {error.message}") from None
 
 
 def host_port_path(uri: str) -> tuple[str, int, str]:
@@ -400,7 +400,7 @@ def host_port_path(uri: str) -> tuple[str, int, str]:
             raise ValueError
         return parts.hostname, parts.port or 80, parts.path or "/"
     except ValueError:
-        raise Refused(f"{cut(uri, 120)!r} is no URI of a ROS node", "write it as http://HOST:PORT") from None
+        raise Refused(f"{cut(uri, 120)!r} is not the URI of a ROS node", "write it as http://HOST:PORT") from None
 
 
 async def _exchange(host: str, port: int, path: str, body: bytes) -> Any:

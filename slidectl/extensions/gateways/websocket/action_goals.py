@@ -27,7 +27,7 @@ _MOST_GOALS = 1000
 class SentGoal(NamedTuple):
     """A goal that has no result yet."""
 
-    tell: Callable[[Message], None]
+    reply: Callable[[Message], None]
     """Sends a message to the browser."""
     id: Any
     """The browser's id of the goal."""
@@ -47,14 +47,14 @@ class ActionGoals:
         self._lock = asyncio.Lock()
         """Held while an action's topics are subscribed, so that no goal is sent before that."""
 
-    async def send(self, message: Message, tell: Callable[[Message], None]) -> None:
+    async def send(self, message: Message, reply: Callable[[Message], None]) -> None:
         """Carry out `send_action_goal`; an error is sent as the result of the goal."""
         given, goal_id = message.get("action"), message.get("id")
         try:
             async with self._lock:
-                await self._send(message, SentGoal(tell, goal_id, str(given), bool(message.get("feedback"))))
+                await self._send(message, SentGoal(reply, goal_id, str(given), bool(message.get("feedback"))))
         except SlidectlError as error:
-            tell(_result(SentGoal(tell, goal_id, str(given)[: names.LONGEST], False), ABORTED, str(error), False))
+            reply(_result(SentGoal(reply, goal_id, str(given)[: names.LONGEST], False), ABORTED, str(error), False))
 
     async def _send(self, message: Message, goal: SentGoal) -> None:
         if not isinstance(goal.id, str | int | None) or len(str(goal.id)) > names.LONGEST:
@@ -68,10 +68,10 @@ class ActionGoals:
             raise Refused(f"{_MOST_GOALS} goals wait for their results")
         content = msgs.check(f"{stem}Goal", message.get("args") or {})
         if action not in self._goals:
-            take = partial(self._take_feedback, action)
-            await self._daemon.subscribe(f"{action}/feedback", f"{stem}ActionFeedback", take=take)
-            take = partial(self._take_result, action)
-            await self._daemon.subscribe(f"{action}/result", f"{stem}ActionResult", take=take)
+            receive = partial(self._receive_feedback, action)
+            await self._daemon.subscribe(f"{action}/feedback", f"{stem}ActionFeedback", take=receive)
+            receive = partial(self._receive_result, action)
+            await self._daemon.subscribe(f"{action}/result", f"{stem}ActionResult", take=receive)
             self._goals[action] = {}
         name = f"{self._daemon.node}-{next(self._serial)}"
         self._goals[action][name] = goal
@@ -87,38 +87,38 @@ class ActionGoals:
             raise Refused(f"no action {action}", f"actions: {listing(known['action_servers'])}")
         return str(answer["type"]).removesuffix("ActionGoal")
 
-    def cancel(self, message: Message, tell: Callable[[Message], None]) -> None:
+    def cancel(self, message: Message, reply: Callable[[Message], None]) -> None:
         """Carry out `cancel_action_goal`; the result arrives when the action ends. Raises Refused: no such goal."""
         action = names.join("/", str(message.get("action")))
         for name, goal in self._goals.get(action, {}).items():
-            if goal.id == message.get("id") and goal.tell == tell:
+            if goal.id == message.get("id") and goal.reply == reply:
                 self._daemon.publish(f"{action}/cancel", {"id": name})
                 return
         raise Refused(f"no goal of this connection with that id runs on {action}")
 
-    def forget(self, tell: Callable[[Message], None]) -> None:
+    def forget(self, reply: Callable[[Message], None]) -> None:
         """Discard the goals of a disconnected browser. They go on, as those of an actionlib client that ends."""
         for action, goals in list(self._goals.items()):
-            for name in [name for name, goal in goals.items() if goal.tell == tell]:
+            for name in [name for name, goal in goals.items() if goal.reply == reply]:
                 self._end(action, name)
 
-    def _take_feedback(self, action: str, published: Message) -> None:
+    def _receive_feedback(self, action: str, published: Message) -> None:
         message = published["msg"]
         goal = self._goals.get(action, {}).get(message["status"]["goal_id"]["id"])
         if goal is not None and goal.wants_feedback:
             about = {"op": "action_feedback", "id": goal.id, "action": goal.action}
-            goal.tell({**about, "values": message["feedback"]})
+            goal.reply({**about, "values": message["feedback"]})
 
-    def _take_result(self, action: str, published: Message) -> None:
+    def _receive_result(self, action: str, published: Message) -> None:
         message = published["msg"]
         status = message["status"]
         goal = self._end(action, status["goal_id"]["id"])
         if goal is None:
             return
         if status["status"] == _REJECTED:
-            goal.tell(_result(goal, ABORTED, f"the goal was rejected: {status['text']}", False))
+            goal.reply(_result(goal, ABORTED, f"the goal was rejected: {status['text']}", False))
         else:
-            goal.tell(_result(goal, _STATES.get(status["status"], ABORTED), message["result"], True))
+            goal.reply(_result(goal, _STATES.get(status["status"], ABORTED), message["result"], True))
 
     def _end(self, action: str, name: str) -> SentGoal | None:
         """Remove a goal; unsubscribe the action's topics after its last goal. None: the goal is not from here."""

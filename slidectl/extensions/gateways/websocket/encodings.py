@@ -137,7 +137,7 @@ class FragmentBuffer:
         self._totals: dict[str, int] = {}
         self._bytes = 0
 
-    def take(self, fragment: dict[str, Any]) -> bytes | None:
+    def add(self, fragment: dict[str, Any]) -> bytes | None:
         """Add a fragment. Returns the whole frame when it is complete.
 
         Raises:
@@ -146,7 +146,7 @@ class FragmentBuffer:
         name, text = str(fragment.get("id"))[:1000], fragment.get("data")
         number, total = fragment.get("num"), fragment.get("total")
         if not (isinstance(text, str) and isinstance(number, int) and isinstance(total, int) and 0 <= number < total):
-            raise UsageError("a fragment has an id, its data, a text, and num from 0 to before total")
+            raise UsageError("a fragment needs an id, data (a string), and num from 0 to total - 1")
         if self._totals.setdefault(name, total) != total:
             self._forget(name)
             raise UsageError(f"the fragments of {name!r} differ in their total")

@@ -86,7 +86,7 @@ class RosbridgeSession:
             if op == "fragment":
                 if is_whole:
                     raise UsageError("a fragment within fragments")
-                if (whole := self._fragments.take(message)) is not None:
+                if (whole := self._fragments.add(message)) is not None:
                     await self.take(whole, is_whole=True)
             elif op != "auth":  # the token was checked when the browser connected
                 if self._is_reader and op in _ACTION_OPS:
@@ -99,9 +99,9 @@ class RosbridgeSession:
         if op == "subscribe":
             await self._subscribe(message)
         elif op == "send_action_goal":
-            await self._goals.send(message, self._tell)
+            await self._goals.send(message, self._send_message)
         elif op == "cancel_action_goal":
-            self._goals.cancel(message, self._tell)
+            self._goals.cancel(message, self._send_message)
         elif op == "set_node":
             raise UsageError("the node of a browser has a name already")
         elif op in _SERVED_BY_TOPICS:
@@ -133,7 +133,7 @@ class RosbridgeSession:
             before = self._requests.get(topic, {})
             if compression != "none" or before:
                 if wish_id not in before and sum(map(len, self._requests.values())) >= _MOST_WISHES:
-                    raise UsageError(f"{_MOST_WISHES} subscriptions with compressions, and no more may be")
+                    raise UsageError(f"{_MOST_WISHES} compressed subscriptions are the maximum")
                 await self._choose(topic, {**before, wish_id: compression}, str(message.get("type") or ""))
         if compression == "cbor-raw":
             message["stamped"] = True
@@ -166,9 +166,10 @@ class RosbridgeSession:
         about = {"id": given} if isinstance(given, str | int) and len(str(given)) <= _LONGEST_ID else {}
         if message.get("op") == "call_service":
             service = str(message.get("service"))[: names.LONGEST]
-            self._tell({"op": "service_response", **about, "service": service, "values": str(error), "result": False})
+            about |= {"service": service, "values": str(error), "result": False}
+            self._send_message({"op": "service_response", **about})
         elif self._level != "none":
-            self._tell({"op": "status", "level": "error", **about, "msg": str(error)})
+            self._send_message({"op": "status", "level": "error", **about, "msg": str(error)})
 
     # --- to the browser -----------------------------------------------------------------------------------------
 
@@ -187,7 +188,7 @@ class RosbridgeSession:
                 return
         self._send(line, True)
 
-    def _tell(self, message: Message) -> None:
+    def _send_message(self, message: Message) -> None:
         self._send(encode(message)[:-1], True)
 
     def _send(self, frame: bytes, is_text: bool) -> None:
@@ -200,7 +201,7 @@ class RosbridgeSession:
     def close(self) -> None:
         """Handle the browser's disconnection."""
         self._fragments.clear()
-        self._goals.forget(self._tell)
+        self._goals.forget(self._send_message)
         self._daemon.close()
 
 

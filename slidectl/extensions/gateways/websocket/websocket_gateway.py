@@ -86,7 +86,7 @@ class WebSocketGateway(Gateway):
         self._paths = None
         if self._daemon is not None:
             self._daemon.close()
-        await self._let_go(_RESTARTS, "the daemon has gone")
+        await self._let_go(_RESTARTS, "the daemon has ended")
 
     async def close(self) -> None:
         self._paths = None
@@ -118,7 +118,7 @@ class WebSocketGateway(Gateway):
         if self._paths is None or self._goals is None:
             raise NoDaemon("there is no daemon at the moment")
         node = f"{_NODE}_{os.getpid()}_{next(self._serial)}"
-        lost = partial(browser.end_soon, _RESTARTS, "the daemon has gone")
+        lost = partial(browser.end_soon, _RESTARTS, "the daemon has ended")
         daemon = await DaemonConnection.open(self._paths, self._permitted, node, lost)
         options = self._options
         fragments = self._listener.bounds.held.share(partial(browser.end_at_once, TRY_LATER))
