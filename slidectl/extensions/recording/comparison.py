@@ -115,7 +115,18 @@ def compare_file(
     if not update and not kept.exists():
         raise BadFile("the baseline does not exist", str(kept), hint=_UPDATE)
     if kept.suffix == TABLE:
-        return _compare_table(run, kept, fields, tolerance, update, open_file)
+        table = GoldenTable.read(kept) if kept.exists() else GoldenTable({}, {}, "")
+        wanted = fields or dict.fromkeys(table.columns, tolerance)
+        if not wanted:
+            raise UsageError("give the fields of the baseline", "--fields joint_states/position")
+        with open_file(run) as recording:
+            if update:
+                _check_complete(recording)
+            new = GoldenTable.of(recording, wanted)
+        if not update:
+            return new.differences(table, str(kept))
+        new.write(kept)
+        return []
     if update:
         with opened(run) as recording:
             _check_complete(recording)
@@ -131,31 +142,6 @@ def _check_complete(run: Recording) -> None:
     if run.damage:
         text = f"{run.path} cannot be a baseline: {run.damage}"
         raise Refused(text, f"record it again, or complete it: slidectl bag reindex {run.path}")
-
-
-def _compare_table(
-    run: Path,
-    kept: Path,
-    fields: Mapping[str, float],
-    tolerance: float,
-    update: bool,
-    open_file: Callable[[Path], Recording],
-) -> list[Difference]:
-    golden = GoldenTable.read(kept) if kept.exists() else GoldenTable({}, {}, "")
-    wanted = fields or dict.fromkeys(golden.columns, tolerance)
-    if not wanted:
-        raise UsageError("give the fields of the baseline", "--fields joint_states/position")
-    with open_file(run) as recording:
-        if update:
-            _check_complete(recording)
-        topics = {topic: partial(recording.select, topic) for topic in recording.topics}
-        table = GoldenTable(wanted, topics, f"in {run}")
-        for one in recording.records(table.topics):
-            table.add(one.channel.topic, one.time_ns, recording.message(one))
-    if update:
-        table.write(kept)
-        return []
-    return table.differences(golden, str(kept))
 
 
 def _write(path: Path, content: bytes) -> None:
@@ -249,6 +235,15 @@ class GoldenTable:
         table.writeheader()
         table.writerows(self.rows)
         _write(path, text.getvalue().encode())
+
+    @classmethod
+    def of(cls, recording: Recording, fields: Mapping[str, float]) -> GoldenTable:
+        """The table of these fields of a recording."""
+        topics = {topic: partial(recording.select, topic) for topic in recording.topics}
+        table = cls(fields, topics, f"in {recording.path}")
+        for one in recording.records(table.topics):
+            table.add(one.channel.topic, one.time_ns, recording.message(one))
+        return table
 
     @classmethod
     def read(cls, path: Path) -> GoldenTable:

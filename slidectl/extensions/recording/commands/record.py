@@ -241,7 +241,10 @@ class _RecordedTopics:
                     now = client.monotonic()
                     if now >= flushed + _FLUSH_EVERY_S or now < began + _FLUSH_EVERY_S:
                         flushed = now
-                        self._flush()
+                        try:
+                            self._out.flush()
+                        except OSError as error:
+                            self._failure = error
                     if self._prints_progress:
                         self._progress()
                     else:
@@ -255,12 +258,6 @@ class _RecordedTopics:
             with suppress(NoDaemon):  # before it ended, the daemon sent all that was published
                 deque(client.events(0.0), maxlen=0)
             raise
-
-    def _flush(self) -> None:
-        try:
-            self._out.flush()
-        except OSError as error:
-            self._failure = error
 
     def _subscribe_to_new(self) -> None:
         client = self._ctx.client
