@@ -18,7 +18,7 @@ from slidectl.cli.commands import command, finite
 from slidectl.cli.context import Context
 from slidectl.cli.terminal_progress import status_line
 from slidectl.command_steps import CommandStep, check_not_detached
-from slidectl.errors import MessageRefused, NoDaemon, Refused, SlidectlError, UnknownName, UsageError
+from slidectl.errors import NoDaemon, Refused, SlidectlError, UnknownName, UsageError
 from slidectl.msgs.schema import nanoseconds
 
 if TYPE_CHECKING:
@@ -206,10 +206,7 @@ class _RecordedTopics:
                 topic, topics[topic], queue_length=_QUEUE, take=self._write, wait=False
             )
         if new:
-            try:
-                client.flush()
-            except MessageRefused as error:  # a node advertised it with another type meanwhile
-                self._ctx.warn(f"not recorded: {error.message}")
+            client.flush()
 
     def _write(self, published: dict[str, Any]) -> None:
         topic = published["topic"]
