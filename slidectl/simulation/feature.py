@@ -30,7 +30,7 @@ OWN: dict[str, str] = {
     "rosapi": "slidectl.features.rosapi:Rosapi",
     "lockstep": "slidectl.features.lockstep:LockStepService",
     "services": "slidectl.features.own_services:OwnServices",
-    "snapshots": "slidectl.features.snapshot_services:Snapshots",
+    "snapshots": "slidectl.features.snapshot_files:Snapshots",
     "standard_services": "slidectl.features.standard_services:StandardServices",
     "waits": "slidectl.features.waits:Waits",
     "traces": "slidectl.features.joint_traces:JointTraces",

@@ -242,7 +242,7 @@ class Simulation:
         self.loop.step_ns = from_seconds(seconds)
 
     def save(self, name: str) -> None:
-        """Save the whole present state under a name, for `load`. Raises as features/snapshot_services.py."""
+        """Save the whole present state under a name, for `load`. Raises as features/snapshot_files.py."""
         self.features["snapshots"].save(name)
 
     def load(self, name: str) -> None:

@@ -85,7 +85,7 @@ def test_snapshots_are_listed_and_forgotten_and_errors_say_what_there_is(rrbot: 
         (("load",), 2, "give the name of a snapshot, or --from FILE"),
         (("save", "a/b"), 2, "is not a legal name of a snapshot"),
         (("save", "three", "--to", str(tmp_path / "no" / "folder")), 1, "cannot write the snapshot"),
-        (("load", "--from", str(tmp_path / "text")), 2, "it is no snapshot of slidectl"),
+        (("load", "--from", str(tmp_path / "text")), 2, "it is not a snapshot of slidectl"),
         (("fork", "three", "-i", "other"), 1, "no snapshot 'three'"),
     ):
         done = rrbot("sim", *words)

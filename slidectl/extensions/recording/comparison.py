@@ -18,9 +18,8 @@ from typing import Any, NamedTuple
 
 from slidectl import input_files, writing
 from slidectl.errors import BadFile, Refused, UsageError, cut, listing
-from slidectl.extensions.recording.codec import Record, RecordedTopic
 from slidectl.extensions.recording.recording_files import COMPRESSIONS, Recording, opened, topic_and_field
-from slidectl.msgs.field_path import NoElement, Selection, select
+from slidectl.msgs.field_path import NoElement, Selection
 from slidectl.writing import CannotWrite
 
 LEFT_OUT = ("/rosout",)
@@ -115,7 +114,18 @@ def compare_file(
     if not update and not kept.exists():
         raise BadFile("the baseline does not exist", str(kept), hint=_UPDATE)
     if kept.suffix == TABLE:
-        return _compare_table(run, kept, fields, tolerance, update, open_file)
+        table = GoldenTable.read(kept) if kept.exists() else GoldenTable({}, {}, "")
+        wanted = fields or dict.fromkeys(table.columns, tolerance)
+        if not wanted:
+            raise UsageError("give the fields of the baseline", "--fields joint_states/position")
+        with open_file(run) as recording:
+            if update:
+                _check_complete(recording)
+            new = GoldenTable.of(recording, wanted)
+        if not update:
+            return new.differences(table, str(kept))
+        new.write(kept)
+        return []
     if update:
         with opened(run) as recording:
             _check_complete(recording)
@@ -131,31 +141,6 @@ def _check_complete(run: Recording) -> None:
     if run.damage:
         text = f"{run.path} cannot be a baseline: {run.damage}"
         raise Refused(text, f"record it again, or complete it: slidectl bag reindex {run.path}")
-
-
-def _compare_table(
-    run: Path,
-    kept: Path,
-    fields: Mapping[str, float],
-    tolerance: float,
-    update: bool,
-    open_file: Callable[[Path], Recording],
-) -> list[Difference]:
-    golden = GoldenTable.read(kept) if kept.exists() else GoldenTable({}, {}, "")
-    wanted = fields or dict.fromkeys(golden.columns, tolerance)
-    if not wanted:
-        raise UsageError("give the fields of the baseline", "--fields joint_states/position")
-    with open_file(run) as recording:
-        if update:
-            _check_complete(recording)
-        topics = {topic: partial(recording.select, topic) for topic in recording.topics}
-        table = GoldenTable(wanted, topics, f"in {run}")
-        for one in recording.records(table.topics):
-            table.add(one.channel.topic, one.time_ns, recording.message(one))
-    if update:
-        table.write(kept)
-        return []
-    return table.differences(golden, str(kept))
 
 
 def _write(path: Path, content: bytes) -> None:
@@ -251,6 +236,15 @@ class GoldenTable:
         _write(path, text.getvalue().encode())
 
     @classmethod
+    def of(cls, recording: Recording, fields: Mapping[str, float]) -> GoldenTable:
+        """The table of these fields of a recording."""
+        topics = {topic: partial(recording.select, topic) for topic in recording.topics}
+        table = cls(fields, topics, f"in {recording.path}")
+        for one in recording.records(table.topics):
+            table.add(one.channel.topic, one.time_ns, recording.message(one))
+        return table
+
+    @classmethod
     def read(cls, path: Path) -> GoldenTable:
         """Read a table. Raises BadFile: it cannot be read, is no such table, or is cut off."""
         found, line = cls({}, {}, ""), 1
@@ -291,61 +285,37 @@ def _number(cell: str) -> float | str:
 # --- recordings -------------------------------------------------------------------------------------------------------
 
 
-class _Reader:
-    """Reads a field of one topic of a recording."""
-
-    def __init__(self, recording: Recording, topic: str, field: str) -> None:
-        self.recording = recording
-        self._topic = topic
-        self._field = field
-        self._selections: dict[int, Selection] = {}
-
-    def records(self) -> Iterator[Record]:
-        return self.recording.records({self._topic})
-
-    def check(self) -> None:
-        """Raise UnknownName, UsageError: no such field in the messages; NoElement: no message has the element."""
-        if not self._field:
-            return
-        for channel in self.recording.channels:
-            if channel.topic == self._topic:
-                self._selection(channel)
-        missing: NoElement | None = None
-        for record in self.records():
-            try:
-                self.value(record)
-                return
-            except NoElement as error:
-                missing = error
-        if missing is not None:
-            raise missing
-
-    def _selection(self, channel: RecordedTopic) -> Selection:
-        if channel.number not in self._selections:
-            schema = self.recording.codec(channel).schema
-            self._selections[channel.number] = select(schema.fields, schema.root, self._field)
-        return self._selections[channel.number]
-
-    def value(self, record: Record) -> Any:
-        return self._selection(record.channel).read(self.recording.message(record))
-
-
 def _first_difference(
     run: Recording, baseline: Recording, topic: str, field: str, tolerance: float
 ) -> Difference | None:
-    ours, theirs = _Reader(run, topic, field), _Reader(baseline, topic, field)
-    theirs.check()
-    for one, other in itertools.zip_longest(ours.records(), theirs.records()):
+    field_of = baseline.select(topic, field).read
+    if field:
+        _check_element(baseline, topic, field_of)
+    for one, other in itertools.zip_longest(run.records({topic}), baseline.records({topic})):
         if one is None or other is None or one.time_ns != other.time_ns:
             is_ours = other is None or (one is not None and one.time_ns < other.time_ns)
             return _unpaired(topic, (one if is_ours else other).time_ns / _SECOND, is_ours)
         if one.channel.md5 != other.channel.md5:
             return Difference(topic, "", one.time_ns / _SECOND, one.channel.type, other.channel.type, 0.0)
-        if one.raw != other.raw:
-            for path, value, expected in _leaves(field, ours.value(one), theirs.value(other)):
-                if not _is_same(value, expected, tolerance):
-                    return Difference(topic, path, one.time_ns / _SECOND, value, expected, tolerance)
+        if one.raw != other.raw:  # of the same type, so the field is at the same place in both
+            value, expected = field_of(run.message(one)), field_of(baseline.message(other))
+            for path, leaf, expected_leaf in _leaves(field, value, expected):
+                if not _is_same(leaf, expected_leaf, tolerance):
+                    return Difference(topic, path, one.time_ns / _SECOND, leaf, expected_leaf, tolerance)
     return None
+
+
+def _check_element(recording: Recording, topic: str, take: Callable[[Any], Any]) -> None:
+    """Raise NoElement when `take` finds its element in no message of the topic."""
+    missing: NoElement | None = None
+    for record in recording.records({topic}):
+        try:
+            take(recording.message(record))
+            return
+        except NoElement as error:
+            missing = error
+    if missing is not None:
+        raise missing
 
 
 def _leaves(path: str, value: Any, expected: Any) -> Iterator[tuple[str, Any, Any]]:

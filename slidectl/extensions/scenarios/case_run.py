@@ -9,7 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any
 
 from slidectl.client import Client
@@ -52,10 +52,6 @@ class CaseResult:
     """A text about the baseline that was written."""
     was_ended: bool = False
     """True when it was ended from outside: by Ctrl-C, or at its limit of wall time."""
-
-    def as_dict(self) -> dict[str, Any]:
-        """The result as a JSON object."""
-        return asdict(self)
 
 
 class WallTimeUp(BaseException):

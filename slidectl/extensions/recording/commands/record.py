@@ -17,7 +17,7 @@ from slidectl.cli import completion, output
 from slidectl.cli.commands import command, finite
 from slidectl.cli.context import Context
 from slidectl.command_steps import CommandStep, check_not_detached
-from slidectl.errors import MessageRefused, NoDaemon, Refused, SlidectlError, UnknownName, UsageError
+from slidectl.errors import NoDaemon, Refused, SlidectlError, UnknownName, UsageError
 from slidectl.msgs.schema import nanoseconds
 
 if TYPE_CHECKING:
@@ -205,10 +205,7 @@ class _RecordedTopics:
                 topic, topics[topic], queue_length=_QUEUE, take=self._write, wait=False
             )
         if new:
-            try:
-                client.flush()
-            except MessageRefused as error:  # a node advertised it with another type meanwhile
-                self._ctx.warn(f"not recorded: {error.message}")
+            client.flush()
 
     def _write(self, published: dict[str, Any]) -> None:
         topic = published["topic"]
@@ -240,7 +237,10 @@ class _RecordedTopics:
                     now = client.monotonic()
                     if now >= flushed + _FLUSH_EVERY_S or now < began + _FLUSH_EVERY_S:
                         flushed = now
-                        self._flush()
+                        try:
+                            self._out.flush()
+                        except OSError as error:
+                            self._failure = error
                     if self._prints_progress:
                         self._progress()
                     else:
@@ -254,12 +254,6 @@ class _RecordedTopics:
             with suppress(NoDaemon):  # before it ended, the daemon sent all that was published
                 deque(client.events(0.0), maxlen=0)
             raise
-
-    def _flush(self) -> None:
-        try:
-            self._out.flush()
-        except OSError as error:
-            self._failure = error
 
     def _subscribe_to_new(self) -> None:
         client = self._ctx.client

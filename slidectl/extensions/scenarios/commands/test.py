@@ -243,7 +243,7 @@ def _print_results(ctx: Context, cases: Sequence[Case], results: Mapping[str, Ca
     ran = [(case, results[case.id]) for case in cases if case.id in results]
     failures = [(case, result) for case, result in ran if result.verdict in BAD]
     rows: list[dict[str, Any]] = [
-        result.as_dict() | {"sim_time": round(result.sim_time, 9), "wall_time": round(result.wall_time, 3)}
+        vars(result) | {"sim_time": round(result.sim_time, 9), "wall_time": round(result.wall_time, 3)}
         for _, result in ran
     ]
     if ctx.format != "text":

@@ -315,5 +315,5 @@ def pytest_runtest_makereport(
     """Give the result to the command, as JSON in ASCII."""
     report = yield
     if call.when == "setup" and isinstance(item, ScenarioItem) and item.result is not None:
-        report.scenario = json.dumps(item.result.as_dict())  # type: ignore[attr-defined]
+        report.scenario = json.dumps(vars(item.result))  # type: ignore[attr-defined]
     return report
