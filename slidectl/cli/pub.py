@@ -17,7 +17,7 @@ from slidectl import names
 from slidectl.cli import completion
 from slidectl.cli.commands import Command, command, positive_seconds
 from slidectl.cli.context import Context, Target
-from slidectl.cli.topic_streams import SUBSCRIBERS, details, users_of
+from slidectl.cli.topic_streams import SUBSCRIBERS, details, next_step, users_of
 from slidectl.errors import BadFile, SlidectlError, TimedOut, UnknownName, Unused, UsageError
 from slidectl.msgs.fill import fill, mentions_clock
 from slidectl.msgs.schema import Schema
@@ -152,8 +152,6 @@ def _target(
 
 def _with_next_step(ctx: Context, name: str, error: SlidectlError, step: str) -> SlidectlError:
     """The error with one more line: the command that loads a missing controller, else `step`."""
-    from slidectl.cli.controller import next_step
-
     error.hint = f"{error.hint}\n{next_step(ctx, name) or step}"
     return error
 
