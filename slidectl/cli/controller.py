@@ -18,7 +18,6 @@ import click
 from slidectl.cli import completion, robots
 from slidectl.cli.commands import Variadic, group, number, seconds, wait_for_world_s
 from slidectl.cli.context import Context
-from slidectl.cli.param import store
 from slidectl.cli.topic_streams import pause_remark
 from slidectl.client.manager import BEST_EFFORT, STARTED, STRICT, UNLOADED, Manager, claimed_text, configured, each
 from slidectl.command_steps import CommandStep, StepEffects
@@ -499,6 +498,8 @@ def config(ctx: Context, manager: str | None, file: str) -> None:
 
     The file is that of a tutorial: its top key is the namespace (`slider:`); without one it goes to that of the robot.
     """
+    from slidectl.cli.param import store
+
     tree = read_parameters(ctx, file, [one.namespace for one in chosen(ctx, manager)])
     store(ctx, tree)
     ctx.done({"file": file, "parameters": len(tree)}, f"{file}: {len(tree)} parameters")

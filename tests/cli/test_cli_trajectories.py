@@ -189,7 +189,7 @@ def test_a_terminal_shows_how_far_it_is(world: CommandLine) -> None:
     ("name", "text", "code", "told"),
     [
         ("a.yaml", "points: [", 2, ["a.yaml:1: not valid YAML"]),
-        ("a.yaml", "[1, 2]", 2, ["a.yaml: holds no mapping"]),
+        ("a.yaml", "[1, 2]", 2, ["a.yaml: is not a mapping"]),
         ("a.yaml", "joint_names: [joint1]\npoints: []", 2, ["has no points", "trajectory hold"]),
         ("a.yaml", "{joint_names: [joint1], points: [{positions: [0]}]}", 2, ["point 1: time_from_start is missing"]),
         ("a.yaml", "{joint_names: [joint1], points: [{time_from_start: {s: 1}}]}", 2, ["point 1: time_from_start is"]),
