@@ -160,9 +160,10 @@ def _is_type(given: Sequence[str], target: Target, from_documents: bool) -> bool
     """True when the first word is a TYPE. A lone word such as `a/b` is a value when the topic takes text."""
     if given[0] == target.type:
         return True
+    if not re.match(_TYPE, given[0]):
+        return False
     alone = [word for word in given if word != _ONCE] == [given[0]] and not from_documents
-    takes_text = target.typedefs[0]["fieldtypes"] == ["string"]
-    return "/" in given[0] and bool(re.match(_TYPE, given[0])) and not (alone and takes_text)
+    return not (alone and target.typedefs[0]["fieldtypes"] == ["string"])
 
 
 # --- the values -----------------------------------------------------------------------------------------------------
