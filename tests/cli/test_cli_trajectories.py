@@ -282,7 +282,7 @@ def test_whoever_waits_for_a_goal_is_told_when_its_robot_is_deleted(world: Comma
         (["trajectory", "state", "leg_controller"], 1, ["no trajectory controller", "/arm/arm_controller"]),
         (["trajectory", "state", "gripper_controller"], 1, ["no trajectory controller 'gripper_controller'"]),
         (["action", "info", "nothing"], 1, ["no action 'nothing'", GRIPPER]),
-        (["action", "send", "gripper_cmd", "0.5"], 2, ["no mapping of fields"]),
+        (["action", "send", "gripper_cmd", "0.5"], 2, ["not a mapping of fields"]),
         (["action", "send", "gripper_cmd", "{comand: {}}"], 2, ["no field 'goal.comand'"]),
         (["trajectory", "plan", "arm_controller", "--to", "joint9=1", "--duration", "1"], 1, ["no joint 'joint9'"]),
         (["trajectory", "plan", "arm_controller", "--to", "joint1", "--duration", "1"], 2, ["JOINT=POSITION"]),
