@@ -218,17 +218,15 @@ def _installed() -> tuple[dict[str, dict[str, list[Part]]], list[BadMetadata]]:
             from importlib.metadata import Distribution
             from pathlib import Path
 
-            found = Distribution.at(Path(folder))
-            if found.name in parts:  # of two versions the first on the path counts, as for an import
-                continue
+            package = folder
             try:
-                points = [point for point in found.entry_points if point.group.startswith(_GROUP)]
-            except Exception as error:  # the parser raises different exceptions for different faults
-                unreadable[found.name] = BadMetadata(found.name, f"{type(error).__name__}: {error}")
-                continue
-            parts[found.name] = [
-                Part(point.group, point.name, point.value, found.name, found.version) for point in points
-            ]
+                found = Distribution.at(Path(folder))
+                package = found.name or folder
+                if package not in parts:  # of two versions the first on the path counts, as for an import
+                    points = [point for point in found.entry_points if point.group.startswith(_GROUP)]
+                    parts[package] = [Part(one.group, one.name, one.value, package, found.version) for one in points]
+            except Exception as error:  # the files of a package may be broken in any way
+                unreadable[package] = BadMetadata(package, f"{type(error).__name__}: {error}")
     by_name: dict[str, dict[str, list[Part]]] = {}
     for part in sorted(part for some in parts.values() for part in some):
         by_name.setdefault(part.group, {}).setdefault(part.name, []).append(part)

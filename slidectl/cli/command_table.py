@@ -5,7 +5,12 @@ The module of a command has a click command of the command's name (`assert_`: a 
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from importlib import import_module
+from keyword import iskeyword
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    import click
 
 
 class Entry(NamedTuple):
@@ -101,3 +106,10 @@ WINDOWS = {
     "gzclient": ("gazebo_ros", "gzclient"),
 }
 """Windows of ROS and Gazebo that have commands of their own in a shell: command -> package and program."""
+
+
+def load(name: str) -> click.Command:
+    """Import the module of a command, and return the command."""
+    attribute = name.replace("-", "_") + "_" * iskeyword(name)
+    command: click.Command = getattr(import_module(COMMANDS[name].module), attribute)
+    return command

@@ -10,16 +10,13 @@ import math
 import re
 from collections.abc import Callable, Sequence
 from functools import cache
-from importlib import import_module
 from itertools import takewhile
-from keyword import iskeyword
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from slidectl import names
 from slidectl.cli import output
-from slidectl.cli.command_table import COMMANDS
 from slidectl.cli.context import Context
 from slidectl.command_steps import CommandStep
 
@@ -117,7 +114,7 @@ def full_namespace(value: str) -> str:
 def _store(click_context: click.Context, param: click.Parameter, value: Any) -> None:
     """Store the value of a common option in the Context; one that is not given leaves it as it is."""
     context = click_context.find_object(Context)
-    if value in (None, False, 0) or context is None:
+    if value is None or value is False or context is None:
         return
     match param.name:
         case "common_ns":
@@ -155,13 +152,6 @@ def common_options() -> tuple[click.Option, ...]:
         for flags, text, more in rows
     ]
     return tuple(options)
-
-
-def load(name: str) -> click.Command:
-    """Import the module of a command in the command table, and return the command."""
-    attribute = name.replace("-", "_") + "_" * iskeyword(name)
-    found: click.Command = getattr(import_module(COMMANDS[name].module), attribute)
-    return found
 
 
 # --- commands -------------------------------------------------------------------------------------------------------

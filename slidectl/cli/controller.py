@@ -18,12 +18,11 @@ import click
 from slidectl.cli import completion, robots
 from slidectl.cli.commands import Variadic, group, number, seconds, wait_for_world_s
 from slidectl.cli.context import Context
-from slidectl.cli.param import store
 from slidectl.cli.topic_streams import pause_remark
 from slidectl.client.manager import BEST_EFFORT, STARTED, STRICT, UNLOADED, Manager, claimed_text, configured, each
 from slidectl.command_steps import CommandStep, StepEffects
-from slidectl.errors import AmbiguousName, NoDaemon, Refused, TimedOut, UnknownName, UsageError, listing
-from slidectl.names import join, parent, resolve
+from slidectl.errors import AmbiguousName, NoDaemon, Refused, TimedOut, UnknownName, UsageError
+from slidectl.names import join, resolve
 
 if TYPE_CHECKING:
     from slidectl.client.spawning import Tree
@@ -498,6 +497,8 @@ def config(ctx: Context, manager: str | None, file: str) -> None:
 
     The file is that of a tutorial: its top key is the namespace (`slider:`); without one it goes to that of the robot.
     """
+    from slidectl.cli.param import store
+
     tree = read_parameters(ctx, file, [one.namespace for one in chosen(ctx, manager)])
     store(ctx, tree)
     ctx.done({"file": file, "parameters": len(tree)}, f"{file}: {len(tree)} parameters")
@@ -606,39 +607,6 @@ def manager_of_some(context: Context, wanted: str | None, controllers: Sequence[
     places = _places(_known(chosen(context, wanted))[1], controllers)
     manager, _, states = owner(context, wanted, [name for name, found in places.items() if found])
     return manager, [name.removeprefix(manager.namespace.rstrip("/") + "/") for name in controllers], states
-
-
-def next_step(context: Context, topic: str) -> str | None:
-    """A hint with the command that must run before a controller takes messages on `topic`; None when none must."""
-    steps = _steps(context, parent(join("/", topic)))
-    return steps[0] if steps and topic.rpartition("/")[2] == "command" else None
-
-
-def step_to_joint_states(context: Context) -> str:
-    """A hint with the command that must run before there are joint states."""
-    steps = _steps(context, "/joint_state_controller")
-    return steps[0] if steps else "a running joint_state_controller publishes them: slidectl controller list"
-
-
-def _steps(context: Context, node: str) -> list[str]:
-    """What must be done before a controller runs: a step for each robot, or one when it only has to be loaded.
-
-    `node` is the name of the controller's node, or its end.
-    """
-    above = node + "/"
-    found = context.managers()
-    steps = [] if found else ["no robot with controllers is in the world; spawn one: slidectl spawn slider"]
-    for manager in found:
-        space, states, configured = manager.namespace, manager.states(), manager.configured()
-        waiting = [name for name in configured if name not in states]
-        if controller := next((name for name in waiting if above.endswith(f"/{name}/")), None):
-            return [f"{controller} is not loaded; load and start it: slidectl controller spawn {controller}"]
-        if waiting:
-            steps.append(f"not loaded in {space}: {listing(waiting)}; load and start: slidectl controller spawn NAME")
-        elif not states:
-            load_them = "load their configuration: slidectl controller config FILE.yaml"
-            steps.append(f"{space} has no controllers yet; {load_them}")
-    return steps
 
 
 def _known(managers: Sequence[Manager]) -> tuple[dict[str, dict[str, str]], dict[str, set[str]]]:

@@ -55,12 +55,10 @@ class Background:
 
         sys.stdout.flush()
         sys.stderr.flush()
-        held = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)  # until the child is alone and the parent passes on
         child = os.fork()
         if child == 0:
             os.close(self._read)
             os.setsid()
-            signal.pthread_sigmask(signal.SIG_SETMASK, held)
             return
 
         def pass_on(number: int, _frame: object) -> None:
@@ -70,7 +68,6 @@ class Background:
         os.close(self._write)
         for number in SIGNALS:
             signal.signal(number, pass_on)
-        signal.pthread_sigmask(signal.SIG_SETMASK, held)
         self._follow(child)
 
     def _follow(self, child: int) -> NoReturn:

@@ -7,8 +7,7 @@ from typing import Any
 
 import click
 
-from slidectl.cli.command_table import COMMANDS
-from slidectl.cli.commands import load
+from slidectl.cli.command_table import COMMANDS, load
 from slidectl.cli.output import ClosedPipe
 from slidectl.entry_points import Part, Registry
 

@@ -17,8 +17,8 @@ import click
 
 from slidectl import __version__
 from slidectl.cli import output
-from slidectl.cli.command_table import COMMANDS, WINDOWS
-from slidectl.cli.commands import Group, full_namespace, load
+from slidectl.cli.command_table import COMMANDS, WINDOWS, load
+from slidectl.cli.commands import Group, full_namespace
 from slidectl.cli.context import Context, paint
 from slidectl.errors import (
     EXIT_DONE,

@@ -17,7 +17,7 @@ from slidectl import names
 from slidectl.cli import completion
 from slidectl.cli.commands import Command, command, positive_seconds
 from slidectl.cli.context import Context, Target
-from slidectl.cli.topic_streams import SUBSCRIBERS, details, users_of
+from slidectl.cli.topic_streams import SUBSCRIBERS, details, next_step, users_of
 from slidectl.errors import BadFile, SlidectlError, TimedOut, UnknownName, Unused, UsageError
 from slidectl.msgs.fill import fill, mentions_clock
 from slidectl.msgs.schema import Schema
@@ -152,8 +152,6 @@ def _target(
 
 def _with_next_step(ctx: Context, name: str, error: SlidectlError, step: str) -> SlidectlError:
     """The error with one more line: the command that loads a missing controller, else `step`."""
-    from slidectl.cli.controller import next_step
-
     error.hint = f"{error.hint}\n{next_step(ctx, name) or step}"
     return error
 
@@ -162,9 +160,10 @@ def _is_type(given: Sequence[str], target: Target, from_documents: bool) -> bool
     """True when the first word is a TYPE. A lone word such as `a/b` is a value when the topic takes text."""
     if given[0] == target.type:
         return True
+    if not re.match(_TYPE, given[0]):
+        return False
     alone = [word for word in given if word != _ONCE] == [given[0]] and not from_documents
-    takes_text = target.typedefs[0]["fieldtypes"] == ["string"]
-    return "/" in given[0] and bool(re.match(_TYPE, given[0])) and not (alone and takes_text)
+    return not (alone and target.typedefs[0]["fieldtypes"] == ["string"])
 
 
 # --- the values -----------------------------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from slidectl import names
 from slidectl.cli.output import check_reader
-from slidectl.errors import TimedOut, UnknownName
+from slidectl.errors import TimedOut, UnknownName, listing
 from slidectl.msgs.schema import Typedefs, nanoseconds
 
 if TYPE_CHECKING:
@@ -41,8 +41,6 @@ def find_published_topic(ctx: Context, text: str) -> Target:
         return ctx.find_topic(text, PUBLISHERS)
     except UnknownName as error:
         if re.search(r"(^|/)joint_?states?(/|\[|$)", text):
-            from slidectl.cli.controller import step_to_joint_states
-
             error.hint = f"{error.hint}\n{step_to_joint_states(ctx)}"
         raise
 
@@ -91,6 +89,42 @@ def users_of(ctx: Context, topics: Iterable[str], role: str) -> dict[str, list[s
 def details(ctx: Context, type_name: str) -> Typedefs:
     """The typedefs of a message type. Raises Refused (with the daemon's text) for an unknown one."""
     return list(ctx.call("/rosapi/message_details", {"type": type_name})["typedefs"])
+
+
+# --- what must run first ---------------------------------------------------------------------------------------------
+
+
+def next_step(ctx: Context, topic: str) -> str | None:
+    """A hint with the command that must run before a controller takes messages on `topic`; None when none must."""
+    steps = _steps(ctx, names.parent(names.join("/", topic)))
+    return steps[0] if steps and topic.rpartition("/")[2] == "command" else None
+
+
+def step_to_joint_states(ctx: Context) -> str:
+    """A hint with the command that must run before there are joint states."""
+    steps = _steps(ctx, "/joint_state_controller")
+    return steps[0] if steps else "a running joint_state_controller publishes them: slidectl controller list"
+
+
+def _steps(ctx: Context, node: str) -> list[str]:
+    """What must be done before a controller runs: a step for each robot, or one when it only has to be loaded.
+
+    `node` is the name of the controller's node, or its end.
+    """
+    above = node + "/"
+    found = ctx.managers()
+    steps = [] if found else ["no robot with controllers is in the world; spawn one: slidectl spawn slider"]
+    for manager in found:
+        space, states, configured = manager.namespace, manager.states(), manager.configured()
+        waiting = [name for name in configured if name not in states]
+        if controller := next((name for name in waiting if above.endswith(f"/{name}/")), None):
+            return [f"{controller} is not loaded; load and start it: slidectl controller spawn {controller}"]
+        if waiting:
+            steps.append(f"not loaded in {space}: {listing(waiting)}; load and start: slidectl controller spawn NAME")
+        elif not states:
+            load_them = "load their configuration: slidectl controller config FILE.yaml"
+            steps.append(f"{space} has no controllers yet; {load_them}")
+    return steps
 
 
 # --- messages -------------------------------------------------------------------------------------------------------

@@ -114,7 +114,7 @@ GAINS = [
     ("p: 1.0, i: 1.0, i_clamp: 2.0, i_clamp_min: 1.0", [("converted", "pid/i_clamp_min: 1 is taken as -1")]),
     ("p: -1.0", [("wrong", "pid/p: -1 is negative")]),
     ("p: 0.0", [("wrong", "pid/p: 0.0, as are all gains: the controller never pushes")]),
-    ("p: .nan", [("wrong", "pid/p: nan is no finite number")]),
+    ("p: .nan", [("wrong", "pid/p: nan is not a finite number")]),
 ]
 
 

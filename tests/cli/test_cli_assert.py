@@ -96,10 +96,10 @@ def test_what_cannot_be_measured_does_not_hold(run: tuple[CommandLine, Path]) ->
     [
         ("joint1 --last 5", 2, "no condition"),
         ("joint1 --overshoot 5", 2, "'5' is not a condition: write '<5'"),
-        ("joint1 --overshoot <5furlongs", 2, "'furlongs' is no unit"),
+        ("joint1 --overshoot <5furlongs", 2, "'furlongs' is not a unit"),
         ("joint1 --overshoot <5rad --last 5", 2, "--overshoot is in %"),
         ("joint1 --overshoot <5", 2, "--overshoot is measured over a time"),
-        ("joint1 --near 1 --last 5 --for 5", 2, "--for is of the time to come"),
+        ("joint1 --near 1 --last 5 --for 5", 2, "--for measures the time to come"),
         ("joint1 --above 1 --tol 5", 2, "--tol needs --near"),
         ("elbow --near 1", 1, "joints: /slider/joint1"),
         ("joint_states/position[0] --near 1 --last 5", 2, "the past is kept of joints only"),

@@ -9,8 +9,8 @@ import click
 import pytest
 from command_line import CommandLine
 
-from slidectl.cli.command_table import COMMANDS
-from slidectl.cli.commands import Variadic, command, is_number, load
+from slidectl.cli.command_table import COMMANDS, load
+from slidectl.cli.commands import Variadic, command, is_number
 from slidectl.cli.context import Context
 from slidectl.cli.main import root
 

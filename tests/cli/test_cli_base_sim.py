@@ -97,7 +97,7 @@ def test_an_amount_without_end_is_none(slidectl: CommandLine) -> None:
     for amount in ("1e400s", "0", "-1", "soon"):
         done = slidectl("sim", "step", amount)
         assert (done.returncode, done.stdout) == (2, "")
-    assert "'1e400s' is no amount of steps" in slidectl("sim", "step", "1e400s").stderr
+    assert "'1e400s' is not a number of steps" in slidectl("sim", "step", "1e400s").stderr
 
 
 def test_steps_go_up_to_a_time_that_has_not_passed(slidectl: CommandLine) -> None:

@@ -132,7 +132,7 @@ def test_stdin_gives_one_call_for_each_document(world: World) -> None:
         (["call", "switch_controller", "{strictness: x}"], 2, "strictness must be"),
         (["call", "list_controllers", "1"], 2, "too many arguments"),
         (["call", "load_controller", "data: [1"], 2, "not valid YAML"),
-        (["call", "load_controller", "x", "--stdin"], 2, "a VALUE beside --stdin"),
+        (["call", "load_controller", "x", "--stdin"], 2, "a VALUE and --stdin exclude each other"),
         (["call", "/slidectl/sleep", "1000", "--timeout", "0.3"], 4, "within 0.3 s"),
         (["call"], 2, "Missing argument"),
         (["bogus"], 2, "no command 'bogus'"),

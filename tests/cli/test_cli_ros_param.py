@@ -261,7 +261,7 @@ def test_the_recorded_sessions_in_their_order(shell: tuple[Shell, Path]) -> None
 
 REFUSED = [
     ("rosparam set /bad 'a: [1'", "not valid YAML"),
-    ("rosparam set /null null", "null is not a value"),
+    ("rosparam set /null null", "a parameter cannot be null"),
     ("rosparam set /date 2020-01-01", "is a date"),
     ("rosparam set /big 3000000000", "integers have 32 bits; write 3000000000.0"),
     ("rosparam set /huge '[1, 99999999999999999999]'", "integers have 32 bits"),

@@ -57,7 +57,7 @@ def test_only_controllers_that_a_spawn_starts_from_files_alone_are_judged(slidec
 @pytest.mark.parametrize(
     ("step", "said"),
     [
-        ("sim step: 0.5parsec", ["'0.5parsec' is no amount of steps"]),
+        ("sim step: 0.5parsec", ["'0.5parsec' is not a number of steps"]),
         ("wait: joint_states/position[0]", ["give exactly one of --near, --above, --below and --equals"]),
         ("assert: joint1", ["no condition"]),
         ("assert: joint1 --overshoot '<5%'", ["--overshoot is measured over a time"]),

@@ -189,7 +189,7 @@ def test_a_terminal_shows_how_far_it_is(world: CommandLine) -> None:
     ("name", "text", "code", "told"),
     [
         ("a.yaml", "points: [", 2, ["a.yaml:1: not valid YAML"]),
-        ("a.yaml", "[1, 2]", 2, ["a.yaml: holds no mapping"]),
+        ("a.yaml", "[1, 2]", 2, ["a.yaml: is not a mapping"]),
         ("a.yaml", "joint_names: [joint1]\npoints: []", 2, ["has no points", "trajectory hold"]),
         ("a.yaml", "{joint_names: [joint1], points: [{positions: [0]}]}", 2, ["point 1: time_from_start is missing"]),
         ("a.yaml", "{joint_names: [joint1], points: [{time_from_start: {s: 1}}]}", 2, ["point 1: time_from_start is"]),
@@ -282,7 +282,7 @@ def test_whoever_waits_for_a_goal_is_told_when_its_robot_is_deleted(world: Comma
         (["trajectory", "state", "leg_controller"], 1, ["no trajectory controller", "/arm/arm_controller"]),
         (["trajectory", "state", "gripper_controller"], 1, ["no trajectory controller 'gripper_controller'"]),
         (["action", "info", "nothing"], 1, ["no action 'nothing'", GRIPPER]),
-        (["action", "send", "gripper_cmd", "0.5"], 2, ["no mapping of fields"]),
+        (["action", "send", "gripper_cmd", "0.5"], 2, ["not a mapping of fields"]),
         (["action", "send", "gripper_cmd", "{comand: {}}"], 2, ["no field 'goal.comand'"]),
         (["trajectory", "plan", "arm_controller", "--to", "joint9=1", "--duration", "1"], 1, ["no joint 'joint9'"]),
         (["trajectory", "plan", "arm_controller", "--to", "joint1", "--duration", "1"], 2, ["JOINT=POSITION"]),

@@ -128,7 +128,7 @@ def awaited(ctx: Context, name: str) -> tuple[Target, list[Subscription]]:
         near = closest(full, ctx.call("/rosapi/topics")["topics"])
         suggestion = f"; did you mean {near}?" if near else ""
         if not near and full.endswith("/joint_states"):
-            from slidectl.cli.controller import step_to_joint_states
+            from slidectl.cli.topic_streams import step_to_joint_states
 
             suggestion = f"; {step_to_joint_states(ctx)}"
         print(f"WARNING: topic [{full}] does not appear to be published yet{suggestion}", file=sys.stderr, flush=True)

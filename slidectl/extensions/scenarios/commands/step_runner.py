@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from slidectl.cli import installed_commands
-from slidectl.cli.command_table import COMMANDS
-from slidectl.cli.commands import Command, Variadic, common_options, load
+from slidectl.cli.command_table import COMMANDS, load
+from slidectl.cli.commands import Command, Variadic, common_options
 from slidectl.cli.context import Context
 from slidectl.cli.installed_commands import INSTALLED
 from slidectl.cli.main import described, invoke, root
