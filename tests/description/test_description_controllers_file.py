@@ -126,8 +126,8 @@ def test_a_bomb_of_merges_costs_no_more_than_its_names() -> None:
     ("text", "reason"),
     [
         ("p: 1\np: 2", "duplicate key, also in line 1; the last one counts"),
-        ("a: 1\na/b: 2", "is a value, and a namespace of values too"),
-        ("a/b: 1\na: 2", "is a value, and a namespace of values too"),
+        ("a: 1\na/b: 2", "is both a value and a namespace of values"),
+        ("a/b: 1\na: 2", "is both a value and a namespace of values"),
         ("a: 1\nb: 1e-3", "is text in YAML 1.1, not a number"),
         ("a: 1\nb: inf", "is text in YAML 1.1, not a number"),
     ],
