@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, cast, get_args
 
 from slidectl.errors import NoFileThere, NotThere
 
@@ -80,11 +80,8 @@ class Missing:
 
     def records(self) -> list[Any]:
         """What was noted, as JSON values, for `add` in another process."""
-        return [
-            [isinstance(e, NoFileThere), one.loss, [e.reason, e.file, e.line, e.hint, e.thing]]
-            for one in self.absences
-            for e in (one.error,)
-        ]
+        pairs = ((one.error, one.loss) for one in self.absences)
+        return [[isinstance(e, NoFileThere), loss, [e.reason, e.file, e.line, e.hint, e.thing]] for e, loss in pairs]
 
     def add(self, records: Iterable[Any]) -> None:
         """Note what another process has noted."""
@@ -139,16 +136,15 @@ def to_environment(missing: Missing, notes: str) -> dict[str, str]:
     return {_FORGIVEN: missing.forgiven, _NOTES: notes}
 
 
-def from_environment(environment: Mapping[str, str] = os.environ) -> Missing | None:
-    """What `to_environment` has passed on to this process, or None."""
-    levels: dict[str, AllowedMissing] = {level: level for level in ("nothing", "nodes", "all but files", "all")}
-    found = levels.get(environment.get(_FORGIVEN, ""))
-    return None if found is None else Missing(found)
+def from_environment() -> Missing | None:
+    """The collector that `to_environment` describes to this process, or None."""
+    level = os.environ.get(_FORGIVEN)
+    return Missing(cast(AllowedMissing, level)) if level in get_args(AllowedMissing) else None
 
 
-def write_notes(missing: Missing, environment: Mapping[str, str] = os.environ) -> None:
+def write_notes(missing: Missing) -> None:
     """Append what is missing to the file of the launch, one JSON record a line. Nothing without such a file."""
-    if notes := environment.get(_NOTES):
+    if notes := os.environ.get(_NOTES):
         with open(notes, "a", encoding="utf-8") as file:
             file.writelines(json.dumps(record) + "\n" for record in missing.records())
 

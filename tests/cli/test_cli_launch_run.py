@@ -49,7 +49,7 @@ def test_the_slider_runs_from_nothing_and_everything_ends_with_it(slidectl: Comm
     text = launched.up()
     assert "/urdf_spawner: slider spawned in /slider, joints: joint1" in text
     assert "everything runs (4 nodes, 2 controllers running); Ctrl-C ends it" in text
-    assert "nobody publishes" not in text
+    assert "has no publisher" not in text
     assert set(controllers(slidectl).values()) == {"running"}
     slidectl.ok("pub", "command", "1.0")
     slidectl.ok("wait", "joint_states/position[0]", "--above", "0.05", "--within", "5")

@@ -23,7 +23,7 @@ def read(text: str) -> dict[str, Any]:
 
 def test_a_file_is_a_tree_of_parameters(write: Write) -> None:
     path = write("süd/c.yaml", "slider:\n  joint1:\n    type: a/B\n    pid: {p: 100.0, i: 0.01}\n    on: [1, 2.5, x]\n")
-    with pytest.raises(BadFile, match=r"c.yaml:5: on is no name"):
+    with pytest.raises(BadFile, match=r"c.yaml:5: on is not a name"):
         controllers_file.read(path)
     path = write("c.yaml", "slider:\n  joint1:\n    type: a/B\n    pid: {p: 100.0, i: 1}\n    list: [yes, 2.5, x]\n")
     tree = controllers_file.read(path)
@@ -76,8 +76,8 @@ FAULTS = [
     ("a: 1\nb:", 2, "'b' has no value"),
     ("a: 1\nb: ~", 2, "'b' has no value"),
     ("a: 1\nb: 2020-01-01", 2, "is a date"),
-    ("a: 1\n2: 3", 2, "2 is no name"),
-    ("a: 1\n[1]: 3", 2, "is no name"),
+    ("a: 1\n2: 3", 2, "2 is not a name"),
+    ("a: 1\n[1]: 3", 2, "is not a name"),
     ("- 1", 1, "expected names with values"),
     ("hello", 1, "expected names with values"),
     ("a: !!python/object/apply:os.system [x]", 1, "a list or mapping cannot be tag:yaml.org,2002:python"),
@@ -126,8 +126,8 @@ def test_a_bomb_of_merges_costs_no_more_than_its_names() -> None:
     ("text", "reason"),
     [
         ("p: 1\np: 2", "duplicate key, also in line 1; the last one counts"),
-        ("a: 1\na/b: 2", "is a value, and a namespace of values too"),
-        ("a/b: 1\na: 2", "is a value, and a namespace of values too"),
+        ("a: 1\na/b: 2", "is both a value and a namespace of values"),
+        ("a/b: 1\na: 2", "is both a value and a namespace of values"),
         ("a: 1\nb: 1e-3", "is text in YAML 1.1, not a number"),
         ("a: 1\nb: inf", "is text in YAML 1.1, not a number"),
     ],

@@ -173,7 +173,7 @@ def test_of_a_file_and_a_text_the_file_counts(workspace: Workspace) -> None:
     workspace.write("p.yaml", "a: 1\n")
     plan = workspace.plan('<rosparam file="$(find demo)/p.yaml">b: 2</rosparam>')
     assert list(plan.parameters()) == ["/a"]
-    assert "the text has no effect" in notices(plan)[0]
+    assert "the text is ignored" in notices(plan)[0]
 
 
 def test_an_empty_rosparam_is_pointed_out(workspace: Workspace) -> None:

@@ -7,13 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 from slidectl import names
 from slidectl.description.missing import Missing
 from slidectl.description.robot import Notice, Verdict
-from slidectl.errors import BadFile, NoFileThere, NotThere
+from slidectl.errors import BadFile, NotThere
 
 Leaf = tuple[Any, "Location"]
 
@@ -35,10 +34,6 @@ class Location:
     def absence(self, message: str, hint: str | None = None, thing: str = "") -> NotThere:
         """The error for a missing thing that is named at this place."""
         return NotThere(message, self.file, self.line, hint, thing)
-
-    def no_file(self, message: str, hint: str | None, path: Path) -> NoFileThere:
-        """The error for a missing file that is to be read at this place."""
-        return NoFileThere(message, self.file, self.line, hint, f"file {path}")
 
 
 @dataclass

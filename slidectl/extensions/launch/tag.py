@@ -162,7 +162,8 @@ class Tag:
 
     def no_file(self, message: str, hint: str | None, path: Path) -> NoFileThere:
         """As error, for a file that the tag reads and that is not there."""
-        return self.place.no_file(f"<{self.name}>: {message}", self._with_trail(hint), path)
+        text, place = f"<{self.name}>: {message}", self.place
+        return NoFileThere(text, place.file, place.line, self._with_trail(hint), f"file {path}")
 
     def _with_trail(self, hint: str | None) -> str | None:
         lines = [hint] if hint else []
