@@ -156,7 +156,7 @@ class PeriodicTopic:
 
     @property
     def wanted(self) -> bool:
-        """True while somebody subscribes."""
+        """True while the topic has subscribers."""
         return self._publisher.wanted
 
     def _demand(self, wanted: bool) -> None:
@@ -224,12 +224,12 @@ class Topic:
 
 
 ANY_TYPE = "*"
-"""As the type of a subscription: whatever type the topic has, or will have when somebody advertises it."""
+"""As the type of a subscription: whatever type the topic has, or will have when it is advertised."""
 
 
 @dataclass(slots=True, eq=False)
 class _ComingTopic:
-    """The subscriptions of a topic that does not exist yet, by somebody who does not know its type."""
+    """The subscriptions of a topic that does not exist yet and whose type is unknown."""
 
     name: str
     subscriptions: list[TopicSubscription] = field(default_factory=list)
