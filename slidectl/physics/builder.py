@@ -191,8 +191,7 @@ def set_inertia(body: Any, robot: str, links: Sequence[tuple[Link, Pose]]) -> No
 
     A link without `<inertial>` has no mass.
 
-    Raises:
-        BadInertia: the mass is not positive, or the moments are physically impossible.
+    Raises BadInertia: the mass is not positive, or the moments are physically impossible.
     """
     body.explicitinertial = True
     body.mass = 0.0
@@ -320,8 +319,7 @@ def add_shapes(
     friction that wheels have in models they cannot slip, and the robot would not turn. A mesh that is round about the
     axle is a wheel, too.
 
-    Raises:
-        BadShape: a size that is not positive, or a mesh that could not be read.
+    Raises BadShape: a size that is not positive, or a mesh that could not be read.
     """
 
     def add_geom(name: str, position: Vector, attitude: Quaternion) -> Any:
@@ -466,8 +464,7 @@ class RobotBuilder:
     def build(self, pose: Pose) -> None:
         """Add the robot with its root at `pose`: fixed there when the root link is called `world`, free otherwise.
 
-        Raises:
-            BadInertia, BadJoint, BadShape: naming the robot and the link or joint.
+        Raises BadInertia, BadJoint, BadShape: naming the robot and the link or joint.
         """
         joint = too_deep(self.robot.root, self.robot.joints)
         if joint is not None:

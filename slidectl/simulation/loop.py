@@ -306,8 +306,7 @@ class Loop:
     def step(self, cycles: int = 1) -> int:
         """Run `cycles` cycles. Returns the number run: fewer on `enough`, or if the physics diverges and `driven`.
 
-        Raises:
-            Diverged: the state of a robot is no longer a number, and not `driven`.
+        Raises Diverged: the state of a robot is no longer a number, and not `driven`.
         """
         if self.in_cycle:
             self.between_cycles("step")

@@ -157,8 +157,7 @@ class Simulation:
     def step(self, cycles: int = 1) -> int:
         """Run `cycles` cycles. Returns the number run: fewer only when the physics diverges and `driven`.
 
-        Raises:
-            Diverged: the state of a robot is no longer a number, and not `driven`. Refused: a bad number of cycles.
+        Raises Diverged: the state of a robot is no longer a number, and not `driven`. Refused: a bad number of cycles.
         """
         if not isinstance(cycles, Integral) or cycles < 0:
             raise Refused(f"the number of cycles must be a whole number of 0 or more, not {cycles!r}")
@@ -191,8 +190,7 @@ class Simulation:
     def call(self, service: str, request: Message | None = None) -> Message:
         """Call a service and return its response. If it needs simulated time, cycles are run, unless `driven`.
 
-        Raises:
-            SlidectlError: the call failed. Refused: it needs simulated time, which only the driver may advance.
+        Raises SlidectlError: the call failed. Refused: it needs simulated time, which only the driver may advance.
         """
         pending = self.graph.services.call(service, request)
         while not pending.done:

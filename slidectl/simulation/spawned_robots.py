@@ -363,8 +363,7 @@ class Robots:
 
         A joint with a position command stays there until a controller commands another position.
 
-        Raises:
-            UnknownName: no such robot or moving joint. Refused: an invalid position, or one beyond the limits.
+        Raises UnknownName: no such robot or moving joint. Refused: an invalid position, or one beyond the limits.
         """
         if len(joints) != len(positions):
             raise Refused(f"{len(joints)} joint names but {len(positions)} positions")

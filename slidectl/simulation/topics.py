@@ -61,8 +61,7 @@ class TopicPublisher:
     def publish(self, message: Message) -> None:
         """Deliver a complete message and number its header. The dict must not be changed afterwards.
 
-        Raises:
-            SlidectlError: the error of the first subscriber that refused it; all of them have been called.
+        Raises SlidectlError: the error of the first subscriber that refused it; all of them have been called.
         """
         if self.topic.has_header:
             message["header"]["seq"] = self.sequence
@@ -261,11 +260,7 @@ class Topics:
         latch: bool = False,
         kind: Callable[..., TopicPublisher] = TopicPublisher,
     ) -> TopicPublisher:
-        """Create a publisher of `topic`.
-
-        Raises:
-            BadName, TypeConflict. UnknownName: no such message type.
-        """
+        """Create a publisher of `topic`. Raises BadName, TypeConflict. UnknownName: no such message type."""
         entry = self._entry(topic, type_name)
         publisher = kind(entry, node, latch, self._forget)
         entry.publishers.append(publisher)
@@ -288,8 +283,7 @@ class Topics:
         Subscriptions may share a callback, which is called once for each message. Then `latched` receives the messages
         that were latched before, for this subscription alone.
 
-        Raises:
-            BadName, TypeConflict. UnknownName: no such topic or message type.
+        Raises BadName, TypeConflict. UnknownName: no such topic or message type.
         """
         if type_name == ANY_TYPE and topic not in self._topics:
             coming = self._coming.setdefault(names.check_absolute(topic, "topic"), _ComingTopic(topic))
