@@ -144,7 +144,7 @@ class Lump:
     has_gravity: bool | None = None
     """None while no link of the lump has a mass."""
 
-    def takes(self, link: Link) -> bool:
+    def accepts(self, link: Link) -> bool:
         """True when the link can be part of this body. MuJoCo switches gravity by body, not by link."""
         has_gravity = _has_gravity(link)
         return not self.moves or None in (has_gravity, self.has_gravity) or has_gravity == self.has_gravity
@@ -171,7 +171,7 @@ def lumps(robot: Robot) -> list[Lump]:
     for parent in waiting:
         for joint in robot.children_of(parent):
             link, lump, pose = robot.links[joint.child], lump_of[parent], ORIGIN
-            if joint.type == "fixed" and joint.name not in measured and lump.takes(link):
+            if joint.type == "fixed" and joint.name not in measured and lump.accepts(link):
                 pose = compose(lump.frames[parent], (joint.origin.xyz, from_rpy(joint.origin.rpy)))
             else:
                 lump = Lump(joint.child, joint, moves[joint.child], {})

@@ -207,12 +207,12 @@ class Simulation:
     def subscribe(self, topic: str, callback: MessageCallback, type_name: str | None = None) -> TopicSubscription:
         """Call `callback` with each message. Raises UnknownName when the topic does not exist and no type is given."""
 
-        def take(message: Message) -> None:
+        def receive(message: Message) -> None:
             if not self.driven:
                 self.loop.settle()
             callback(message)
 
-        return self.graph.topics.subscribe(topic, type_name, SCRIPT_NODE, take)
+        return self.graph.topics.subscribe(topic, type_name, SCRIPT_NODE, receive)
 
     def pause(self) -> None:
         """Pause the world. Requested steps are abandoned; controller switches that wait for a cycle are finished."""
