@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -40,25 +40,14 @@ class JointPlace:
     dof: int
 
 
-class Weights(NamedTuple):
-    """Inverse weights of a robot's bodies, dofs and tendons, by which MuJoCo scales its constraints.
-
-    They are taken from the robot compiled alone: compiled with others they differ by rounding errors.
-    """
-
-    bodies: Array
-    dofs: Array
-    tendons: Array
-
-
 class AttachedRobot:
     """A robot that is attached under `name`."""
 
-    def __init__(self, name: str, description: Robot, pose: Pose, hulls: Hulls | None = None) -> None:
+    def __init__(self, name: str, description: Robot, pose: Pose, hulls: Hulls) -> None:
         self.name = name
         self.description = description
         self.spawn_pose = pose
-        self.hulls: Hulls = hulls if hulls is not None else {}
+        self.hulls = hulls
         """Hulls of its meshes. They are kept for a rebuild, since the files may change or be deleted."""
         self.links: dict[str, LinkPlace] = {}
         """All links by name, also those on fixed joints."""
@@ -68,8 +57,9 @@ class AttachedRobot:
         """Initial positions of joints that do not start at 0, rad or m."""
         self.lasting_motors: dict[str, float] = {}
         """Joints that motors hold as long as the robot is in the world, with the largest effort of each, N or N·m."""
-        self.weights: Weights | None = None
-        """Set once, when the robot is attached."""
+        self._weights: dict[str, Array] = {}
+        """Inverse weights of its bodies, dofs and tendons, by which MuJoCo scales its constraints. They are taken from
+        the robot compiled alone: compiled with others they differ by rounding errors."""
         self._lumps = lumps(description)
         self._model: Any = None
         self._data: Any = None
@@ -144,24 +134,17 @@ class AttachedRobot:
                 index = mujoco.mj_name2id(model, joint, f"{self.name}/{made.name}")
                 self.joints[made.name] = JointPlace(made, int(model.jnt_qposadr[index]), int(model.jnt_dofadr[index]))
         self._slices = _slices(model, self.root_id, len(ids))
-        if self.weights is None:
-            self.weights = Weights(*(weights.copy() for weights in self._weights_of(model)))
-        for weights, own in zip(self._weights_of(model), self.weights, strict=True):
-            weights[:] = own
+        for kind in ("body", "dof", "tendon"):
+            weights = getattr(model, f"{kind}_invweight0")[self._slices[kind]]
+            weights[:] = self._weights.setdefault(kind, weights.copy())
 
     def follow(self, model: Any, data: Any) -> None:
         """Use a new model that differs only in robots after this one, so that its indices are the same."""
         self._model, self._data = model, data
 
-    def _weights_of(self, model: Any) -> tuple[Array, Array, Array]:
-        kinds = {"body": model.body_invweight0, "dof": model.dof_invweight0, "tendon": model.tendon_invweight0}
-        bodies, dofs, tendons = (array[self._slices[kind]] for kind, array in kinds.items())
-        return bodies, dofs, tendons
-
     def weight_of(self, place: JointPlace) -> float:
         """The inverse weight of a joint's dof."""
-        assert self.weights is not None
-        return float(self.weights.dofs[place.dof - self.root_dof])
+        return float(self._weights["dof"][place.dof - self.root_dof])
 
     def announce(self) -> None:
         """Call the callbacks of `on_rebound`, since indices and views may have changed."""

@@ -144,7 +144,7 @@ class Lump:
     has_gravity: bool | None = None
     """None while no link of the lump has a mass."""
 
-    def takes(self, link: Link) -> bool:
+    def accepts(self, link: Link) -> bool:
         """True when the link can be part of this body. MuJoCo switches gravity by body, not by link."""
         has_gravity = _has_gravity(link)
         return not self.moves or None in (has_gravity, self.has_gravity) or has_gravity == self.has_gravity
@@ -171,7 +171,7 @@ def lumps(robot: Robot) -> list[Lump]:
     for parent in waiting:
         for joint in robot.children_of(parent):
             link, lump, pose = robot.links[joint.child], lump_of[parent], ORIGIN
-            if joint.type == "fixed" and joint.name not in measured and lump.takes(link):
+            if joint.type == "fixed" and joint.name not in measured and lump.accepts(link):
                 pose = compose(lump.frames[parent], (joint.origin.xyz, from_rpy(joint.origin.rpy)))
             else:
                 lump = Lump(joint.child, joint, moves[joint.child], {})
@@ -191,8 +191,7 @@ def set_inertia(body: Any, robot: str, links: Sequence[tuple[Link, Pose]]) -> No
 
     A link without `<inertial>` has no mass.
 
-    Raises:
-        BadInertia: the mass is not positive, or the moments are physically impossible.
+    Raises BadInertia: the mass is not positive, or the moments are physically impossible.
     """
     body.explicitinertial = True
     body.mass = 0.0
@@ -320,8 +319,7 @@ def add_shapes(
     friction that wheels have in models they cannot slip, and the robot would not turn. A mesh that is round about the
     axle is a wheel, too.
 
-    Raises:
-        BadShape: a size that is not positive, or a mesh that could not be read.
+    Raises BadShape: a size that is not positive, or a mesh that could not be read.
     """
 
     def add_geom(name: str, position: Vector, attitude: Quaternion) -> Any:
@@ -466,8 +464,7 @@ class RobotBuilder:
     def build(self, pose: Pose) -> None:
         """Add the robot with its root at `pose`: fixed there when the root link is called `world`, free otherwise.
 
-        Raises:
-            BadInertia, BadJoint, BadShape: naming the robot and the link or joint.
+        Raises BadInertia, BadJoint, BadShape: naming the robot and the link or joint.
         """
         joint = too_deep(self.robot.root, self.robot.joints)
         if joint is not None:

@@ -103,7 +103,7 @@ def _compile(hulls: Sequence[Hull]) -> None:
     spec = _alone()
     for number, hull in enumerate(hulls):
         spec.assets[hull.name] = hull.stl
-        _put(spec, spec.add_mesh(name=f"mesh{number}", file=hull.name))
+        _add_geom(spec, spec.add_mesh(name=f"mesh{number}", file=hull.name))
     with mujoco_library.warnings_kept():
         spec.compile()
 
@@ -128,7 +128,7 @@ def _hull_of_points(vertices: np.ndarray[Any, np.dtype[np.float64]], source: Mes
         raise BadMesh(meshes.FLAT, source.path)
     spec = _alone()
     mesh = spec.add_mesh(name="mesh", uservert=vertices.ravel(), maxhullvert=MOST_VERTICES)
-    _put(spec, mesh)
+    _add_geom(spec, mesh)
     try:
         with mujoco_library.warnings_kept():
             graph = spec.compile().mesh_graph
@@ -162,6 +162,6 @@ def _alone() -> Any:
     return spec
 
 
-def _put(spec: Any, mesh: Any) -> None:
+def _add_geom(spec: Any, mesh: Any) -> None:
     mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
     spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name)

@@ -63,7 +63,7 @@ def prepare() -> None:
 
 
 def struct_address(struct: mujoco.MjModel | mujoco.MjData) -> int:
-    """Where a model or its state lies in memory. MuJoCo's Python layer tells it in `_address` alone."""
+    """The address of a model or its state in memory. Only `_address` of MuJoCo's Python layer has it."""
     return int(struct._address)
 
 

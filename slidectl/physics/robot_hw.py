@@ -126,8 +126,7 @@ class HardwareJoint:
 
         Soft limits replace the saturation. Without any limits neither is used.
 
-        Raises:
-            SlidectlError: a limit that the interface requires is missing.
+        Raises SlidectlError: a limit that the interface requires is missing.
         """
         written = limits_from_joint(self.joint)
         limits = limits_from_parameters(node, self.name, written or NO_LIMITS) or written
@@ -151,8 +150,7 @@ def hardware_joints(robot: AttachedRobot) -> list[HardwareJoint]:
     Of several interfaces of a joint only the first counts, with or without its prefix. Of a real transmission all that
     simulated hardware has count, one at a time.
 
-    Raises:
-        UnsupportedInterface, MissingJoint: a transmission cannot be simulated.
+    Raises UnsupportedInterface, MissingJoint: a transmission cannot be simulated.
     """
     joints: list[HardwareJoint] = []
     for transmission, driven in driving(robot.description.transmissions):
@@ -580,8 +578,7 @@ class MujocoRobotHW(RobotHW):
     def resting_commands(self, claims: Iterable[tuple[str, str]], hold: bool) -> dict[tuple[str, str], float]:
         """The commands that release joints, or with `hold` keep their positions, by interface and joint.
 
-        Raises:
-            Refused: the interface cannot do that. An effort of 0 does not hold, a position of 0 is a motion.
+        Raises Refused: the interface cannot do that. An effort of 0 does not hold, a position of 0 is a motion.
         """
         commands = {}
         for kind, name in claims:

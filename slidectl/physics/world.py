@@ -553,8 +553,7 @@ class World:
     def set_pose(self, name: str, pose: Pose, twist: Twist | None = None) -> None:
         """Set the pose of a robot's root, and its twist (world's axes) if given. A fixed robot has no twist.
 
-        Raises:
-            UnknownName: no such robot. Refused: not finite.
+        Raises UnknownName: no such robot. Refused: not finite.
         """
         robot = self.robot(name)
         robot.set_root_pose(finite_pose(pose))
@@ -603,8 +602,7 @@ class World:
     def add_joint_force(self, name: str, joint: str, effort: float, start_ns: int = 0, duration_ns: int = -1) -> None:
         """Apply an effort (N or N·m) to a joint from `start_ns` for `duration_ns`; negative: until cleared.
 
-        Raises:
-            UnknownName: no such robot or moving joint. Refused: not finite.
+        Raises UnknownName: no such robot or moving joint. Refused: not finite.
         """
         self.robot(name).place(joint)
         self.applied_forces.joint_forces.append(JointForce(name, joint, number(effort), start_ns, duration_ns))
@@ -622,8 +620,7 @@ class World:
     ) -> None:
         """Apply a force (N) and torque (N·m), world's axes, at a link's centre of mass. Times as in `add_joint_force`.
 
-        Raises:
-            UnknownName: no such robot or link. Refused: not finite.
+        Raises UnknownName: no such robot or link. Refused: not finite.
         """
         self.robot(name).link(link)
         wrench = Wrench(name, link, finite(force), finite(torque), start_ns, duration_ns, source)

@@ -164,8 +164,7 @@ def _own_class(name: str) -> type[Feature]:
 def _installed_class(part: Part, code: UserCode) -> type[Feature]:
     """The class that an installed package names.
 
-    Raises:
-        BadFile: its code fails. NotAFeature. Refused: it took too long.
+    Raises BadFile: its code fails. NotAFeature. Refused: it took too long.
     """
     module = import_named(code, part.module)
     found = vars(module).get(part.attr)
@@ -225,8 +224,7 @@ class Features:
     def attach_these(self, chosen: Sequence[str | type[Feature]]) -> None:
         """Attach features given by name or class, in this order.
 
-        Raises:
-            UnknownFeature. PartError: several packages claim the name. Else as `attach`.
+        Raises UnknownFeature. PartError: several packages claim the name. Else as `attach`.
         """
         for one in chosen:
             if isinstance(one, type):
@@ -243,8 +241,7 @@ class Features:
     def attach(self, cls: type[F], name: str) -> F:
         """Create a feature of the class and attach it, all or nothing.
 
-        Raises:
-            FeatureNameTaken. Refused: the code of a user's class failed, or took too long.
+        Raises FeatureNameTaken. Refused: the code of a user's class failed, or took too long.
         """
         if name in self._features:
             raise FeatureNameTaken(name)

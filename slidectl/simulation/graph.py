@@ -203,7 +203,7 @@ class GraphNode:
         self._graph = graph
         self._parent: GraphNode | None = None
         self._children: list[GraphNode] = []
-        self._taken: list[Callable[[], None]] = []
+        self._closers: list[Callable[[], None]] = []
         self._calls: list[RepeatedCall] = []
         self._servers: list[ServedAction] = []
         self.before_entry: Callable[[], None] = lambda: None
@@ -237,27 +237,27 @@ class GraphNode:
         return self._graph.parameters.search(self.namespace, name)
 
     def watch_param(self, name: str, callback: Callable[[], None]) -> None:
-        self._taken.append(self._graph.parameters.watch(self._absolute(name), self._entering(callback)))
+        self._closers.append(self._graph.parameters.watch(self._absolute(name), self._entering(callback)))
 
     def guard_params(self, judge: ParameterJudge) -> None:
-        self._taken.append(self._graph.parameters.guard(self.namespace, judge))
+        self._closers.append(self._graph.parameters.guard(self.namespace, judge))
 
     def advertise(self, topic: str, type_name: str, latch: bool = False) -> Publisher:
         publisher = self._graph.topics.advertise(self._absolute(topic), type_name, self.name, latch, NodePublisher)
-        self._taken.append(publisher.close)
+        self._closers.append(publisher.close)
         return publisher
 
     def subscribe(self, topic: str, type_name: str, callback: MessageCallback) -> None:
         enter = self._entering(callback)
 
-        def take(message: Message) -> None:
+        def receive(message: Message) -> None:
             before = self._current_warning()
             enter(message)
             reasons = self.reasons
             if before and self._current_warning() and reasons is not None and before not in reasons:
                 reasons.append(Reason(before, "warn"))  # no line on /rosout: there may be a thousand messages a second
 
-        self._taken.append(self._graph.topics.subscribe(self._absolute(topic), type_name, self.name, take).close)
+        self._closers.append(self._graph.topics.subscribe(self._absolute(topic), type_name, self.name, receive).close)
 
     def count_publishers(self, topic: str) -> int:
         return len(self._graph.topics.publishers(self._absolute(topic)))
@@ -272,7 +272,7 @@ class GraphNode:
     ) -> None:
         name, entering = self._absolute(service), self._entering(handler)
         services = self._graph.services
-        self._taken.append(services.advertise(name, type_name, self.name, entering, effect, file_field).close)
+        self._closers.append(services.advertise(name, type_name, self.name, entering, effect, file_field).close)
 
     def advertise_action(self, action: str, type_name: str, on_goal: GoalCallback, on_cancel: GoalCallback) -> None:
         self._servers.append(self._graph.action_server(self.child(action), type_name, on_goal, on_cancel))
@@ -308,9 +308,9 @@ class GraphNode:
             self._parent._children.remove(self)
         for call in tuple(self._calls):
             call.cancel()
-        taken, self._taken = self._taken, []
+        closers, self._closers = self._closers, []
         with ExitStack() as closing:  # closes in reverse order
-            for close in taken:
+            for close in closers:
                 closing.callback(close)
             for child in reversed(self._children):
                 closing.callback(child.shutdown)

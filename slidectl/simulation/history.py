@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 EVERY = 10
 """Cycles from one row to the next, counted from time 0."""
-HEADER, ROWS, TAKEN = 2, 0, 1
+HEADER, ROWS, WRITTEN = 2, 0, 1
 """Length of the header; the indices in it of the capacity in rows, and of the number of rows written so far."""
 _MOST_ROWS = 6000
 _MOST_BYTES = 1 << 25
@@ -47,7 +47,7 @@ class History:
 
     def forget(self) -> None:
         """Discard all rows, after joints were moved or the clock was set: they do not lead to the present state."""
-        self._table[TAKEN] = 0.0
+        self._table[WRITTEN] = 0.0
 
     @property
     def address(self) -> int:
@@ -57,26 +57,26 @@ class History:
     def keep(self, time_ns: int) -> None:
         """Write a row: the state at the end of the cycle at this time. The kernel's `keep` does the same."""
         table, row_bytes = self._view, 8 * self._width
-        taken = table[TAKEN]
-        table[TAKEN] = taken + 1.0
-        at = 8 * HEADER + row_bytes * int(taken % table[ROWS])
+        written = table[WRITTEN]
+        table[WRITTEN] = written + 1.0
+        at = 8 * HEADER + row_bytes * int(written % table[ROWS])
         self._time[0] = time_ns
         qpos, qvel, forces, efforts, _ = self._world.views
         self._bytes[at : at + row_bytes] = b"".join((self._time, qpos, qvel, forces, efforts))
 
     def last_positions(self) -> Any:
         """All of qpos in the newest row (n,), or None when there is no row yet."""
-        room, taken = int(self._table[ROWS]), int(self._table[TAKEN])
-        if not taken:
+        room, written = int(self._table[ROWS]), int(self._table[WRITTEN])
+        if not written:
             return None
-        at = HEADER + (taken - 1) % room * self._width + 1
+        at = HEADER + (written - 1) % room * self._width + 1
         return self._table[at : at + self._positions]
 
     def of_joint(self, qpos: int, dof: int, since_ns: int, before_ns: int) -> Any:
         """Time (s), position, velocity and effort of a joint in the rows with since_ns <= time < before_ns, (n, 4)."""
-        room, taken = int(self._table[ROWS]), int(self._table[TAKEN])
+        room, written = int(self._table[ROWS]), int(self._table[WRITTEN])
         rows = self._table[HEADER:].reshape(room, self._width)
-        rows = np.roll(rows, -(taken % room), axis=0) if taken > room else rows[:taken]
+        rows = np.roll(rows, -(written % room), axis=0) if written > room else rows[:written]
         times, first = rows[:, 0], 1 + self._positions + dof
         is_wanted = (times >= since_ns) & (times < before_ns)
         effort = rows[:, first + self._dofs] + rows[:, first + 2 * self._dofs]

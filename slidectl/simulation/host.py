@@ -28,7 +28,7 @@ _KEPT_LINES = 200
 
 
 class InputRecorder(Protocol):
-    """Takes note of what clients do to a world."""
+    """Records what clients do to a world."""
 
     def record(self, session: Any, line: bytes, message: Message) -> None:
         """A client, known by its session, has sent a line. Called before it is handled, with the decoded message."""
@@ -49,7 +49,7 @@ class Host(CodeHost):
         self.simulation: Simulation | None = None
         """The world that it serves, once it is made."""
         self.recorder: InputRecorder | None = None
-        """Takes note of what clients do; None: nobody does."""
+        """Records what clients do; None: it is not recorded."""
         self.reports: list[Callable[[], dict[str, Any]]] = []
         """Functions that return fields of `/slidectl/status`: wall times, connections, memory. Drivers add theirs."""
         self.lines: deque[str] = deque(maxlen=_KEPT_LINES)
@@ -123,7 +123,7 @@ class Host(CodeHost):
         return {name: value for report in self.reports for name, value in report().items()}
 
     def let_go(self, node: str) -> None:
-        """Take note that a lock-step member has held the world for too long by wall time, before it is removed."""
+        """Called before a lock-step member is removed that has held the world for too long by wall time."""
 
     # --- beginning and end --------------------------------------------------------------------------------------
 

@@ -69,20 +69,20 @@ class StepRequest:
 
 
 class Awaited(Protocol):
-    """Somebody for whom the world waits."""
+    """A client for which the world waits."""
 
     timeout_s: float
-    """Wall time after which the driver lets it go."""
+    """Wall time after which the driver does not wait for it any longer."""
 
 
 class Gate(Protocol):
-    """Lets the world run only as far as somebody allows."""
+    """Limits how far the world may run."""
 
     def allowed(self, most: int) -> int:
         """The number of cycles, at most `most`, that may run before the world must wait."""
 
     def awaited(self) -> Sequence[Awaited]:
-        """Those for whom the world waits now."""
+        """The clients for which the world waits now."""
 
     def let_go(self, member: Any) -> None:
         """Do not wait any longer for one of `awaited`."""
@@ -110,7 +110,7 @@ class RunState:
         self.on_news: list[Callable[[], None]] = []
         """Called when a step request is to end with the running cycle."""
         self.gates: list[Gate] = []
-        """Those who have somebody for whom the world waits: lock-step, while it has members."""
+        """What limits the world now: lock-step, while it has members."""
 
     @property
     def pending_steps(self) -> int:
@@ -147,7 +147,7 @@ class RunState:
         return self.requested(most)
 
     def awaited(self) -> list[tuple[Gate, Awaited]]:
-        """Those for whom the world waits, each with its gate."""
+        """The clients for which the world waits, each with its gate."""
         return [(gate, member) for gate in self.gates for member in gate.awaited()]
 
     @property
@@ -306,8 +306,7 @@ class Loop:
     def step(self, cycles: int = 1) -> int:
         """Run `cycles` cycles. Returns the number run: fewer on `enough`, or if the physics diverges and `driven`.
 
-        Raises:
-            Diverged: the state of a robot is no longer a number, and not `driven`.
+        Raises Diverged: the state of a robot is no longer a number, and not `driven`.
         """
         if self.in_cycle:
             self.between_cycles("step")

@@ -37,7 +37,7 @@ class ManagerServices:
 
     Args:
         read_joints: reads the joints outside of a cycle, for controllers that start then.
-        loop: tells whether a cycle will come without a request.
+        loop: knows whether a cycle will come without a request.
     """
 
     def __init__(

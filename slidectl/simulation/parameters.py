@@ -185,8 +185,7 @@ class Parameters:
     def delete(self, name: str) -> None:
         """Delete a parameter or a whole namespace.
 
-        Raises:
-            UnknownParameter: it is not set. SlidectlError: a guard refused it.
+        Raises UnknownParameter: it is not set. SlidectlError: a guard refused it.
         """
         path = _path(name)
         if self._find(path) is MISSING:

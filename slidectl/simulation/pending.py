@@ -94,8 +94,7 @@ class Pending:
     def result(self) -> Any:
         """The answer.
 
-        Raises:
-            SlidectlError: the call failed. RuntimeError: the answer is not settled, or was cancelled.
+        Raises SlidectlError: the call failed. RuntimeError: the answer is not settled, or was cancelled.
         """
         if self.error is not None:
             raise self.error

@@ -96,8 +96,7 @@ class SensorKind:
         """Read the tags of the kind. Raises BadFile. `topic`, `update_rate`, `pose` and `noise` are read already."""
 
     def measure(self, view: SensorView) -> Message:
-        """The message of the present cycle; fields that it leaves out get their defaults. Called only while somebody
-        subscribes."""
+        """The message of the present cycle; missing fields get defaults. Called only while there are subscribers."""
         raise NotImplementedError
 
 

@@ -94,8 +94,7 @@ class Services:
 
         `effect` is the most that it does; with something in the request's field `file_field` it also uses files.
 
-        Raises:
-            BadName. Refused: the name is in use. UnknownName: no such service type.
+        Raises BadName. Refused: the name is in use. UnknownName: no such service type.
         """
         names.check_absolute(name, "service")
         if name in self._services:

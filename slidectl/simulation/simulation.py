@@ -157,8 +157,7 @@ class Simulation:
     def step(self, cycles: int = 1) -> int:
         """Run `cycles` cycles. Returns the number run: fewer only when the physics diverges and `driven`.
 
-        Raises:
-            Diverged: the state of a robot is no longer a number, and not `driven`. Refused: a bad number of cycles.
+        Raises Diverged: the state of a robot is no longer a number, and not `driven`. Refused: a bad number of cycles.
         """
         if not isinstance(cycles, Integral) or cycles < 0:
             raise Refused(f"the number of cycles must be a whole number of 0 or more, not {cycles!r}")
@@ -191,8 +190,7 @@ class Simulation:
     def call(self, service: str, request: Message | None = None) -> Message:
         """Call a service and return its response. If it needs simulated time, cycles are run, unless `driven`.
 
-        Raises:
-            SlidectlError: the call failed. Refused: it needs simulated time, which only the driver may advance.
+        Raises SlidectlError: the call failed. Refused: it needs simulated time, which only the driver may advance.
         """
         pending = self.graph.services.call(service, request)
         while not pending.done:
@@ -209,12 +207,12 @@ class Simulation:
     def subscribe(self, topic: str, callback: MessageCallback, type_name: str | None = None) -> TopicSubscription:
         """Call `callback` with each message. Raises UnknownName when the topic does not exist and no type is given."""
 
-        def take(message: Message) -> None:
+        def receive(message: Message) -> None:
             if not self.driven:
                 self.loop.settle()
             callback(message)
 
-        return self.graph.topics.subscribe(topic, type_name, SCRIPT_NODE, take)
+        return self.graph.topics.subscribe(topic, type_name, SCRIPT_NODE, receive)
 
     def pause(self) -> None:
         """Pause the world. Requested steps are abandoned; controller switches that wait for a cycle are finished."""

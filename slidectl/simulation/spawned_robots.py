@@ -363,8 +363,7 @@ class Robots:
 
         A joint with a position command stays there until a controller commands another position.
 
-        Raises:
-            UnknownName: no such robot or moving joint. Refused: an invalid position, or one beyond the limits.
+        Raises UnknownName: no such robot or moving joint. Refused: an invalid position, or one beyond the limits.
         """
         if len(joints) != len(positions):
             raise Refused(f"{len(joints)} joint names but {len(positions)} positions")
@@ -432,14 +431,14 @@ def _set_description(robot: SpawnedRobot, parameters: Parameters) -> None:
     parameters.set(name, robot.xml, derived=True)
     robot.made_parameters.append(name)
 
-    def take_back() -> None:
+    def restore() -> None:
         """Restore a description set before by other code, usually the launch of a robot in the root."""
         if before is not None and parameters.get(name, None) == robot.xml:
             parameters.set(name, before)
         elif parameters.has(name):
             parameters.delete(name)
 
-    robot.cleanup.callback(take_back)
+    robot.cleanup.callback(restore)
 
 
 def _actuator_states(robot: SpawnedRobot) -> Message:

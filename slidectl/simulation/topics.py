@@ -61,8 +61,7 @@ class TopicPublisher:
     def publish(self, message: Message) -> None:
         """Deliver a complete message and number its header. The dict must not be changed afterwards.
 
-        Raises:
-            SlidectlError: the error of the first subscriber that refused it; all of them have been called.
+        Raises SlidectlError: the error of the first subscriber that refused it; all of them have been called.
         """
         if self.topic.has_header:
             message["header"]["seq"] = self.sequence
@@ -156,7 +155,7 @@ class PeriodicTopic:
 
     @property
     def wanted(self) -> bool:
-        """True while somebody subscribes."""
+        """True while the topic has subscribers."""
         return self._publisher.wanted
 
     def _demand(self, wanted: bool) -> None:
@@ -224,12 +223,12 @@ class Topic:
 
 
 ANY_TYPE = "*"
-"""As the type of a subscription: whatever type the topic has, or will have when somebody advertises it."""
+"""As the type of a subscription: whatever type the topic has, or will have when it is advertised."""
 
 
 @dataclass(slots=True, eq=False)
 class _ComingTopic:
-    """The subscriptions of a topic that does not exist yet, by somebody who does not know its type."""
+    """The subscriptions of a topic that does not exist yet and whose type is unknown."""
 
     name: str
     subscriptions: list[TopicSubscription] = field(default_factory=list)
@@ -261,11 +260,7 @@ class Topics:
         latch: bool = False,
         kind: Callable[..., TopicPublisher] = TopicPublisher,
     ) -> TopicPublisher:
-        """Create a publisher of `topic`.
-
-        Raises:
-            BadName, TypeConflict. UnknownName: no such message type.
-        """
+        """Create a publisher of `topic`. Raises BadName, TypeConflict. UnknownName: no such message type."""
         entry = self._entry(topic, type_name)
         publisher = kind(entry, node, latch, self._forget)
         entry.publishers.append(publisher)
@@ -288,8 +283,7 @@ class Topics:
         Subscriptions may share a callback, which is called once for each message. Then `latched` receives the messages
         that were latched before, for this subscription alone.
 
-        Raises:
-            BadName, TypeConflict. UnknownName: no such topic or message type.
+        Raises BadName, TypeConflict. UnknownName: no such topic or message type.
         """
         if type_name == ANY_TYPE and topic not in self._topics:
             coming = self._coming.setdefault(names.check_absolute(topic, "topic"), _ComingTopic(topic))

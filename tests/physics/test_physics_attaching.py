@@ -29,7 +29,7 @@ def numbers(model: Any) -> dict[str, Any]:
 def at_once(names: list[str], gravity: float = -9.8) -> Any:
     """The model of these robots, built in one go, with the weights that they have when they are alone."""
     settings = Settings(0.001, (0.0, 0.0, gravity), True)
-    bodies = [AttachedRobot(name, ROBOTS[name], at(float(place), 0.0, 1.0)) for place, name in enumerate(names)]
+    bodies = [AttachedRobot(name, ROBOTS[name], at(float(place), 0.0, 1.0), {}) for place, name in enumerate(names)]
     for body in bodies:
         body.bind(WorldSpec(settings, (body,)).compile(), None)
     model = WorldSpec(settings, bodies).compile()

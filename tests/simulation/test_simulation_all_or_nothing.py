@@ -230,7 +230,7 @@ def test_whoever_fails_when_a_robot_goes_does_not_keep_it(mesh: Path, engine: st
     loaded.stopping = failing(ZeroDivisionError("in stopping"))
     robot.cleanup.callback(failing(MemoryError("in a part")))
     robot.node.watch_param("anything", lambda: None)
-    robot.node._taken.append(failing(OSError("in a publisher")))
+    robot.node._closers.append(failing(OSError("in a publisher")))
     simulation.delete("m")
     assert probe is loaded.probe
     assert simulation.robots.names() == simulation.world.names() == ["other"]

@@ -50,7 +50,7 @@ def test_what_is_written_is_the_users_alone(folder: Path) -> None:
 def test_what_others_may_write_is_not_taken(folder: Path, place: str, mode: int) -> None:
     object_file.write(object_file.place(), b"code")
     (folder / place).chmod(mode)
-    with pytest.raises(object_file.UnsafeFile, match="belongs to somebody else, or others may write"):
+    with pytest.raises(object_file.UnsafeFile, match="belongs to another user, or others may write"):
         object_file._read(object_file.place())
 
 

@@ -174,8 +174,7 @@ def _on_pointers() -> Callable[..., int]:
 def _object_file(code: list[str], entries: set[str]) -> bytes:
     """The object file of all code in one module, in which only the entries can be called from outside.
 
-    Raises:
-        Refused: it calls a function that needs numba.
+    Raises Refused: it calls a function that needs numba.
     """
     target = machine()
     module = llvm.parse_assembly(code[0])

@@ -39,7 +39,7 @@ from slidectl.physics.world import HUGE
 from slidectl.simulation.compiled import tables as turns
 from slidectl.simulation.compiled.tables import CONTROLLER_SIZE, INTERPRETED, NEW_CYCLE
 from slidectl.simulation.cycle import CHECK_EVERY, begin_to_write, control_is_due
-from slidectl.simulation.history import EVERY, ROWS, TAKEN
+from slidectl.simulation.history import EVERY, ROWS, WRITTEN
 from slidectl.simulation.history import HEADER as FIRST_ROW
 
 Table = Any
@@ -186,8 +186,8 @@ def is_sane(values: Any, count: int) -> bool:
 def keep(progress: Any, tables: CycleTables) -> None:
     """The same as History.keep."""
     history, positions, dofs = tables.history, progress.positions, progress.dofs
-    at = FIRST_ROW + int(history[TAKEN] % history[ROWS]) * (1 + positions + 3 * dofs)
-    history[TAKEN] += 1.0
+    at = FIRST_ROW + int(history[WRITTEN] % history[ROWS]) * (1 + positions + 3 * dofs)
+    history[WRITTEN] += 1.0
     history[at] = progress.time_ns
     at += 1
     for k in range(positions):

@@ -36,7 +36,7 @@ class UnsafeFile(PermissionError):
     """A file or folder that another user could have written."""
 
     def __init__(self, path: Path) -> None:
-        super().__init__(f"{path} belongs to somebody else, or others may write to it; move it away or chmod go-w it")
+        super().__init__(f"{path} belongs to another user, or others may write to it; remove it or chmod go-w it")
 
 
 @functools.cache

@@ -29,10 +29,10 @@ _OURS = "slidectl."
 class LawCode:
     """The addresses of the code of all forms."""
 
-    def __init__(self, ours: list[int], tell: Callable[[str], None]) -> None:
-        """`ours` are the addresses for our forms, in their order; `tell` logs why a law cannot be compiled."""
+    def __init__(self, ours: list[int], warn: Callable[[str], None]) -> None:
+        """`ours` are the addresses for our forms, in their order; `warn` logs why a law cannot be compiled."""
         self._addresses = dict(zip(compiled_forms().values(), ours, strict=True))
-        self._tell = tell
+        self._warn = warn
         self._engines: list[Any] = []
         """The owners of the memory of the code."""
         self.compiling: list[Compilation] = []
@@ -75,7 +75,7 @@ class LawCode:
 
     def _give_up(self, form: Compiled, trouble: Exception) -> None:
         reason = "; ".join(str(trouble).splitlines())
-        self._tell(f"controllers with the law {form.update.__qualname__} run in the interpreter: {reason}")
+        self._warn(f"controllers with the law {form.update.__qualname__} run in the interpreter: {reason}")
 
 
 class Compilation(NamedTuple):

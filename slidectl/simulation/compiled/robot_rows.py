@@ -132,7 +132,7 @@ class RobotRows:
         """Leave the robot to the interpreter: the machine code reads nothing of its controllers."""
         _FLAG.pack_into(self._tables["robots"], self.number * ROBOT.size + _PLAIN_OFFSET, True)
         for compiled in self._compiled:
-            compiled.let_go()
+            compiled.release()
 
     def show_joints(self) -> None:
         """Update the handles from the rows, for a controller that has no row."""
@@ -275,7 +275,7 @@ class CompiledController:
         memory = (address_of(self._row), address_of(self._members), len(others))
         CONTROLLER.fill(controllers, number, None, self._law, *memory, address_of(self._numbers), len(self._numbers))
 
-    def let_go(self) -> None:
+    def release(self) -> None:
         """Release the numbers: their address is no longer in use."""
         self._numbers.release()
 
