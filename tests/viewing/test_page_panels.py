@@ -14,7 +14,7 @@ from playwright.sync_api import Browser, expect
 
 CONTROLLER = "/slider/joint1_position_controller"
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
-expect.set_options(timeout=120_000)
+expect.set_options(timeout=40_000)
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +38,9 @@ def test_time_is_stepped_resumed_paused_and_reset(world: CommandLine, tab: Panel
             return client.call("/slidectl/status")[key]
 
         cycles = status("cycles")
-        tab.page.get_by_label("Step length, cycles").fill("7")
+        length = tab.page.get_by_label("Step length, cycles")
+        length.fill("7")
+        length.press("Enter")
         tab.button("Step (.)").click()
         eventually(lambda: status("cycles") == cycles + 7)
         tab.page.locator("body").press(".")
@@ -47,7 +49,11 @@ def test_time_is_stepped_resumed_paused_and_reset(world: CommandLine, tab: Panel
         eventually(lambda: not status("paused"))
         tab.button("Pause (space)").click()
         eventually(lambda: status("paused"))
-        tab.page.get_by_label("Step length, cycles").fill("1000000")
+        length.fill("0")
+        length.press("Enter")
+        tab.notice("from 1 to 1000000")
+        length.fill("1000000")
+        length.press("Enter")
         tab.button("Step (.)").click()
         before = status("cycles")
         eventually(lambda: status("cycles") != before)
@@ -92,7 +98,7 @@ def test_controllers_are_stopped_started_switched_loaded_and_unloaded(world: Com
         name = "joint1_position_controller"
         row = tab.page.locator(".controller", has_text=name)
         row.get_by_role("button", name=f"Stop {name}").click()
-        expect(row).to_contain_text("joint1 keep their last effort when")
+        expect(row).to_contain_text("joint1 keeps its last effort when")
         row.get_by_role("button", name="Stop and zero").click()
         eventually(lambda: client.step() and manager.states()[name] != "running")
         expect(row.locator(".chip")).to_have_text("stopped")
@@ -158,7 +164,7 @@ def test_a_joint_is_commanded_and_its_slider_follows_others(world: CommandLine, 
         exact = tab.page.get_by_label("Command of joint1, m")
         exact.fill("0.75")
         exact.press("Enter")
-        eventually(lambda: len(commands) and commands.get()["data"] == 0.75)
+        eventually(lambda: commands.get(timeout=60)["data"] == 0.75)
         exact.fill("much")
         exact.press("Enter")
         expect(exact).to_have_value("0.750")
@@ -166,9 +172,8 @@ def test_a_joint_is_commanded_and_its_slider_follows_others(world: CommandLine, 
         eventually(lambda: client.step(10) and exact.input_value() == "0.250")
         tab.page.get_by_role("button", name="Jog joint1 forth").hover()
         tab.page.mouse.down()
-        eventually(lambda: len(commands) > 3)
+        eventually(lambda: commands.get(timeout=60)["data"] > 0.26)
         tab.page.mouse.up()
-        assert commands.get()["data"] > 0.25
         joints = tab.page.locator("table.states").first
         expect(joints).to_contain_text("joint1")
 
@@ -178,7 +183,7 @@ def test_fields_are_plotted_paused_and_saved(world: CommandLine, tab: PanelsTab)
 
         def moved(target: float) -> bool:
             client.publish(f"{CONTROLLER}/command", {"data": target})
-            return bool(client.step(0.2 and 200))
+            return bool(client.step(200))
 
         legend = tab.page.locator(".u-legend")
         eventually(lambda: moved(0.7) and legend.count() == 1)  # set point and process value of the first controller
@@ -193,7 +198,7 @@ def test_fields_are_plotted_paused_and_saved(world: CommandLine, tab: PanelsTab)
         tab.button("Plot").click()
         plots = tab.page.locator("section.plot")
         expect(plots).to_have_count(2)
-        assert "plot=joint_states%2Fvelocity" in tab.page.url
+        assert "plot=%2Fslider%2Fjoint_states%2Fvelocity" in tab.page.url
         eventually(lambda: moved(0.5) and legend.count() == 2)
         expect(legend.nth(1)).to_contain_text("velocity[0] (joint1), m/s")
         plots.nth(1).get_by_label("Derived curve").select_option("derivative")
@@ -249,7 +254,6 @@ def test_topics_show_fields_with_units_and_pictures(world: CommandLine, tab: Pan
                 return text in tab.page.locator(".overlay figcaption").inner_text()
 
             eventually(is_drawn)
-        client.close()
     expect(tab.page.locator(".overlay")).to_contain_text("The topic is gone")
 
 
@@ -257,7 +261,7 @@ def test_messages_are_published_and_services_called_by_forms(world: CommandLine,
     tab.panel("Send")
     with world.client() as client, client.subscribe(f"{CONTROLLER}/command") as commands:
         tab.page.get_by_label("Topic", exact=True).select_option(f"{CONTROLLER}/command")
-        data = tab.page.get_by_label("data")
+        data = tab.page.get_by_label("data", exact=True)
         data.fill("pi / 8")
         tab.button("Publish once").click()
         assert commands.get(timeout=60)["data"] == math.pi / 8
@@ -405,7 +409,7 @@ def test_a_page_that_only_looks_has_its_inputs_off(world: CommandLine, browser: 
             assert tab.button(name).is_disabled(), name
         tab.panel("Send")
         tab.page.get_by_label("Topic", exact=True).select_option(f"{CONTROLLER}/command")
-        assert tab.page.get_by_label("data").is_disabled()
+        assert tab.page.get_by_label("data", exact=True).is_disabled()
         assert tab.button("Publish once").is_disabled()
         tab.close()
 

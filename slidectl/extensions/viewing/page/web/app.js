@@ -11,7 +11,7 @@ import { viewPanel } from "./panels/view.js";
 import { worldPanel } from "./panels/world.js";
 import { PictureOverlay } from "./pictures.js";
 import {
-  act, attempt, Button, call, dismiss, html, number, notify, page, render, Select, store, useEffect, useStore, useTopic,
+  act, attempt, Button, call, dismiss, html, number, notify, page, render, Select, store, Typed, useEffect, useStore, useTopic,
 } from "./parts.js";
 import { Connection } from "./ros.js";
 
@@ -50,6 +50,7 @@ store.set({
   helpOpen: false,
   pictures: [],
   time: null,
+  cycles: 1, // of a step
 });
 
 // --- the world -------------------------------------------------------------------------------------------------------
@@ -126,14 +127,13 @@ const toggle = () => act(async () => {
 });
 
 let stepping = false;
-let stepCycles = 1;
 
 /** Step. A pause ends many steps. */
 const step = () => act(async () => {
   if (stepping) throw Object.assign(new Error("the world is stepping"), { hint: "Pause ends it" });
   stepping = true;
   try {
-    await call("/slidectl/step", { cycles: stepCycles });
+    await call("/slidectl/step", { cycles: store.values.cycles });
   } finally {
     stepping = false;
   }
@@ -149,22 +149,23 @@ function Toolbar() {
   const theme = useStore((s) => s.theme);
   const leftOpen = useStore((s) => s.leftOpen);
   const rightOpen = useStore((s) => s.rightOpen);
+  const cycles = useStore((s) => s.cycles);
   const paused = status?.paused;
   const speed = status ? (status.speed ? String(status.speed) : "max") : "1";
   const speeds = SPEEDS.includes(speed) ? SPEEDS : [...SPEEDS, speed];
   const off = readOnly || !status;
-  return html`<div class="toolbar" role="toolbar" aria-label="Simulation">
+  // After a click the keys are for the simulation again, and not for the button that was clicked.
+  const leave = (event) => event.detail && event.target.closest("button")?.blur();
+  return html`<div class="toolbar" role="toolbar" aria-label="Simulation" onClick=${leave}>
     ${!isPhone && html`<${Button} icon="left" title=${leftOpen ? "Hide the robot panels" : "Show the robot panels"}
       aria-pressed=${leftOpen} onClick=${() => store.set({ leftOpen: !leftOpen, ...(NARROW.matches && !leftOpen ? { rightOpen: false } : {}) })} />`}
     <${Button} icon=${paused === false ? "pause" : "play"} kind="primary" disabled=${off}
       title=${paused === false ? "Pause (space)" : "Resume (space)"} onClick=${toggle} />
     <${Button} icon="step" title="Step (.)" disabled=${off} onClick=${step} />
-    <input class="cycles" type="number" min="1" max="1000000" step="1" value="1" aria-label="Step length, cycles"
-      title="Step length, cycles" disabled=${off} onInput=${(event) => {
-        const value = Math.round(Number(event.target.value));
-        const good = value >= 1 && value <= 1e6;
-        event.target.classList.toggle("wrong", !good);
-        if (good) stepCycles = value;
+    <${Typed} class="cycles" inputmode="numeric" value=${cycles} aria-label="Step length, cycles" title="Step length, cycles"
+      disabled=${off} onCommit=${(text) => {
+        if (/^\d+$/.test(text) && text >= 1 && text <= 1e6) store.set({ cycles: Number(text) });
+        else notify("A step is from 1 to 1000000 cycles long", "", "bad");
       }} />
     <${Clock} />
     <${Select} label="Rate, × real time" title="Rate, × real time" value=${speed} disabled=${off} onChange=${setSpeed}
@@ -341,10 +342,9 @@ function App() {
 
 function onKey(event) {
   if (event.key === "Escape") return store.set({ helpOpen: false, menu: "" });
-  const target = event.target;
-  if (event.ctrlKey || event.metaKey || event.altKey || target.closest?.("input, select, textarea, button, [contenteditable]")) {
-    return undefined;
-  }
+  const typed = "input:not([type=range], [type=checkbox]), select, textarea, [contenteditable]";
+  const taken = event.key === " " ? `input, button, summary, ${typed}` : typed; // the space bar presses what has the focus
+  if (event.ctrlKey || event.metaKey || event.altKey || event.target.closest?.(taken)) return undefined;
   if (event.key === "?") store.set({ helpOpen: !store.values.helpOpen });
   else if (store.values.readOnly || !store.values.status || event.repeat) return undefined;
   else if (event.key === " ") toggle();

@@ -158,7 +158,9 @@ export function expanded(text) {
 
 /** The topic and the field that a text means: {topic, path, type, types}. Rejects with what is wrong with it. */
 export async function resolve(text) {
-  const answer = await call("/slidectl/resolve", { kind: "topic", name: text, namespace: "/", role: "publishers", with_field: true });
+  const { robots, robot } = store.values;
+  const namespace = (robots.find((one) => one.name === robot) ?? robots[0])?.namespace ?? "/";
+  const answer = await call("/slidectl/resolve", { kind: "topic", name: text, namespace, role: "publishers", with_field: true });
   const types = parsed(answer.typedefs);
   let kind = answer.type;
   for (const name of steps(answer.field).filter((one) => typeof one === "string")) {

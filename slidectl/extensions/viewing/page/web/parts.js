@@ -184,6 +184,22 @@ export function Check({ checked, onChange, children, disabled }) {
     onChange=${(event) => onChange(event.target.checked)} /><span>${children}</span></label>`;
 }
 
+/** A text that is taken with Enter or when the field is left; Escape gives it up. Until then nothing overwrites it. */
+export function Typed({ value, onCommit, ...rest }) {
+  const [draft, setDraft] = useState(null);
+  const commit = () => {
+    if (draft === null) return;
+    setDraft(null);
+    onCommit(draft.trim());
+  };
+  const onKey = (event) => {
+    if (event.key === "Enter") commit();
+    else if (event.key === "Escape") setDraft(null);
+  };
+  return html`<input type="text" ...${rest} value=${draft ?? value} onInput=${(event) => setDraft(event.target.value)}
+    onKeyDown=${onKey} onBlur=${commit} />`;
+}
+
 /** Let the browser save a text or bytes as a file. */
 export function download(name, content, type = "text/plain") {
   const address = URL.createObjectURL(new Blob([content], { type }));

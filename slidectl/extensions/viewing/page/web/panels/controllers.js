@@ -35,11 +35,10 @@ async function start(space, names, stop = []) {
 }
 
 /** What the joints of a stopped controller do. */
-const LEFT_ALONE = {
-  EffortJointInterface: "keep their last effort",
-  VelocityJointInterface: "keep their last velocity",
-  PositionJointInterface: "stay at their last position",
-};
+function leftAlone({ kind, joints }) {
+  const what = { EffortJointInterface: "effort", VelocityJointInterface: "velocity", PositionJointInterface: "position" }[kind] ?? "command";
+  return joints.length === 1 ? `${joints[0]} keeps its last ${what}` : `${joints.join(", ")} keep their last ${what}`;
+}
 
 function claims(one) {
   return one.claimed_resources.filter((claim) => claim.resources.length)
@@ -62,8 +61,7 @@ function Stop({ robot, one, onDone }) {
   };
   const holds = taken.some((claim) => claim.kind !== "EffortJointInterface");
   return html`<div class="behind">
-    ${taken.map((claim) => html`<p class="hint">${claim.joints.join(", ")} ${LEFT_ALONE[claim.kind] ?? "keep their last command"}
-      when ${one.name} stops.</p>`)}
+    ${taken.map((claim) => html`<p class="hint">${leftAlone(claim)} when this controller stops.</p>`)}
     <div class="line"><${Act} onClick=${plain}>Stop<//>
       ${taken.length > 0 && html`<${Act} title="Efforts and velocities of 0" onClick=${rest("zero")}>Stop and zero<//>`}
       ${holds && html`<${Act} title="Velocities of 0, positions where the joints are" onClick=${rest("hold")}>Stop and hold<//>`}

@@ -58,12 +58,12 @@ export function Drive({ robot }) {
     event.stopPropagation(); // viser moves the camera by these keys
     if (!event.repeat) hold(motion, on);
   };
-  const pad = (motion, icon, title) => html`<${Button} kind="drive" class=${held.includes(motion) ? "on" : ""} icon=${icon} title=${title}
+  const pad = (motion, icon, title) => html`<${Button} kind=${held.includes(motion) ? "drive on" : "drive"} icon=${icon} title=${title}
     disabled=${readOnly} aria-pressed=${held.includes(motion)}
     onPointerDown=${(event) => { event.currentTarget.closest(".pad").focus(); event.preventDefault(); hold(motion, true); }}
     onPointerUp=${() => hold(motion, false)} onPointerLeave=${() => hold(motion, false)} onPointerCancel=${() => hold(motion, false)} />`;
   return html`<${Group} title="Drive">
-    ${found.length > 1 && html`<${Field} label="Command topic"><${Select} value=${topic} options=${found} onChange=${setChosen} /><//>`}
+    ${found.length > 1 && html`<${Field} label="Command topic"><${Select} label="Command topic" value=${topic} options=${found} onChange=${setChosen} /><//>`}
     <div class="driving">
       <div class="pad" tabindex="0" role="group" aria-label="Drive with the arrow keys" onKeyDown=${onKey(true)} onKeyUp=${onKey(false)} onBlur=${release}>
         ${slides ? pad("slideLeft", "back", "Slide left") : html`<span />`}${pad("forward", "up", "Forward")}${slides ? pad("slideRight", "forth", "Slide right") : html`<span />`}

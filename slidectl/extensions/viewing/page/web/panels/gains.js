@@ -1,6 +1,6 @@
 // Gains that are changed while a controller runs (rqt_reconfigure). A typed value is set on Enter or when the field is left.
 
-import { act, Act, baseName, Button, call, Check, html, number, store, useEffect, useState, useStore } from "../parts.js";
+import { act, Act, call, Check, html, store, Typed, useEffect, useState, useStore } from "../parts.js";
 
 const MOST_CHANGES = 100;
 
@@ -65,11 +65,8 @@ export function Gains({ space, server }) {
       return typeof value === "boolean"
         ? html`<${Check} key=${one.name} checked=${value} disabled=${readOnly} onChange=${(to) => turn(one.name, to)}>${one.name}<//>`
         : html`<label class="gain" key=${one.name} title=${hint}><span>${one.name}</span>
-            <input type="text" inputmode="decimal" value=${String(value)} disabled=${readOnly} aria-invalid=${!!errors[one.name]}
-              onChange=${(event) => {
-                const text = event.target.value.trim().replace(",", ".");
-                turn(one.name, text === "" ? NaN : Number(text));
-              }} /></label>`;
+            <${Typed} inputmode="decimal" value=${String(value)} disabled=${readOnly} aria-invalid=${!!errors[one.name]}
+              onCommit=${(text) => turn(one.name, text === "" ? NaN : Number(text.replace(",", ".")))} /></label>`;
     })}</div>
     ${Object.entries(errors).map(([name, text]) => text && html`<em class="error" key=${name}>${name}: ${text}</em>`)}
     ${done.length > 0 && html`<div class="line"><${Act} onClick=${undo}>Undo<//>

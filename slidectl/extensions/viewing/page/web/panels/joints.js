@@ -1,7 +1,7 @@
 // The joints of a robot: where they are, and a slider for each command topic of a running controller.
 
 import {
-  attempt, Button, call, Group, html, join, jointUnit, number, store, useEffect, useEvery, useRef, useState, useStore, useTopic,
+  attempt, Button, call, Group, html, join, jointUnit, number, store, Typed, useEffect, useEvery, useRef, useState, useStore, useTopic,
 } from "../parts.js";
 
 const SCALAR = "std_msgs/Float64";
@@ -83,11 +83,10 @@ function Commands({ robot, drive, names, topics }) {
       <div class="row"><span class="name" title=${`${drive.controller}: ${name}`}>${name}</span>
         <${Jog} icon="back" title=${`Jog ${name} back`} disabled=${readOnly} onMove=${jog(-1)} />
         <${Jog} icon="forth" title=${`Jog ${name} forth`} disabled=${readOnly} onMove=${jog(1)} />
-        <input class="exact" type="text" inputmode="decimal" aria-label=${`Command of ${name}, ${unit}`} value=${number(value, 3)}
-          disabled=${readOnly} onChange=${(event) => {
-            const typed = Number(event.target.value.replace("−", "-").replace(",", "."));
-            if (event.target.value.trim() && Number.isFinite(typed)) send(place, typed);
-            else event.target.value = number(newest.current[place], 3);
+        <${Typed} class="exact" inputmode="decimal" aria-label=${`Command of ${name}, ${unit}`} value=${number(value, 3)}
+          disabled=${readOnly} onCommit=${(text) => {
+            const typed = Number(text.replace("−", "-").replace(",", "."));
+            if (text && Number.isFinite(typed)) send(place, typed);
           }} /><span class="unit">${unit}</span></div>
       <input type="range" aria-label=${`${drive.controller}, ${name}`} min=${low} max=${high} step=${stepOf(ranges[place])}
         value=${value} style=${{ "--part": `${(100 * (placed(value, ranges[place]) - low)) / (high - low)}%` }}
@@ -149,10 +148,13 @@ function States({ robot, joints }) {
     });
     setRows((before) => (JSON.stringify(before) === JSON.stringify(found) ? before : found));
   }, robot.name);
-  return html`<table class="states"><thead><tr><th>Joint</th><th>Position</th><th>Velocity</th><th>Effort</th></tr></thead>
+  const quantities = ["position", "velocity", "effort"];
+  const isMixed = new Set(joints.map((joint) => joint.type === "prismatic")).size > 1;
+  return html`<table class="states"><thead><tr><th>Joint</th>${["Position", "Velocity", "Effort"].map((title, place) =>
+      html`<th>${title}${!isMixed && html`<br />${jointUnit(joints[0], quantities[place])}`}</th>`)}</tr></thead>
     <tbody>${joints.map((joint) => html`<tr key=${joint.name}><th scope="row" title=${joint.name}>${joint.name}</th>
-      ${["position", "velocity", "effort"].map((quantity, place) => html`<td>${number(rows[joint.name]?.[place])}
-        <i>${jointUnit(joint, quantity)}</i></td>`)}</tr>`)}</tbody></table>`;
+      ${quantities.map((quantity, place) => html`<td>${number(rows[joint.name]?.[place])}
+        ${isMixed && html`<i>${jointUnit(joint, quantity)}</i>`}</td>`)}</tr>`)}</tbody></table>`;
 }
 
 export function Joints({ robot }) {

@@ -301,7 +301,10 @@ async function add(text, id) {
     throw Object.assign(new Error(`there are ${MOST_PLOTS} plots, and there can be no more`), { hint: "Remove one." });
   }
   plot ??= new LivePlot();
-  for (const one of expanded(text)) await plot.add(one);
+  for (const one of expanded(text)) {
+    const { topic, path } = await resolve(one);
+    await plot.add(path ? `${topic}/${path}` : topic); // the full name: the address is for others, too
+  }
   if (isNew) plots.push(plot);
   changed();
   writeAddress();

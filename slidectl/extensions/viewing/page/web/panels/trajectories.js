@@ -87,7 +87,7 @@ export function Trajectories({ robot }) {
   const action = found.includes(chosen) ? chosen : found[0];
   const controller = action.slice(0, action.lastIndexOf("/"));
   return html`<${Group} title="Trajectory">
-    ${found.length > 1 && html`<${Field} label="Controller"><${Select} value=${action} options=${found.map((one) => [one, one.slice(0, one.lastIndexOf("/"))])} onChange=${setChosen} /><//>`}
+    ${found.length > 1 && html`<${Field} label="Controller"><${Select} label="Controller" value=${action} options=${found.map((one) => [one, one.slice(0, one.lastIndexOf("/"))])} onChange=${setChosen} /><//>`}
     <${Goal} key=${controller} robot=${robot} controller=${controller} action=${action} />
   <//>`;
 }

@@ -28,11 +28,11 @@ function Panel() {
         onChange=${(value) => choose({ [key]: value })}>${text}<//>`)}
     <//>
     <${Group} title="Trace">
-      <${Field} label="Trace of a link"><${Select} value=${view.trace} options=${[["", "none"], ...links]}
+      <${Field} label="Trace of a link"><${Select} label="Trace of a link" value=${view.trace} options=${[["", "none"], ...links]}
         onChange=${(trace) => choose({ trace })} /><//>
     <//>
     ${!readOnly && html`<${Group} title="Mouse">
-      <${Field} label="Place with the mouse"><${Select} value=${view.placed} disabled=${!free.length}
+      <${Field} label="Place with the mouse"><${Select} label="Place with the mouse" value=${view.placed} disabled=${!free.length}
         options=${[["", free.length ? "none" : "no free robot"], ...free]}
         onChange=${(robot) => attempt(async () => { await page("place", { robot }); await store.values.readWorld(); })} /><//>
       <p class="hint">Shift and drag pushes a link.</p>
