@@ -237,7 +237,7 @@ def _guarded(guard: AccessGuard, server: GuardedServer, endpoint: RosbridgeEndpo
                 text = f"{_MOST_BROWSERS} browsers have the page open, and no more may"
                 answer = _refused(text, http.HTTPStatus.SERVICE_UNAVAILABLE)
             if answer is None and "Upgrade" not in request.headers:
-                answer = files.answer(path)
+                answer = files.answer(path, request.headers.get("Accept-Encoding", ""))
             return answer or page(connection, request)
 
         def process_request(connection: Any, request: Request) -> Response | None:

@@ -7,6 +7,7 @@ Tests open the page in a browser, which reports all that its policy refuses.
 
 from __future__ import annotations
 
+import gzip
 import http
 import secrets
 from pathlib import Path
@@ -56,18 +57,25 @@ class PageFiles:
             for path in _WEB.rglob("*")
             if path.suffix in _KINDS
         }
+        self._packed = {path: gzip.compress(body, mtime=0) for path, (_, body) in self._files.items()}
 
-    def answer(self, path: str) -> Response | None:
-        """The response to a request for the document or a module; None for any other path."""
+    def answer(self, path: str, encodings: str) -> Response | None:
+        """The response to a request for the document or a module; None for any other path.
+
+        `encodings` are those that the browser accepts. The document, whose code is packed, is sent as it is.
+        """
         if path in ("/", "/index.html"):
             nonce = secrets.token_urlsafe(18)
             head = self._head.replace(_TITLE, _HEAD.format(prefix=PREFIX, nonce=nonce))
             text = f'{head}<script nonce="{nonce}" {self._body.replace(chr(0), nonce)}'
             policy = {"Content-Security-Policy": _POLICY.format(nonce=nonce)}
             return _response("text/html; charset=utf-8", text.encode("utf-8"), policy)
-        if (found := self._files.get(path)) is not None:
-            return _response(*found, {})
-        return None
+        if path not in self._files:
+            return None
+        kind, body = self._files[path]
+        if "gzip" in encodings:
+            return _response(kind, self._packed[path], {"Content-Encoding": "gzip"})
+        return _response(kind, body, {})
 
 
 def _response(kind: str, body: bytes, more: dict[str, str]) -> Response:

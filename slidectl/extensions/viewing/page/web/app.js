@@ -11,12 +11,13 @@ import { viewPanel } from "./panels/view.js";
 import { worldPanel } from "./panels/world.js";
 import { PictureOverlay } from "./pictures.js";
 import {
-  act, attempt, Button, call, dismiss, html, number, notify, page, render, Select, store, Typed, useEffect, useStore, useTopic,
+  act, attempt, Button, call, dismiss, html, number, notify, page, render, Select, store, Typed, useEffect, useStore,
 } from "./parts.js";
 import { Connection } from "./ros.js";
 
 const SPEEDS = ["0.1", "0.25", "0.5", "1", "2", "5", "10", "max"];
 const LOOK_MS = 1000;
+const CLOCK_MS = 100;
 const NARROW = matchMedia("(max-width: 1180px)");
 const PHONE = matchMedia("(max-width: 700px)");
 const DARK = matchMedia("(prefers-color-scheme: dark)");
@@ -189,10 +190,16 @@ function Toolbar() {
 function Clock() {
   const status = useStore((s) => s.status);
   const time = useStore((s) => s.time);
-  useTopic("/clock", (msg) => store.set({ time: msg.clock.secs + msg.clock.nsecs / 1e9 }), { throttle: 100 });
   useEffect(() => {
-    if (status) store.set({ time: status.time });
-  }, [status?.time]);
+    if (!status) return undefined;
+    // Between two readings the time goes on as it did: a subscription of the clock would cost the daemon more.
+    const begin = performance.now();
+    store.set({ time: status.time });
+    if (status.paused) return undefined;
+    const goOn = () => document.hidden || store.set({ time: status.time + (status.speed_reached * (performance.now() - begin)) / 1000 });
+    const timer = setInterval(goOn, CLOCK_MS);
+    return () => clearInterval(timer);
+  }, [status]);
   if (!status) return html`<span class="clock">–</span>`;
   const state = status.paused ? "paused" : `${status.speed_reached.toFixed(2)}×`;
   const about = `${status.cycles} cycles of ${status.timestep} s`;

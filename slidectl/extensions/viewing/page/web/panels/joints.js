@@ -55,14 +55,28 @@ function Commands({ robot, drive, names, topics }) {
   const newest = useRef(values);
   const state = `${drive.topic.slice(0, -"/command".length)}/state`;
   const isTold = !drive.isArray && topics[state]?.type === "control_msgs/JointControllerState";
-  useTopic(isTold ? state : drive.topic, (msg) => {
+  const follow = (told) => {
     if (performance.now() < settled.current) return;
-    const now = (drive.isArray ? msg.data : [isTold ? msg.set_point : msg.data]).map((value, place) =>
-      Number.isFinite(value) ? value : newest.current[place]);
+    const now = told.map((value, place) => (Number.isFinite(value) ? value : newest.current[place]));
     if (now.every((value, place) => value === newest.current[place])) return;
     newest.current = now;
     setValues(now);
-  }, { throttle: 200 });
+  };
+  useTopic(drive.topic, (msg) => follow(drive.isArray ? msg.data : [msg.data]), { throttle: 200 });
+  // The set point now, which may be another one than the last command. One message is enough: the daemon makes a hundred
+  // of them a second, as long as somebody subscribes.
+  const cycles = useStore((s) => s.status?.cycles ?? 0);
+  const before = useRef(0);
+  const isReset = cycles < before.current;
+  before.current = cycles;
+  useEffect(() => {
+    if (!isTold) return undefined;
+    const end = store.values.ros.subscribe(state, (msg) => {
+      follow([msg.set_point]);
+      end();
+    });
+    return end;
+  }, [state, isTold, robot.controllers.join(), isReset]);
   const send = (place, value) => {
     const now = newest.current.map((one, at) => (at === place ? placed(value, ranges[place]) : one));
     newest.current = now;

@@ -12,6 +12,7 @@ const MOST_CURVES = 32;
 const MOST_SAMPLES = 200_000;
 const MOST_POINTS = 800;
 const DRAW_MS = 100;
+const SAMPLE_MS = 20; // of wall time: samples that come sooner are left out, which spares the daemon
 const LONGEST_S = 120;
 const plots = []; // the live plots
 let serial = 0;
@@ -107,7 +108,7 @@ class LivePlot {
         const sample = numeric(valueAt(message, curve.path));
         curve.add(now, Number.isFinite(sample) && Math.abs(sample) < 1e300 ? sample : null);
       }
-    }, { queue: 1000 });
+    }, { queue: 1000, throttle: SAMPLE_MS });
   }
 
   trouble(text, why) {
@@ -261,11 +262,12 @@ export function plotFromAddress(texts) {
     if (!store.values.status) return; // the controllers come with the status
     topics = store.values.topics;
     for (const plot of plots) plot.followAgain();
-    if (!plots.length && !given.length && !isTouched) plotFirst();
+    if (isShown && !plots.length && !given.length && !isTouched) plotFirst();
   });
 }
 
 let isTouched = false;
+let isShown = false; // the panel: what nobody looks at costs the daemon nothing
 
 /** Plot set point and process value of the first controller that has them, else the first joint. */
 async function plotFirst() {
@@ -411,6 +413,11 @@ function Panel() {
   const [into, setInto] = useState("new");
   const [error, setError] = useState("");
   const [window, setWindow] = useState(String(seconds));
+  useEffect(() => {
+    isShown = true;
+    if (!plots.length && !given.length && !isTouched && store.values.status) plotFirst();
+    return () => { isShown = false; };
+  }, []);
   const span = Number(window);
   const isGood = window.trim() !== "" && span >= 1 && span <= LONGEST_S;
   const plot = async (event) => {
