@@ -12,7 +12,7 @@ from playwright.sync_api import Browser, Locator, Page, sync_playwright
 from waiting import eventually as within
 
 CHROMIUM = shutil.which("chromium")
-LIMIT_S = 60.0
+LIMIT_S = 300.0
 """A browser beside other tests takes its time."""
 LIMIT_MS = 1000 * LIMIT_S
 eventually = partial(within, limit_s=LIMIT_S)

@@ -14,7 +14,7 @@ from playwright.sync_api import Browser, expect
 
 CONTROLLER = "/slider/joint1_position_controller"
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
-expect.set_options(timeout=40_000)
+expect.set_options(timeout=120_000)
 
 
 @pytest.fixture(scope="module")
@@ -254,7 +254,7 @@ def test_topics_show_fields_with_units_and_pictures(world: CommandLine, tab: Pan
                 return text in tab.page.locator(".overlay figcaption").inner_text()
 
             eventually(is_drawn)
-    expect(tab.page.locator(".overlay")).to_contain_text("The topic is gone")
+    expect(tab.page.locator(".overlay")).to_contain_text("No picture comes")
 
 
 def test_messages_are_published_and_services_called_by_forms(world: CommandLine, tab: PanelsTab) -> None:

@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any
 from slidectl.client import Client
 from slidectl.errors import NoDaemon, Refused, SlidectlError, UnknownName
 from slidectl.extensions.viewing.page import reports
-from slidectl.extensions.viewing.page.messages import Publications, filled
-from slidectl.extensions.viewing.page.recorder import Recorder
+from slidectl.extensions.viewing.page.form_messages import PagePublications, filled
+from slidectl.extensions.viewing.page.page_recorder import PageRecorder
 from slidectl.extensions.viewing.page.scene_view import SceneView
 
 if TYPE_CHECKING:
@@ -58,8 +58,8 @@ class Page:
         """Internal errors whose traceback has been printed."""
         self._due = dict.fromkeys(("frame", "update", "connect"), 0.0)
         self.scene = SceneView(self)
-        self._recorder = Recorder(self)
-        self._publications = Publications(self)
+        self._recorder = PageRecorder(self)
+        self._publications = PagePublications(self)
         looks, acts = self._looks(), self._acts()
         self._services = looks if read_only else looks | acts
         self._refused = set(acts) if read_only else set()

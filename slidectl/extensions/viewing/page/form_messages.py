@@ -100,7 +100,7 @@ def _parts(time_ns: int) -> Time:
     return time_ns // _SECOND, time_ns % _SECOND
 
 
-class Publications:
+class PagePublications:
     """The topics that are published at a rate, and the bases that are driven. All end with the page or the daemon."""
 
     def __init__(self, page: Page) -> None:

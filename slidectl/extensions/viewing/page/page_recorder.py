@@ -21,7 +21,7 @@ _LAST = 4096
 _LONGEST_NAME = 200
 
 
-class Recorder:
+class PageRecorder:
     """One recording at a time. It ends when it is stopped, with the page, or with the daemon."""
 
     def __init__(self, page: Page) -> None:
