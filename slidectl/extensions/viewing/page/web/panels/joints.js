@@ -52,11 +52,18 @@ function Commands({ robot, drive, names, topics }) {
     placed(drive.quantity === "Position" ? joint?.position ?? 0 : 0, ranges[place])));
   const settled = useRef(0);
   const waiting = useRef(null);
+  const later = useRef(null);
   const newest = useRef(values);
+  useEffect(() => () => clearTimeout(later.current), []);
   const state = `${drive.topic.slice(0, -"/command".length)}/state`;
   const isTold = !drive.isArray && topics[state]?.type === "control_msgs/JointControllerState";
   const follow = (told) => {
-    if (performance.now() < settled.current) return;
+    clearTimeout(later.current);
+    const wait = settled.current - performance.now();
+    if (wait > 0) { // a slider is moved here: what others command counts after that
+      later.current = setTimeout(() => follow(told), wait + 1);
+      return;
+    }
     const now = told.map((value, place) => (Number.isFinite(value) ? value : newest.current[place]));
     if (now.every((value, place) => value === newest.current[place])) return;
     newest.current = now;
