@@ -12,7 +12,6 @@ const MOST_CURVES = 32;
 const MOST_SAMPLES = 200_000;
 const MOST_POINTS = 800;
 const DRAW_MS = 100;
-const SAMPLE_MS = 20; // of wall time: samples that come sooner are left out, which spares the daemon
 const LONGEST_S = 120;
 const plots = []; // the live plots
 let serial = 0;
@@ -108,7 +107,7 @@ class LivePlot {
         const sample = numeric(valueAt(message, curve.path));
         curve.add(now, Number.isFinite(sample) && Math.abs(sample) < 1e300 ? sample : null);
       }
-    }, { queue: 1000, throttle: SAMPLE_MS });
+    }, { queue: 1000 });
   }
 
   trouble(text, why) {
