@@ -1,19 +1,23 @@
-"""A browser for the tests of the page: it speaks viser's protocol, and knows the page's elements by their labels."""
+"""A browser for the tests of the page: it speaks viser's protocol for the scene, and rosbridge as the panels do."""
 
 from __future__ import annotations
 
+import json
 import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from itertools import count
 from pathlib import Path
 from typing import Any
+from urllib.parse import urljoin
 
 import msgspec.msgpack
 import viser
 import zstandard
 from waiting import DEADLINE_S
+from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
 sys.path.append(str(Path(__file__).parent / "cli"))
@@ -27,21 +31,28 @@ def spawn_slider(command: CommandLine) -> None:
 
 
 class PageBrowser:
-    """One connection to a page. It takes in what the page sends whenever something is asked of it."""
+    """One browser of a page: its connection to viser, and one of its panels, which speaks rosbridge.
+
+    It takes in what the page sends whenever something is asked of it.
+    """
 
     def __init__(self, url: str, **options: Any) -> None:
         """`url` is that which `slidectl view` prints; `options` are those of websockets' `connect`."""
+        address = url.replace("http", "ws", 1)
         self._socket: ClientConnection = connect(
-            url.replace("http", "ws", 1), subprotocols=[f"viser-v{viser.__version__}"], max_size=None, **options
+            address, subprotocols=[f"viser-v{viser.__version__}"], max_size=None, **options
         )
-        self.elements: dict[str, dict[str, Any]] = {}
-        """uuid -> the properties of a GUI element; `type`, `value` and `container` among them."""
+        self.panels: ClientConnection = connect(
+            urljoin(address, "/rosbridge"), max_size=None, additional_headers=options.get("additional_headers")
+        )
         self.nodes: dict[str, dict[str, Any]] = {}
         """Name in the scene -> the newest properties, `position` and `wxyz` among them."""
-        self.notifications: list[str] = []
-        self.downloads: dict[str, bytes] = {}
-        """File -> what came of it."""
-        self._transfers: dict[str, str] = {}
+        self.told: list[str] = []
+        """What the page told all browsers."""
+        self.newest: dict[str, dict[str, Any]] = {}
+        """Topic -> the newest message that the panels have got."""
+        self._answers: dict[str, dict[str, Any]] = {}
+        self._serial = count(1)
         camera = {"wxyz": [1, 0, 0, 0], "position": [3, 3, 3], "fov": 1.0, "near": 0.01, "far": 1000.0}
         more = {"image_height": 600, "image_width": 800, "look_at": [0, 0, 0], "up_direction": [0, 0, 1]}
         self._send({"type": "ViewerCameraMessage", **camera, **more})
@@ -50,11 +61,14 @@ class PageBrowser:
         self.send(msgspec.msgpack.encode(message))
 
     def send(self, frame: bytes | str) -> None:
-        """Whatever it is."""
+        """Send viser whatever it is."""
         self._socket.send(frame)
+
+    # --- the scene ----------------------------------------------------------------------------------------------
 
     def take(self, seconds: float = 0.0) -> None:
         """Take in what has come, and what comes within so many seconds."""
+        self._take_panels()
         end = time.monotonic() + seconds
         while True:
             try:
@@ -69,18 +83,7 @@ class PageBrowser:
 
     def _take(self, message: dict[str, Any]) -> None:
         kind = message["type"]
-        if kind == "NotificationShowMessage":
-            self.notifications.append(f"{message['props']['title']}\n{message['props']['body']}")
-        elif kind == "FileTransferStartDownload":
-            self._transfers[message["transfer_uuid"]] = message["filename"]
-            self.downloads[message["filename"]] = b""
-        elif kind == "FileTransferPart":
-            self.downloads[self._transfers[message["transfer_uuid"]]] += message["content"]
-        elif kind == "GuiRemoveMessage":
-            self._forget(message["uuid"])
-        elif kind == "GuiUpdateMessage":
-            self.elements.get(message["uuid"], {}).update(message["updates"])
-        elif kind == "RemoveSceneNodeMessage":
+        if kind == "RemoveSceneNodeMessage":
             name = message["name"]
             self.nodes = {key: node for key, node in self.nodes.items() if f"{key}/".find(f"{name}/") != 0}
         elif kind == "SetPositionMessage":
@@ -91,54 +94,8 @@ class PageBrowser:
             self.nodes.setdefault(message["name"], {})["visible"] = message["visible"]
         elif kind == "SceneNodeUpdateMessage":
             self.nodes.get(message["name"], {}).update(message["updates"])
-        elif "uuid" in message and "props" in message:
-            more = {"type": kind, "value": message.get("value"), "container": message.get("container_uuid")}
-            self.elements[message["uuid"]] = {**message["props"], **more}
         elif "name" in message and "props" in message:
             self.nodes.setdefault(message["name"], {}).update(message["props"])
-
-    def _forget(self, uuid: str) -> None:
-        self.elements.pop(uuid, None)
-        for child in [key for key, one in self.elements.items() if one["container"] == uuid]:
-            self._forget(child)
-
-    def find(self, label: str, kind: str = "") -> tuple[str, dict[str, Any]] | None:
-        """The newest element with a label, or whose text has it, and that is of a kind: Button, Slider, ..."""
-        for uuid, one in reversed(self.elements.items()):
-            texts = (one.get("label"), one.get("_markdown"), one.get("content"))
-            if f"Gui{kind}" in one["type"] and (texts[0] == label or any(label in (text or "") for text in texts[1:])):
-                return uuid, one
-        return None
-
-    def wait_for(self, condition: Callable[[], Any], what: str = "it did not come true") -> Any:
-        """What the condition gives when it is true; the page is listened to meanwhile."""
-        deadline = time.monotonic() + DEADLINE_S
-        while not (found := condition()):
-            assert time.monotonic() < deadline, f"{what}; the page told: {self.notifications}"
-            self.take(0.02)
-        return found
-
-    def element(self, label: str, kind: str = "") -> dict[str, Any]:
-        """The properties of an element, which may still be to come."""
-        found: dict[str, Any] = self.wait_for(lambda: self.find(label, kind), f"no element {label!r}")[1]
-        return found
-
-    def set(self, label: str, value: Any, kind: str = "") -> None:
-        """Change an input as a user does."""
-        uuid, one = self.wait_for(lambda: self.find(label, kind), f"no element {label!r}")
-        assert not one.get("disabled"), f"{label} is disabled"
-        one["value"] = value
-        self._send({"type": "GuiUpdateMessage", "uuid": uuid, "updates": {"value": value}})
-
-    def click(self, label: str) -> None:
-        """Press a button."""
-        self.set(label, True, "Button")
-
-    def trigger(self, label: str) -> None:
-        """Press the key of a command."""
-        self.wait_for(lambda: any(one.get("label") == label for one in self.elements.values()))
-        uuid = next(uuid for uuid, one in self.elements.items() if one.get("label") == label)
-        self._send({"type": "CommandTriggerMessage", "uuid": uuid})
 
     def drag(self, node: str, phase: str, start: tuple[float, ...], end: tuple[float, ...]) -> None:
         """Shift and drag on something in the scene: `start`, `update` or `end`."""
@@ -146,8 +103,62 @@ class PageBrowser:
         more = {"start_screen_pos": (0.5, 0.5), "end_screen_pos": (0.6, 0.5), "button": "left", "modifier": "shift"}
         self._send({"type": "SceneNodeDragMessage", **message, **more})
 
+    # --- the panels ---------------------------------------------------------------------------------------------
+
+    def _take_panels(self, timeout: float = 0.0) -> None:
+        while True:
+            try:
+                message = json.loads(self.panels.recv(timeout=timeout))
+            except TimeoutError:
+                return
+            except ConnectionClosed:  # the daemon has gone
+                return
+            if message["op"] == "service_response":
+                self._answers[message["id"]] = message
+                return
+            if message["op"] == "publish":
+                self.newest[message["topic"]] = message["msg"]
+            elif message["op"] == "status":
+                self.told.append(message["msg"])
+
+    def ask(self, service: str, args: dict[str, Any] | None = None) -> dict[str, Any]:
+        """The response of a service, as the panels call it."""
+        name = f"t{next(self._serial)}"
+        self.panels.send(json.dumps({"op": "call_service", "id": name, "service": service, "args": args or {}}))
+        deadline = time.monotonic() + DEADLINE_S
+        while name not in self._answers:
+            assert time.monotonic() < deadline, f"{service} does not answer"
+            self._take_panels(0.1)
+        return self._answers.pop(name)
+
+    def call(self, service: str, /, **args: Any) -> dict[str, Any]:
+        """The answer of a service, which does not fail."""
+        response = self.ask(service, args)
+        assert response["result"], response["values"]
+        found: dict[str, Any] = response["values"]
+        return found
+
+    def page(self, what: str, /, **args: Any) -> dict[str, Any]:
+        """The answer of a service of the page itself."""
+        return self.call(f"/slidectl_page/{what}", **args)
+
+    def refusal(self, what: str, /, **args: Any) -> str:
+        """Why a service of the page is refused."""
+        response = self.ask(f"/slidectl_page/{what}", args)
+        assert response["result"] is False
+        return str(response["values"])
+
+    def wait_for(self, condition: Callable[[], Any], what: str = "it did not come true") -> Any:
+        """What the condition gives when it is true; the page is listened to meanwhile."""
+        deadline = time.monotonic() + DEADLINE_S
+        while not (found := condition()):
+            assert time.monotonic() < deadline, f"{what}; the page told: {self.told}"
+            self.take(0.02)
+        return found
+
     def close(self) -> None:
         self._socket.close()
+        self.panels.close()
 
     def __enter__(self) -> PageBrowser:
         return self

@@ -6,11 +6,14 @@ import signal
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
+from urllib.error import HTTPError
+from urllib.request import Request, urlopen
 
 import pytest
 from daemon_fixture import running_daemon
 from page_browser import CommandLine, PageBrowser, served_page
 from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
 
 LINK = "/robots/slider/link2"
 
@@ -25,55 +28,31 @@ def test_the_robot_is_where_the_simulation_has_it(world: CommandLine, browser: P
     browser.wait_for(lambda: browser.nodes[LINK]["position"][2] > before + 0.3)
 
 
-def test_pause_step_and_reset(world: CommandLine, browser: PageBrowser) -> None:
-    with world.client() as client:
-
-        def status(key: str) -> object:
-            return client.call("/slidectl/status")[key]
-
-        cycles = status("cycles")
-        browser.set("cycles of a step", 7)
-        browser.click("Step")
-        browser.wait_for(lambda: status("cycles") == cycles + 7)
-        browser.trigger("Step")
-        browser.wait_for(lambda: status("cycles") == cycles + 14)
-        browser.trigger("Pause or resume")
-        browser.wait_for(lambda: not status("paused"))
-        browser.wait_for(lambda: browser.find("Pause (space)"))
-        browser.click("Pause (space)")
-        browser.wait_for(lambda: status("paused"))
-        browser.set("reset", "robots and time", "ButtonGroup")
-        browser.wait_for(lambda: status("time") == 0)
-
-
-def test_many_steps_hold_up_nobody_and_end_with_a_pause(world: CommandLine, browser: PageBrowser) -> None:
-    with world.client() as client:
-        browser.set("cycles of a step", 1_000_000)
-        browser.click("Step")
-        before = client.call("/slidectl/status")["cycles"]
-        browser.wait_for(lambda: client.call("/slidectl/status")["cycles"] > before)
-        browser.click("Step")
-        browser.wait_for(lambda: any("the world is stepping" in told for told in browser.notifications))
-        browser.trigger("Pause or resume")
-        browser.wait_for(lambda: any("of 1000000 cycles" in told for told in browser.notifications))
-        assert client.call("/slidectl/status")["paused"]
-        browser.set("cycles of a step", 7)
-
-
-def test_a_snapshot_is_loaded_twice_and_the_speed_is_that_of_the_world(
+def test_the_panels_are_a_client_of_the_daemon_on_the_port_of_the_page(
     world: CommandLine, browser: PageBrowser
 ) -> None:
     with world.client() as client:
-        at = client.save("twice")
-        for _ in range(2):
-            client.step(3)
-            browser.wait_for(lambda: "twice" in browser.element("load", "Dropdown")["options"])
-            browser.set("load", "twice", "Dropdown")
-            browser.wait_for(lambda: client.call("/slidectl/status")["time"] == at)
-            browser.wait_for(lambda: browser.element("load", "Dropdown")["value"] == "none")
-        for speed, shown in ((3.5, "3.5"), (0.0, "max"), (1.0, "1")):
-            client.call("/slidectl/set_speed", {"speed": speed})
-            browser.wait_for(lambda shown=shown: browser.element("speed", "Dropdown")["value"] == shown)
+        cycles = client.call("/slidectl/status")["cycles"]
+        assert browser.call("/slidectl/step", cycles=7)["cycles"] == cycles + 7
+        assert "no service" in browser.ask("/no/such/service")["values"]
+        assert browser.page("state")["read_only"] is False
+        assert "service of the page" in browser.refusal("no_such_service")
+        assert "is not valid" in browser.refusal("camera")
+        assert "view" in browser.refusal("camera", view="under")
+
+
+def test_the_view_shows_what_was_chosen_in_all_browsers(page: str, browser: PageBrowser) -> None:
+    with PageBrowser(page) as other:
+        browser.page("view", frames=True)
+        for one in (browser, other):
+            one.wait_for(lambda one=one: one.nodes.get(f"{LINK}/name", {}).get("visible"))
+        browser.page("view", frames=False, trace="slider::link2")
+        other.wait_for(lambda: other.nodes.get(f"{LINK}/name", {}).get("visible") is False)
+        assert other.page("state")["view"]["trace"] == "slider::link2"
+        browser.page("view", trace="", collisions=True)
+        browser.page("view", collisions=False)
+        assert "no link" in browser.refusal("view", trace="slider::no_link")
+        assert "option of the view" in browser.refusal("view", colour=True)
 
 
 def test_two_browsers_see_the_same_and_a_robot_comes_and_goes(
@@ -88,13 +67,6 @@ def test_two_browsers_see_the_same_and_a_robot_comes_and_goes(
             one.wait_for(lambda one=one: "/robots/second/link3" not in one.nodes)
 
 
-def test_what_is_refused_is_told(browser: PageBrowser) -> None:
-    browser.set("snapshot", "no/name")
-    browser.click("Save")
-    browser.wait_for(lambda: any("no/name" in told for told in browser.notifications))
-    browser.set("snapshot", "here")
-
-
 def test_the_page_waits_for_a_daemon_that_has_gone() -> None:
     with running_daemon(paused=True) as runtime:
         command = CommandLine(runtime.folder)
@@ -102,26 +74,28 @@ def test_the_page_waits_for_a_daemon_that_has_gone() -> None:
         with served_page(command) as url, PageBrowser(url) as browser:
             browser.wait_for(lambda: LINK in browser.nodes)
             command.ok("daemon", "stop")
-            browser.element("the daemon has gone")
             browser.wait_for(lambda: LINK not in browser.nodes)
             command.ok("daemon", "start", "--paused")
             command.ok("spawn", "slider")
             browser.wait_for(lambda: LINK in browser.nodes)
-            browser.click("Step")
-            with command.client() as client:
-                browser.wait_for(lambda: client.call("/slidectl/status")["cycles"] == 1)
+            with PageBrowser(url) as again, command.client() as client:
+                again.call("/slidectl/step", cycles=1)
+                assert client.call("/slidectl/status")["cycles"] == 1
 
 
 def test_a_page_that_only_looks_changes_nothing(world: CommandLine) -> None:
     with served_page(world, "--read-only") as url, PageBrowser(url) as browser, world.client() as client:
         browser.wait_for(lambda: LINK in browser.nodes)
         cycles = client.call("/slidectl/status")["cycles"]
-        _, step = browser.wait_for(lambda: browser.find("Step", "Button"))
-        assert step["disabled"]
-        assert browser.find("Pause or resume") is None
-        step["disabled"] = False
-        browser.click("Step")  # by force
-        browser.set("frames of links", True)
+        assert browser.page("state")["read_only"]
+        assert browser.ask("/slidectl/step", {"cycles": 1})["result"] is False
+        twist = {"linear": {"x": 1.0, "y": 0.0, "z": 0.0}, "angular": {"x": 0.0, "y": 0.0, "z": 0.0}}
+        for what, args in (
+            ("drive", {"topic": "/cmd_vel", "twist": twist}), ("record", {"file": "run.bag"}),
+            ("publish", {"topic": "/clock", "texts": {}, "rate": 1}), ("place", {"robot": "slider"}),
+        ):  # fmt: skip
+            assert "only looks" in browser.refusal(what, **args)
+        browser.page("view", frames=True)
         browser.wait_for(lambda: browser.nodes.get(f"{LINK}/name", {}).get("visible"))
         assert client.call("/slidectl/status")["cycles"] == cycles
 
@@ -137,10 +111,15 @@ def test_a_page_that_only_looks_changes_nothing(world: CommandLine) -> None:
 def test_who_has_no_token_or_comes_from_elsewhere_is_kept_out(
     token_page: str, more: str, headers: dict[str, str], told: str
 ) -> None:
-    with pytest.raises(InvalidStatus) as refused:
-        PageBrowser(token_page.partition("?")[0] + more, additional_headers=headers)
-    assert refused.value.response.status_code == 403
-    assert told in refused.value.response.body.decode()
+    address = token_page.partition("?")[0]
+    for path in ("", "rosbridge"):
+        with pytest.raises(InvalidStatus) as refused:
+            connect(address.replace("http", "ws", 1) + path + more, additional_headers=headers)
+        assert refused.value.response.status_code == 403
+        assert told in refused.value.response.body.decode()
+    with pytest.raises(HTTPError) as unseen:
+        urlopen(Request(f"{address}slidectl/app.js{more}", headers=headers))
+    assert unseen.value.code == 403
 
 
 @pytest.fixture(scope="module")
@@ -157,7 +136,42 @@ def test_the_address_with_the_token_opens_the_page(token_page: str) -> None:
     assert found.value.response.status_code == 302
     cookie = found.value.response.headers["Set-Cookie"].partition(";")[0]
     with PageBrowser(address, additional_headers={"Cookie": cookie, "Origin": address.rstrip("/")}) as browser:
-        browser.element("Step", "Button")
+        assert browser.page("state")["view"]
+
+
+def test_the_document_runs_no_script_but_its_own_and_its_modules_come_from_the_package(page: str) -> None:
+    with urlopen(page) as answer:
+        policy, text = answer.headers["Content-Security-Policy"], answer.read().decode()
+        assert answer.headers["X-Frame-Options"] == "SAMEORIGIN"
+    nonce = policy.partition("'nonce-")[2].partition("'")[0]
+    assert len(nonce) >= 16
+    assert text.count("<script") == text.count(f'nonce="{nonce}"', 0, text.index("data-p="))
+    assert "default-src 'none'" in policy
+    assert "'unsafe-inline'" not in policy.partition("script-src")[2].partition(";")[0]
+    with urlopen(page) as answer:
+        assert nonce not in answer.headers["Content-Security-Policy"]
+    for name in ("app.js", "style.css", "vendor/uPlot.esm.js", "panels/plots.js"):
+        with urlopen(f"{page}slidectl/{name}") as answer:
+            assert answer.headers["X-Content-Type-Options"] == "nosniff"
+    for name in ("", "no.js", "../page.py", "vendor/LICENSE.htm", "%2e%2e/page.py"):
+        with pytest.raises(HTTPError) as missing:
+            urlopen(f"{page}slidectl/{name}")
+        assert missing.value.code == 404
+
+
+def test_a_base_that_is_not_driven_any_more_stops(world: CommandLine, page: str) -> None:
+    world.ok(
+        "spawn", "car", "--at", "0", "3", "0", "--controllers", "config/car_control.yaml", "--start", "base_controller"
+    )
+    try:
+        with world.client() as client, client.subscribe("/car/base_controller/cmd_vel") as twists:
+            forwards = {"linear": {"x": 1.0, "y": 0.0, "z": 0.0}, "angular": {"x": 0.0, "y": 0.0, "z": 0.0}}
+            with PageBrowser(page) as browser:
+                browser.page("drive", topic="/car/base_controller/cmd_vel", twist=forwards)
+                assert twists.get(timeout=60)["linear"]["x"] == 1.0
+            assert twists.get(timeout=60)["linear"]["x"] == 0.0  # the browser has gone without a word
+    finally:
+        world.ok("delete", "car")
 
 
 def test_a_foreign_page_may_not_use_one_without_a_token(page: str) -> None:

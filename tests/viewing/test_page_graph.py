@@ -1,34 +1,30 @@
-"""The graph of nodes and topics on the page, and the tree of frames."""
+"""The picture of the graph, and the file of gains, which the page makes as the commands do."""
 
 from __future__ import annotations
 
-from daemon_fixture import running_daemon
-from page_browser import CommandLine, PageBrowser, served_page
+from pathlib import Path
+
+from page_browser import CommandLine, PageBrowser
 
 
-def test_the_graph_is_drawn_and_the_frames_are_followed() -> None:
-    with running_daemon() as runtime:
-        command = CommandLine(runtime.folder)
-        command.ok(
-            "spawn", "slider", "--controllers", "config/slider_control.yaml", "--start", "joint_state_controller"
-        )
-        with served_page(command) as url, PageBrowser(url) as browser, command.client() as client:
+def test_the_graph_is_drawn_around_names(browser: PageBrowser) -> None:
+    whole = browser.page("graph")["svg"]
+    assert ">/slider/joint_states</text>" in whole
+    assert ">/clock</text>" in whole
+    part = browser.page("graph", of="joint_states")["svg"]
+    assert ">/slider/joint_states</text>" in part
+    assert ">/clock</text>" not in part
+    assert "joint_states" in browser.refusal("graph", of="joint_sates <b>")
 
-            def picture() -> str:
-                found = browser.find("<svg", "Html")
-                return found[1]["content"] if found else ""
 
-            browser.wait_for(lambda: ">/slider/joint_states</text>" in picture() and ">/clock</text>" in picture())
-            browser.set("graph of", "joint_states")
-            browser.wait_for(lambda: ">/slider/joint_states</text>" in picture() and ">/clock</text>" not in picture())
-            browser.set("graph of", "joint_sates <b>")
-            browser.wait_for(lambda: browser.find("joint_states", "Html") and not picture())
-            browser.set("graph of", "")
-            command.ok("spawn", "rrbot", "--name", "second")
-            browser.wait_for(lambda: ">/second/" in picture())
-
-            assert not client.call("/rosapi/subscribers", {"topic": "/tf"})["subscribers"]
-            browser.set("tf tree", True)
-            browser.wait_for(lambda: browser.find("link2 0.", "Html"))
-            browser.set("tf tree", False)
-            browser.wait_for(lambda: not client.call("/rosapi/subscribers", {"topic": "/tf"})["subscribers"])
+def test_gains_are_saved_as_a_file_that_a_spawn_takes(world: CommandLine, browser: PageBrowser, tmp_path: Path) -> None:
+    pid = "/slider/joint1_position_controller/pid"
+    with world.client() as client:
+        before = client.params[f"{pid}/p"]
+        client.params[f"{pid}/p"] = 77.25
+        saved = browser.page("gains_file", namespace="/slider")
+        client.params[f"{pid}/p"] = before
+    assert saved["file"] == "slider_control.yaml"
+    assert "p: 77.25" in saved["text"]
+    (tmp_path / saved["file"]).write_text(saved["text"], "utf-8")
+    world.ok("check", "slider", "--controllers", str(tmp_path / saved["file"]))

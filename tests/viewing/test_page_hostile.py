@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import re
@@ -13,7 +14,7 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 from urllib.error import HTTPError
-from urllib.parse import urlsplit
+from urllib.parse import urljoin, urlsplit
 from urllib.request import urlopen
 
 import msgspec.msgpack
@@ -28,8 +29,6 @@ from websockets.sync.client import connect
 
 sys.path.append(str(Path(__file__).parent.parent / "gateways"))
 from raw_websocket import closed, descriptors, head, memory_mib, raw_socket, request, send_all, shaken
-
-WELL = "cycles of a step"
 
 
 @pytest.fixture(scope="module")
@@ -55,12 +54,11 @@ def page(world: CommandLine) -> Iterator[str]:
 def other(page: str, world: CommandLine) -> Iterator[PageBrowser]:
     """A browser that works before and after."""
     with PageBrowser(page) as one, world.client() as client:
-        one.element("Step", "Button")
+        one.page("state")
         yield one
         cycles = client.call("/slidectl/status")["cycles"]
-        one.set(WELL, 3)
-        one.click("Step")
-        one.wait_for(lambda: client.call("/slidectl/status")["cycles"] == cycles + 3)
+        assert one.call("/slidectl/step", cycles=3)["cycles"] == cycles + 3
+        one.wait_for(lambda: "/ground" in one.nodes)
 
 
 def message(kind: str, **fields: Any) -> bytes:
@@ -93,35 +91,31 @@ def message(kind: str, **fields: Any) -> bytes:
 @pytest.mark.usefixtures("other")
 def test_nonsense_harms_nobody(page: str, frame: bytes | str) -> None:
     with PageBrowser(page) as hostile, suppress(ConnectionClosed):
-        hostile.element("Step", "Button")
+        hostile.page("state")
         hostile.send(frame)
         hostile.send(frame)
         hostile.take(0.1)
+    with PageBrowser(page) as hostile, suppress(ConnectionClosed):
+        hostile.panels.send(frame)
+        hostile.panels.send(frame)
+        hostile.take(0.1)
 
 
-def test_values_that_an_input_cannot_have_are_not_taken(world: CommandLine, page: str, other: PageBrowser) -> None:
-    with PageBrowser(page) as hostile, world.client() as client:
-        hostile.element("Step", "Button")
-        status = client.call("/slidectl/status")
-        wrong: list[tuple[str, Any]] = [
-            *((WELL, value) for value in ("abc", math.nan, math.inf, [1], None, {}, -1, 1.5, True, 10**7, 1 << 63)),
-            *(("speed", value) for value in ("abc", 1, None, ["1"])),
-            *(("snapshot", value) for value in (1, None, ["x"], "x" * 10**6)),
-            *(("dark", value) for value in ("yes", 1, None)), ("reset", "everything"), ("Step", "now"),
-            ("Stop recording", True),
-        ]  # fmt: skip
-        for label, value in wrong:
-            uuid, _ = hostile.wait_for(lambda label=label: hostile.find(label))
-            hostile.send(message("GuiUpdateMessage", uuid=uuid, updates={"value": value}))
-            hostile.send(message("GuiUpdateMessage", uuid=uuid, updates={"update_cb": [], "removed": True}))
-        before = {label: other.element(label)["value"] for label, _ in wrong}
-        hostile.set("snapshot", 7)
-        hostile.wait_for(lambda: hostile.element("snapshot")["value"] == before["snapshot"])
-        hostile.set(WELL, 5)
-        other.wait_for(lambda: other.element(WELL)["value"] == 5)
-        assert {label: other.element(label)["value"] for label, _ in wrong} == {**before, WELL: 5}
-        after = client.call("/slidectl/status")
-        assert (after["cycles"], after["speed"]) == (status["cycles"], status["speed"])
+@pytest.mark.usefixtures("other")
+@pytest.mark.parametrize(
+    "args",
+    [
+        None, [], "x", {"view": 1}, {"frames": {"a": []}}, {"topic": 1, "texts": 2, "rate": "x"}, {"file": ["x"]},
+        {"topic": "/clock", "texts": {"a.b.c": 1}, "rate": 1}, {"namespace": {}}, {"of": "x" * 100_000}, {"robot": []},
+        {"topic": "/clock", "twist": 5}, {"trace": {}},
+    ],
+)  # fmt: skip
+def test_requests_of_the_page_that_are_not_valid_are_refused_or_do_nothing(page: str, args: Any) -> None:
+    services = ("view", "camera", "fill", "graph", "gains_file", "record", "publish", "drive", "place", "no", "", "a/b")
+    with PageBrowser(page) as hostile:
+        for service in services:
+            assert "result" in hostile.ask(f"/slidectl_page/{service}", args)
+        hostile.page("view", frames=False)
 
 
 @pytest.mark.usefixtures("other")
@@ -249,14 +243,14 @@ def test_messages_that_are_begun_and_not_ended_hold_a_bounded_sum(world: Command
     before = children()
     with served_page(world) as url, PageBrowser(url) as other:
         pid = page_pid(before)
-        other.element("Step", "Button")
+        other.page("state")
         used = memory_mib(pid)
         protocol = f"Sec-WebSocket-Protocol: viser-v{viser.__version__}\r\n"
         with ExitStack() as stack:
             some = [stack.enter_context(shaken(url, protocol)) for _ in range(60)]
             for one in some:
                 send_all(one, head(2_000_000) + bytes(1_900_000))
-            other.set(WELL, 7)
+            other.page("state")
             other.take(0.1)
             assert memory_mib(pid) < used + 32 + 60
         with shaken(url, protocol) as one:
@@ -269,7 +263,7 @@ def test_a_thousand_browsers_are_refused_plainly_and_leave_nothing(world: Comman
     before = children()
     with served_page(world) as url, PageBrowser(url) as other:
         pid = page_pid(before)
-        other.element("Step", "Button")
+        other.page("state")
         had, used = descriptors(pid), memory_mib(pid)
         half = request()[:60]
         with ExitStack() as stack:
@@ -282,11 +276,11 @@ def test_a_thousand_browsers_are_refused_plainly_and_leave_nothing(world: Comman
                 answers.append(one.recv(200))
             assert sum(b" 101 " in answer for answer in answers) == 99
             assert all(b" 101 " in answer or answer.startswith(b"HTTP/1.1 503") for answer in answers)
-            other.set(WELL, 9)
+            other.page("state")
         other.wait_for(lambda: descriptors(pid) <= had + 1, "descriptors stay open")
         assert memory_mib(pid) < used + 200
         with PageBrowser(url) as late:
-            late.element("Step", "Button")
+            late.page("state")
 
 
 def test_a_page_that_was_killed_leaves_the_daemon_and_its_port(world: CommandLine, runtime: Runtime) -> None:
@@ -303,7 +297,7 @@ def test_a_page_that_was_killed_leaves_the_daemon_and_its_port(world: CommandLin
         assert again.stdout is not None
         assert again.stdout.readline().strip() == url
         with PageBrowser(url) as browser:
-            browser.element("Step", "Button")
+            browser.page("state")
         again.send_signal(signal.SIGINT)
         assert (again.communicate(timeout=60)[1], again.returncode) == ("", 0)
         eventually(lambda: set(client.call("/rosapi/nodes")["nodes"]) == nodes, "it left nodes behind")
@@ -315,27 +309,34 @@ def test_fifty_browsers_at_once(page: str) -> None:
     with ExitStack() as stack:
         many = [stack.enter_context(PageBrowser(page)) for _ in range(50)]
         for number, one in enumerate(many):
-            one.element("Step", "Button")
-            if number % 10 == 0:
-                one.set(WELL, 100 + number)
+            one.page("view", frames=number % 2 == 0)
         for one in many:
-            one.wait_for(lambda one=one: one.element(WELL)["value"] == 140)
+            assert one.page("state")["view"]["frames"] is False
 
 
 def test_a_browser_that_does_not_read_costs_no_memory_and_no_time(world: CommandLine, runtime: Runtime) -> None:
     """The log changes by 100 kB at once; it would show if that were kept for who sleeps."""
     before = children()
-    with served_page(world) as url, PageBrowser(url) as other, PageBrowser(url, max_queue=1), world.client() as client:
+    sleeps = {"max_queue": 1, "max_size": None}
+    with (
+        served_page(world) as url,
+        PageBrowser(url) as other,
+        PageBrowser(url, max_queue=1),
+        connect(urljoin(url.replace("http", "ws", 1), "/rosbridge"), **sleeps) as sleeper,
+        world.client() as client,
+    ):
         (pid,) = children() - before
         assert runtime.pid is not None
         pids = [runtime.pid, pid]
-        other.element("Clear the log", "Button")
+        for one in (other.panels, sleeper):
+            one.send(json.dumps({"op": "subscribe", "topic": "/rosout", "type": "rosgraph_msgs/Log"}))
+        other.page("state")
         begun: list[int] = []
         for number in range(150):
             for part in range(20):
                 client.publish("/rosout", {"level": 2, "msg": f"{number}.{part} {'x' * 480}"}, "rosgraph_msgs/Log")
             client.flush()
-            other.wait_for(lambda number=number: other.find(f"{number}.19 xxx", "Html"))
+            other.wait_for(lambda number=number: f"{number}.19 xxx" in other.newest.get("/rosout", {}).get("msg", ""))
             if number == 30:
                 begun = [memory(pid) for pid in pids]
         grown = [memory(pid) - before for pid, before in zip(pids, begun, strict=True)]

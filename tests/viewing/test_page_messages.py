@@ -1,4 +1,4 @@
-"""The page's forms: messages that are published once and at a rate, and services that are called."""
+"""The messages that the page makes of the texts of a form: once, at a rate, and for services."""
 
 from __future__ import annotations
 
@@ -12,54 +12,34 @@ from waiting import eventually
 COMMAND = "/slider/joint1_position_controller/command"
 
 
-def is_told(browser: PageBrowser, text: str) -> bool:
-    browser.take()
-    return any(text in told for told in browser.notifications)
-
-
-def test_a_message_is_published_once(world: CommandLine, browser: PageBrowser) -> None:
-    with world.client() as client, client.subscribe(COMMAND) as commands:
-        browser.set("publish topic", COMMAND)
-        browser.set("data", "pi / 8")
-        browser.click("Publish once")
-        assert commands.get(timeout=60)["data"] == math.pi / 8
-        for text, told in (("sin(t", "not a valid expression"), ("[1, 2]", "must be"), ("{", "not valid YAML"),
-                           ("len([a for a in range(300) for b in range(300)])", "takes more than")):  # fmt: skip
-            browser.set("data", text)
-            browser.click("Publish once")
-            browser.wait_for(lambda told=told: is_told(browser, told))
-        assert len(commands) == 0
-        browser.set("data", "0.0")
-
-
-def test_a_message_with_fields_inside_of_fields_and_a_topic_that_nobody_hears(
-    world: CommandLine, browser: PageBrowser
-) -> None:
+def test_texts_become_the_message_that_slidectl_pub_makes(world: CommandLine, browser: PageBrowser) -> None:
+    assert browser.page("fill", topic=COMMAND, texts={"data": "pi / 8"})["message"] == {"data": math.pi / 8}
+    for text, told in (("sin(t", "not a valid expression"), ("[1, 2]", "must be"), ("{", "not valid YAML"),
+                       ("len([a for a in range(300) for b in range(300)])", "takes more than")):  # fmt: skip
+        assert told in browser.refusal("fill", topic=COMMAND, texts={"data": text})
+    assert "has no field" in browser.refusal("fill", topic=COMMAND, texts={"no_field": "1"})
     with world.client() as client:
         client.advertise("/wanted", "trajectory_msgs/JointTrajectoryPoint")
         client.advertise("/twist", "geometry_msgs/TwistStamped")
         client.flush()
-        browser.wait_for(lambda: "/wanted" in browser.element("publish topic")["options"])
-        browser.set("publish topic", "/wanted")
-        browser.set("positions", "[1, sqrt(4)]")
-        browser.set("time_from_start", "{secs: 3, nsecs: 0}")
-        browser.click("Publish once")
-        browser.wait_for(lambda: is_told(browser, "Nobody subscribes to /wanted"))
-        with client.subscribe("/wanted") as points, client.subscribe("/twist") as twists:
-            browser.click("Publish once")
-            point = points.get(timeout=60)
-            assert (point["positions"], point["velocities"]) == ([1.0, 2.0], [])
-            assert point["time_from_start"] == {"secs": 3, "nsecs": 0}
-            browser.set("publish topic", "/twist")
-            browser.set("header.stamp", "now")
-            browser.set("header.frame_id", "12")  # text stays text
-            browser.set("twist.angular.z", "-.5")
-            browser.click("Publish once")
-            twist = twists.get(timeout=60)
-            assert twist["header"]["frame_id"] == "12"
-            assert twist["header"]["stamp"] == client.call("/rosapi/get_time")["time"]
-            assert twist["twist"]["angular"] == {"x": 0.0, "y": 0.0, "z": -0.5}
-        world.ok("sim", "step")
+        texts = {"positions": "[1, sqrt(4)]", "velocities": "[]", "time_from_start": "{secs: 3, nsecs: 0}"}
+        point = browser.page("fill", topic="/wanted", texts=texts)["message"]
+        assert (point["positions"], point["velocities"]) == ([1.0, 2.0], [])
+        assert point["time_from_start"] == {"secs": 3, "nsecs": 0}
+        texts = {"header.stamp": "now", "header.frame_id": "12", "twist.angular.z": "-.5", "twist.linear.x": ""}
+        twist = browser.page("fill", topic="/twist", texts=texts)["message"]
+        assert twist["header"]["frame_id"] == "12"  # text stays text
+        assert twist["header"]["stamp"] == client.call("/rosapi/get_time")["time"]
+        assert twist["twist"]["angular"] == {"z": -0.5}
+
+
+def test_a_request_of_a_service_is_made_of_texts(browser: PageBrowser) -> None:
+    service = "/slider/controller_manager/switch_controller"
+    texts = {"stop_controllers": "[joint1_position_controller]", "strictness": "2", "start_asap": True}
+    request = browser.page("fill", service=service, texts=texts)["message"]
+    assert (request["stop_controllers"], request["strictness"]) == (["joint1_position_controller"], 2)
+    assert request["start_asap"] is True
+    assert "no name 'much'" in browser.refusal("fill", service=service, texts={"strictness": "much"})
 
 
 def test_an_expression_is_published_at_a_rate_of_simulated_time_until_it_is_stopped(world: CommandLine) -> None:
@@ -68,33 +48,36 @@ def test_an_expression_is_published_at_a_rate_of_simulated_time_until_it_is_stop
     def take(published: dict[str, Any]) -> None:
         came.append((published["time"]["secs"] + 1e-9 * published["time"]["nsecs"], published["msg"]["data"]))
 
+    def published(browser: PageBrowser) -> int:
+        return sum(one["published"] for one in browser.page("state")["publications"])
+
+    form = {"topic": COMMAND, "texts": {"data": "0.1 * sin(2 * pi * t) + i"}, "rate": 4}
     with served_page(world) as url, world.client() as client, client.subscribe(COMMAND, take=take):
         with PageBrowser(url) as browser:
-            browser.set("publish topic", COMMAND)
-            browser.set("data", "0.1 * sin(2 * pi * t) + i")
-            browser.set("Hz of simulated time", 4)
-            browser.click("Publish at the rate")
-            browser.element("1 published", "Html")
+            browser.page("publish", **form)
+            browser.wait_for(lambda: published(browser) == 1)
             begin = client.step(seconds=1)  # of 0, 0.25, 0.5, 0.75 and 1
-            browser.element("5 published", "Html")
+            browser.wait_for(lambda: published(browser) == 5)
             client.flush()
             assert [time for time, _ in came] == pytest.approx([begin - 1 + i / 4 for i in range(5)], abs=1e-9)
             assert [data for _, data in came] == [0.1 * math.sin(2 * math.pi * (i / 4)) + i for i in range(5)]
         goes_on_until = begin + 12  # nobody has the page open, and what was handed over before ends after 5 s
         eventually(lambda: client.step(seconds=1) and came[-1][0] > goes_on_until)
         with PageBrowser(url) as browser:
-            browser.click(f"Stop {COMMAND}")
-            browser.wait_for(lambda: not browser.find(f"Stop {COMMAND}"))
+            browser.page("stop_publishing", topic=COMMAND)
+            assert browser.page("state")["publications"] == []
             client.flush()
             count = len(came)
             client.step(seconds=1)
             assert len(came) == count
-            browser.click("Publish at the rate")
-            browser.element("1 published", "Html")
+            browser.page("publish", **form)
+            browser.wait_for(lambda: published(browser) == 1)
             world.ok("sim", "reset", "--time")  # i and t begin anew with the time
-            browser.element("2 published", "Html")
+            browser.wait_for(lambda: published(browser) == 2)
             client.flush()
             assert came[-1] == (0.0, 0.0)
+            for rate in (0, -1, 1e9, "often"):
+                assert browser.refusal("publish", **{**form, "rate": rate})
     client_left = len(came)
     with world.client() as client, client.subscribe(COMMAND, take=take):
         client.step(seconds=1)  # the page has ended, and what it handed over with it
@@ -102,44 +85,6 @@ def test_an_expression_is_published_at_a_rate_of_simulated_time_until_it_is_stop
 
 
 def test_an_expression_that_cannot_be_computed_ends_the_publishing(browser: PageBrowser) -> None:
-    browser.set("publish topic", COMMAND)
-    browser.set("data", "1 / (2 - i)")
-    browser.set("Hz of simulated time", 10)
-    browser.click("Publish at the rate")
-    browser.wait_for(lambda: is_told(browser, "is no longer published: cannot compute"))
-    browser.wait_for(lambda: not browser.find(f"Stop {COMMAND}"))
-    browser.set("data", "0.0")
-
-
-def test_services_are_called_and_answer_as_yaml(world: CommandLine, browser: PageBrowser) -> None:
-    manager = "/slider/controller_manager"
-    browser.set("service", f"{manager}/switch_controller")
-    browser.set("stop_controllers", "[joint1_position_controller]")
-    browser.set("strictness", "2")
-    browser.click("Call")
-    with world.client() as client:
-        browser.wait_for(lambda: client.step() and browser.find("ok: True", "Html"))
-        assert client.controllers("/slider").states()["joint1_position_controller"] != "running"
-        browser.set("strictness", "much")
-        browser.click("Call")
-        browser.wait_for(lambda: is_told(browser, "no name 'much'"))
-        browser.set("service", f"{manager}/load_controller")
-        browser.set("name", "no_such_controller")
-        browser.click("Call")
-        browser.element("ok: False", "Html")
-        browser.element("# ", "Html")  # with the reasons
-        browser.set("service", "/slidectl/sleep")
-        browser.set("duration", "0.5")
-        browser.click("Call")
-        browser.element("calling ...", "Html")
-        browser.set("service", f"{manager}/list_controllers")  # meanwhile the page goes on
-        browser.element("controller_manager_msgs/ListControllers")
-        client.step(seconds=1)
-        browser.element("/slidectl/sleep\nsuccess: True", "Html")
-
-
-def test_who_only_looks_publishes_and_calls_nothing(world: CommandLine) -> None:
-    with served_page(world, "--read-only") as url, PageBrowser(url) as browser:
-        browser.set("publish topic", COMMAND)
-        for label in ("data", "Publish once", "Publish at the rate", "Call"):
-            eventually(lambda: browser.element(label)["disabled"], f"{label} can be used")  # noqa: B023
+    browser.page("publish", topic=COMMAND, texts={"data": "1 / (2 - i)"}, rate=10)
+    browser.wait_for(lambda: any("is no longer published: cannot compute" in told for told in browser.told))
+    assert browser.page("state")["publications"] == []

@@ -56,8 +56,8 @@ def view(
     except ModuleNotFoundError as error:
         needed = f"the page needs the library {error.name}"
         raise Refused(needed, f"install it: {install_command('view')}") from error
-    from slidectl.extensions.viewing.page.layout import lay_out
     from slidectl.extensions.viewing.page.page import Page
+    from slidectl.extensions.viewing.page.rosbridge_endpoint import RosbridgeEndpoint
     from slidectl.web_access import check_effects, check_token, check_users_can_be_told, is_loopback, shown_host
 
     if token is not None:
@@ -70,7 +70,8 @@ def view(
         check_users_can_be_told(any_user)
     paths = ctx.client.paths  # raises NoDaemon when none runs
     guard = AccessGuard(host, token or "", any_user)
-    server = GuardedServer(host, free, guard)
+    endpoint = RosbridgeEndpoint(paths, permitted)
+    server = GuardedServer(host, free, guard, endpoint)
     taken = server.get_port()  # viser takes the next port when another process has taken this one
     if taken != port and port:
         ctx.warn(f"port {port} is taken: {taken} is used")
@@ -82,8 +83,8 @@ def view(
         client.restrict(*permitted)
         return client
 
-    page = Page(server, connected, read_only, guard.opened)
-    lay_out(page)
+    page = Page(server, connected, read_only, endpoint.tell)
+    endpoint.serve = page.serve
     address = f"http://{shown_host(host)}:{taken}/"
     url = address + (f"?token={token}" if token else "")
     ctx.done({"url": url, "port": taken, "instance": paths.name, "read_only": read_only}, url)

@@ -1,5 +1,7 @@
 """viser's server with access control: who may open the page, and what browsers may send to viser, and how much.
 
+The files of the page and the WebSocket of its panels are served by the same server, behind the same guard.
+
 viser has no hook for that. It calls `websockets.asyncio.server.serve`, which is wrapped while viser starts; only this
 file does that. Tests connect with wrong tokens and foreign origins, and send invalid messages.
 """
@@ -12,11 +14,9 @@ import logging
 import math
 import secrets
 import socket
-from collections.abc import Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout
 from functools import partial
 from html import escape
-from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qs, urlencode, urlsplit
 
@@ -29,7 +29,9 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
 from slidectl.errors import Refused, UnknownName
-from slidectl.extensions.gateways.bounded_websocket import BoundedConnection, ConnectionBounds, answering_bad_requests
+from slidectl.extensions.gateways.bounded_websocket import ConnectionBounds, answering_bad_requests
+from slidectl.extensions.viewing.page.page_files import PageFiles
+from slidectl.extensions.viewing.page.rosbridge_endpoint import PATH, PageConnection, RosbridgeEndpoint
 from slidectl.operating_system import return_large_blocks
 from slidectl.web_access import LOOPBACK, host_of, is_secret, stranger
 
@@ -42,20 +44,18 @@ _MOST_PLACES = 400
 """Connections, before, during and after their handshakes. Browsers open some more for the files of the page."""
 _LONGEST_MESSAGE = 2 * 1024 * 1024
 """Bytes of a message of a browser."""
+_PONG_WITHIN_S = 60.0
 _MOST_HELD = 32 * 1024 * 1024
 """Limit of the bytes that have come and are not handled, over all browsers."""
-_LONGEST_TEXT = 100_000
-_ROUNDING = 1e-7
-"""viser's sliders round to seven digits, also their limits."""
 _TAKEN = {
     kind.__name__: kind
     for kind in (
-        _messages.CommandTriggerMessage, _messages.GuiUpdateMessage, _messages.SceneNodeDragMessage,
-        _messages.TransformControlsDragEndMessage, _messages.TransformControlsDragStartMessage,
-        _messages.TransformControlsUpdateMessage, _messages.ViewerCameraMessage,
+        _messages.SceneNodeDragMessage, _messages.TransformControlsDragEndMessage,
+        _messages.TransformControlsDragStartMessage, _messages.TransformControlsUpdateMessage,
+        _messages.ViewerCameraMessage,
     )
 }  # fmt: skip
-"""The messages that panels use. Some others would be stored for ever (uploads) or sent to all browsers (forms)."""
+"""The messages that the scene uses. Some others would be stored for ever (uploads) or sent to all browsers (forms)."""
 _KEPT_OUT = {"X-Frame-Options": "SAMEORIGIN", "Referrer-Policy": "same-origin", "Cache-Control": "no-store"}
 """Headers of the page: foreign pages cannot frame it, and an address with a token is not sent to other sites."""
 
@@ -91,8 +91,6 @@ class AccessGuard:
     def __init__(self, host: str, token: str, any_user: bool = False) -> None:
         """`token` is empty if none is needed; then only browsers of this process's user may come, or `any_user`."""
         self._any_user = any_user
-        self.opened: SimpleQueue[Mapping[str, Sequence[str]]] = SimpleQueue()
-        """The query of each page that was opened."""
         self._host = host
         self._token = token
         self._word = ""
@@ -128,9 +126,6 @@ class AccessGuard:
             if not any(is_secret(value, self._session) for value in _cookies(headers, _cookie_name(named))):
                 what = "the token is wrong" if given else "a token is needed"
                 return _refused(f"{what}: the whole address is printed by slidectl view")
-        is_tab = headers.get("Sec-Fetch-Dest", "document") == "document" and "Upgrade" not in headers
-        if url.path == "/" and is_tab:
-            self.opened.put(query)
         return None
 
     def word(self) -> str:
@@ -177,23 +172,20 @@ def _refused(text: str, status: http.HTTPStatus = http.HTTPStatus.FORBIDDEN) -> 
 class GuardedServer(viser.ViserServer):
     """viser's server without log output and without its offer to share the page on the internet."""
 
-    def __init__(self, host: str, port: int, guard: AccessGuard) -> None:
+    def __init__(self, host: str, port: int, guard: AccessGuard, endpoint: RosbridgeEndpoint) -> None:
+        """`endpoint` serves the panels."""
         return_large_blocks()
         logging.getLogger("websockets.server").addFilter(_is_no_handshake)
-        with _guarded(guard, self), redirect_stdout(io.StringIO()):
+        with _guarded(guard, self, endpoint), redirect_stdout(io.StringIO()):
             super().__init__(host=host, port=port, label="slidectl", verbose=False)
-        self.choose_theme(dark=False)
-
-    def choose_theme(self, dark: bool) -> None:
-        """Use the light or dark theme in all browsers."""
-        self.gui.configure_theme(dark_mode=dark, show_logo=False, show_share_button=False)
+        self.gui.configure_theme(show_logo=False, show_share_button=False)
 
     def request_share_url(self, verbose: bool = True) -> str | None:  # noqa: ARG002
         """Return None: a browser could ask viser to publish the page on the internet, which is not allowed."""
         return None
 
     def takes(self, frame: Any) -> bool:
-        """True when a browser's message is valid for viser and the panels.
+        """True when a browser's message is valid for viser and the scene.
 
         viser itself sets attributes from any message before it checks their types.
 
@@ -205,45 +197,11 @@ class GuardedServer(viser.ViserServer):
         if kind is None or not _is_finite(message):
             return False
         sound = msgspec.convert(message, kind)
-        if not message.keys() <= vars(sound).keys():
-            return False
-        return not isinstance(sound, _messages.GuiUpdateMessage) or self._takes_value(sound)
-
-    def _takes_value(self, update: _messages.GuiUpdateMessage) -> bool:
-        """True when an input accepts the value. If not, the browsers get its present value."""
-        handle: Any = self.gui._gui_input_handle_from_uuid.get(update.uuid)
-        if handle is None:
-            return False
-        if update.updates.keys() == {"value"} and _can_have(handle, update.updates["value"]):
-            return True
-        if not isinstance(handle, viser.GuiButtonHandle):
-            self._websock_server.queue_message(_messages.GuiUpdateMessage(update.uuid, {"value": handle.value}))
-        return False
+        return message.keys() <= vars(sound).keys()
 
     def stop(self) -> None:
         with redirect_stdout(io.StringIO()):
             super().stop()
-
-
-def _can_have(handle: Any, value: Any) -> bool:
-    """True when an input is enabled, and the value has its type and is in its range."""
-    before, options = handle.value, getattr(handle, "options", None)
-    if handle.disabled or not handle.visible:
-        return False
-    if options is not None:
-        return value in options
-    if isinstance(before, bool):
-        return isinstance(value, bool)
-    if isinstance(before, int | float):
-        least, most = getattr(handle, "min", None), getattr(handle, "max", None)
-        return (
-            isinstance(value, int | float)
-            and not isinstance(value, bool)
-            and (isinstance(before, float) or value == int(value))
-            and (least is None or value >= least - _ROUNDING)
-            and (most is None or value <= most + _ROUNDING)
-        )
-    return isinstance(before, str) and isinstance(value, str) and len(value) <= _LONGEST_TEXT
 
 
 def _is_finite(value: Any) -> bool:
@@ -260,19 +218,25 @@ def _is_no_handshake(record: logging.LogRecord) -> bool:
 
 
 @contextmanager
-def _guarded(guard: AccessGuard, server: GuardedServer) -> Iterator[None]:
+def _guarded(guard: AccessGuard, server: GuardedServer, endpoint: RosbridgeEndpoint) -> Iterator[None]:
     serve = websockets.asyncio.server.serve
 
     def guarded(handler: Any, host: str, port: int, **options: Any) -> Any:
         page = options.pop("process_request")
         bounds = ConnectionBounds(_MOST_HELD, _MOST_PLACES)
+        files = PageFiles()
 
         @answering_bad_requests
         def judge(connection: Any, request: Request) -> Response | None:
             answer = guard.answer(request)
-            if answer is None and "Upgrade" in request.headers and bounds.open >= _MOST_BROWSERS:
+            path = urlsplit(request.path).path
+            here = len(endpoint.browsers)
+            taken = here if path == PATH else bounds.open - here
+            if answer is None and "Upgrade" in request.headers and taken >= _MOST_BROWSERS:
                 text = f"{_MOST_BROWSERS} browsers have the page open, and no more may"
                 answer = _refused(text, http.HTTPStatus.SERVICE_UNAVAILABLE)
+            if answer is None and "Upgrade" not in request.headers:
+                answer = files.answer(path, request.headers.get("Accept-Encoding", ""))
             return answer or page(connection, request)
 
         def process_request(connection: Any, request: Request) -> Response | None:
@@ -284,6 +248,9 @@ def _guarded(guard: AccessGuard, server: GuardedServer) -> Iterator[None]:
             return answer
 
         async def handle(connection: Any) -> None:
+            if urlsplit(connection.request.path).path == PATH:
+                await endpoint.handle(connection)
+                return
             if connection.subprotocol != f"viser-v{viser.__version__}":  # viser would print a line for each
                 await connection.close(1002, f"this page is of viser {viser.__version__}: load it again")
                 return
@@ -301,7 +268,9 @@ def _guarded(guard: AccessGuard, server: GuardedServer) -> Iterator[None]:
             connection.recv = receive_sound
             await handler(connection)
 
-        options |= {"max_size": _LONGEST_MESSAGE, "create_connection": partial(BoundedConnection, bounds=bounds)}
+        # A browser that draws by software on a busy machine may not answer a ping for long.
+        options |= {"ping_timeout": _PONG_WITHIN_S}
+        options |= {"max_size": _LONGEST_MESSAGE, "create_connection": partial(PageConnection, bounds=bounds)}
         return serve(handle, host, port, process_request=process_request, **options)
 
     websockets.asyncio.server.serve = guarded  # type: ignore[misc, assignment]

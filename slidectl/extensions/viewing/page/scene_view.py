@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
+import time
 from collections import deque
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from viser import SceneNodeHandle
 
 from slidectl.description.robot import MOVING, Robot
+from slidectl.errors import UnknownName
 from slidectl.extensions.viewing.drawn_scene import VIEWS, DrawnScene
-from slidectl.extensions.viewing.page.page import Page, Panel, WorldState
 from slidectl.measures import Array
 from slidectl.rotations import IDENTITY, Vector, compose, conjugate, relative, rotate
 
 if TYPE_CHECKING:
+    from slidectl.extensions.viewing.page.page import Page
     from slidectl.msgs.typed import PointMsg, SceneResponseMsg, Vector3Msg
 
-FRAMES, AXES, MASSES, CONTACTS = "frames of links", "joint axes", "centres of mass", "contacts and their forces"
+FRAMES, AXES, MASSES, CONTACTS = "frames", "axes", "masses", "contacts"
+_DISTANCE = 3.2
+"""The distance of the camera, in radii of what it looks at."""
+_EXTRAS_S = 0.1
+"""Wall seconds between two drawings of what follows the robots: traces and pushes."""
 _MOST_TRACED = 2000
 _STIFFNESS = 50.0
 """Stiffness of a push with the mouse, N per m and per kg of the robot."""
@@ -26,74 +31,85 @@ _PUSH_S = 0.3
 """Wall seconds after which a push ends unless it is renewed: the page may have ended."""
 _LONGEST_PUSH = 10.0
 """The longest push, in radii of the scene."""
-_NOTHING = "nothing"
 _RED, _GREEN, _BLUE, _YELLOW = (230, 60, 60), (60, 180, 75), (60, 90, 230), (240, 190, 30)
 
 
-class SceneView(Panel):
-    """The 3D scene, and the panel with its options."""
-
-    title = "View"
+class SceneView:
+    """The 3D scene, and what browsers choose of it. All browsers show the same."""
 
     def __init__(self, page: Page) -> None:
-        super().__init__(page)
+        self.page = page
         self._scene: DrawnScene | None = None
         self._links: dict[str, Any] = {}
         """ROBOT::LINK -> its frame in viser."""
         self._extra: dict[str, list[SceneNodeHandle]] = {FRAMES: [], AXES: [], MASSES: []}
         self._shown: dict[str, bool] = dict.fromkeys((FRAMES, AXES, MASSES, CONTACTS), False)
-        self._collisions = self._dark = False
-        self._traced = _NOTHING
+        self._collisions = False
+        self._traced = ""
         self._held: dict[str, tuple[Vector, Array]] = {}
         """Pushed link -> the grasped point in the link's frame, and the mouse's point in the world, m."""
         self._trace: deque[Vector] = deque(maxlen=_MOST_TRACED)
         self._is_trace_new = False
         self._placed: Any = None
+        self._placed_name = ""
         self._told: set[str] = set()
         self._is_looked_at = False
-        page.each_frame(self.draw)
+        self._extras_due = 0.0
         # Browsers without a graphics card draw shadows slowly.
         page.server.scene.configure_default_lights(cast_shadow=False)
         self._ground = page.server.scene.add_grid(
-            "/ground", 40.0, 40.0, cell_size=1.0, section_size=5.0, plane="xy", cell_color=(200, 200, 200)
-        )
+            "/ground", 40.0, 40.0, cell_size=1.0, section_size=5.0, plane="xy",
+            cell_color=(150, 158, 170), section_color=(120, 128, 140), cell_thickness=0.6, section_thickness=0.9,
+        )  # fmt: skip
 
-    # --- the panel ------------------------------------------------------------------------------------------------
+    # --- what browsers choose -----------------------------------------------------------------------------------
 
-    def shape(self, world: WorldState) -> Any:
-        return tuple((robot["name"], tuple(robot["links"]), robot["fixed"]) for robot in world.robots)
+    def options(self) -> dict[str, Any]:
+        """What is shown."""
+        more = {"collisions": self._collisions, "trace": self._traced, "placed": self._placed_name}
+        return {**self._shown, **more}
 
-    def build(self, world: WorldState) -> None:
-        self._look()
-        shapes = self.gui.add_dropdown(
-            "shapes", ("visuals", "collisions"), initial_value="collisions" if self._collisions else "visuals"
-        )
-        self.page.looking(shapes, self._choose_shapes)
-        for what, shown in self._shown.items():
-            box = self.gui.add_checkbox(what, shown)
-            self.page.looking(box, partial(self._show, what))
-        links = [f"{robot['name']}::{link}" for robot in world.robots for link in robot["links"] if link != "world"]
-        if self._traced not in links:
-            self._traced = _NOTHING
-        traced = self.gui.add_dropdown("trace of", (_NOTHING, *links), initial_value=self._traced)
-        self.page.looking(traced, self._choose_traced)
-        free = [robot["name"] for robot in world.robots if not robot["fixed"]]
-        place = self.gui.add_dropdown("place with the mouse", (_NOTHING, *free), disabled=not free)
-        if free:
-            self.page.acting(place, self._choose_placed)
-        self.page.looking(self.gui.add_checkbox("dark", self._dark), self._choose_dark)
-        if not self.page.read_only:
-            self.gui.add_markdown("Shift and drag pushes a link. Space pauses and resumes, . steps.")
+    def choose(self, request: dict[str, Any]) -> None:
+        """Change some of the options. Raises UnknownName."""
+        for name, value in request.items():
+            if name == "trace":
+                self._choose_traced(str(value))
+            elif name == "collisions":
+                self._collisions = bool(value)
+                self._look()
+            elif name in self._shown:
+                self._show(name, bool(value))
+            else:
+                raise UnknownName("option of the view", name, [*self.options()])
 
-    def refresh(self, world: WorldState) -> None:
-        self._draw_trace()
-        for link in list(self._held):
-            self._push(link, world.status["speed_reached"])
+    def look_from(self, request: dict[str, Any]) -> None:
+        """Move the cameras of all browsers to the `view`, as of `slidectl render`, of a `robot` or of the whole world.
+
+        Raises:
+            UnknownName.
+        """
+        view, robot = str(request["view"]), str(request.get("robot", ""))
+        if view not in VIEWS:
+            raise UnknownName("view", view, list(VIEWS))
+        if self._scene is not None:
+            self._aim(view, robot if robot in self._scene.robots else "")
+
+    def _aim(self, view: str, robot: str) -> None:
+        assert self._scene is not None
+        centre, radius = self._scene.bounds(robot)
+        # Straight from above, the camera would have no direction for up.
+        eye = centre + _DISTANCE * radius * (np.array(VIEWS[view]) + np.array((0.0, -1e-3, 0.0)) * (view == "top"))
+        server = self.page.server
+        server.initial_camera.look_at, server.initial_camera.position = centre, eye
+        for browser in server.get_clients().values():
+            browser.camera.up_direction = (0.0, 0.0, 1.0)
+            browser.camera.position, browser.camera.look_at = eye, centre
 
     def leave(self) -> None:
+        """Remove everything: the daemon has ended."""
         self._held.clear()
         self.page.server.scene.remove_by_name("/push")
-        self._choose_placed(_NOTHING)
+        self._place("")
         self._remove_robots()
         self._scene = None
 
@@ -104,14 +120,6 @@ class SceneView(Panel):
         for nodes in self._extra.values():
             nodes.clear()
 
-    def _choose_shapes(self, value: str) -> None:
-        self._collisions = value == "collisions"
-        self._look()
-
-    def _choose_dark(self, value: bool) -> None:
-        self._dark = value
-        self.page.server.choose_theme(value)
-
     def _show(self, what: str, value: bool) -> None:
         self._shown[what] = value
         for node in self._extra.get(what, ()):
@@ -119,8 +127,10 @@ class SceneView(Panel):
         if what == CONTACTS and not value:
             self.page.server.scene.remove_by_name("/contacts")
 
-    def _choose_traced(self, value: str) -> None:
-        self._traced = value
+    def _choose_traced(self, link: str) -> None:
+        if link and (self._scene is None or link not in self._scene.poses):
+            raise UnknownName("link", link, [*self._scene.poses] if self._scene else [])
+        self._traced = link
         self._trace.clear()
         self.page.server.scene.remove_by_name("/trace")
 
@@ -129,12 +139,12 @@ class SceneView(Panel):
     def draw(self) -> None:
         """Update all poses. Raises NoDaemon."""
         if self._scene is None:
-            return
+            self._look()
+        assert self._scene is not None
         answer = self.page.client.call("/slidectl/scene", {"contacts": self._shown[CONTACTS]})
         before = self._scene.poses
         if not self._scene.place(answer):
             self._look()
-            self.page.look_again()
             return
         with self.page.server.atomic():
             for link, frame in self._links.items():
@@ -147,6 +157,12 @@ class SceneView(Panel):
         if here is not None and (not self._trace or self._trace[-1] != here):
             self._trace.append(here)
             self._is_trace_new = True
+        now = time.monotonic()
+        if now >= self._extras_due:
+            self._extras_due = now + _EXTRAS_S
+            self._draw_trace()
+            for link in list(self._held):
+                self._push(link)
 
     def _look(self) -> None:
         """Rebuild the robots in the view. Raises NoDaemon."""
@@ -158,7 +174,7 @@ class SceneView(Panel):
         for notice in scene.notices:
             if notice not in self._told:
                 self._told.add(notice)
-                self.page.notify("Drawn otherwise", notice, "yellow")
+                self.page.tell("warning", f"drawn otherwise\n{notice}")
         with server.atomic():
             for link, (place, turn) in scene.poses.items():
                 self._links[link] = server.scene.add_frame(
@@ -175,13 +191,13 @@ class SceneView(Panel):
             for name, robot in scene.robots.items():
                 self._add_extras(name, robot, 2 * scene.bounds(name)[1])
         self._ground.visible = scene.ground
+        if self._traced and self._traced not in scene.poses:
+            self._choose_traced("")
+        if self._placed_name not in scene.robots:
+            self._place("")
         if not self._is_looked_at and scene.surfaces:
             self._is_looked_at = True
-            centre, radius = scene.bounds()
-            eye = centre + 3.2 * radius * np.array(VIEWS["iso"])
-            server.initial_camera.look_at, server.initial_camera.position = centre, eye
-            for browser in server.get_clients().values():
-                browser.camera.position, browser.camera.look_at = eye, centre
+            self._aim("iso", "")
 
     def _add_extras(self, name: str, robot: Robot, size: float) -> None:
         """Add frames, joint axes and centres of mass of a robot of `size` m."""
@@ -259,7 +275,7 @@ class SceneView(Panel):
         taken_at = relative((start, IDENTITY), self._scene.poses[link])[0]
         self._held[link] = taken_at, np.array(start) + way
 
-    def _push(self, link: str, speed: float) -> None:
+    def _push(self, link: str) -> None:
         """Apply a spring force from the grasped point towards the mouse, for a short time."""
         if self._scene is None or link not in self._scene.poses:
             del self._held[link]
@@ -270,6 +286,7 @@ class SceneView(Panel):
         start = np.array(compose(pose, (taken_at, IDENTITY))[0])
         robot = self._scene.robots[link.partition("::")[0]]
         mass = sum(one.inertial.mass for one in robot.links.values() if one.inertial is not None) or 1.0
+        speed = self.page.client.call("/slidectl/status")["speed_reached"]
         lasting = divmod(round(_PUSH_S * max(1.0, speed) * 1e9), 10**9)  # simulated
         force = rotate(conjugate(pose[1]), tuple((_STIFFNESS * mass * (end - start)).tolist()))
         self.page.call("/gazebo/clear_body_wrenches", {"body_name": link})
@@ -287,12 +304,19 @@ class SceneView(Panel):
         self.page.server.scene.remove_by_name("/push")
         self.page.call("/gazebo/clear_body_wrenches", {"body_name": link})
 
-    def _choose_placed(self, name: str) -> None:
-        """Show the handles that move a free robot."""
+    def choose_placed(self, request: dict[str, Any]) -> None:
+        """Show the handles that move the free `robot`; none with an empty name. Raises UnknownName."""
+        name = str(request["robot"])
+        if name and (self._scene is None or name not in self._scene.robots):
+            raise UnknownName("robot", name, list(self._scene.robots) if self._scene else [])
+        self._place(name)
+
+    def _place(self, name: str) -> None:
         if self._placed is not None:
             self._placed.remove()
             self._placed = None
-        if self._scene is None or name not in self._scene.robots:
+        self._placed_name = name
+        if self._scene is None or not name:
             return
         robot = self._scene.robots[name]
         place, turn = self._scene.poses[f"{name}::{robot.root}"]

@@ -8,83 +8,72 @@ import signal
 import subprocess
 import sys
 import tempfile
-from functools import partial
-from html import escape
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
 
 from slidectl.errors import Refused, UsageError
-from slidectl.extensions.viewing.page.page import SCROLLED, Page, Panel, WorldState
+
+if TYPE_CHECKING:
+    from slidectl.extensions.viewing.page.page import Page
 
 _LAST = 4096
 """Bytes read from the end of a recorder's output."""
 _LONGEST_NAME = 200
 
 
-class RecordPanel(Panel):
-    """One recording at a time. It ends by its button, with the page, or with the daemon."""
-
-    title = "Record"
+class PageRecorder:
+    """One recording at a time. It ends when it is stopped, with the page, or with the daemon."""
 
     def __init__(self, page: Page) -> None:
-        super().__init__(page)
-        self._name = "run.bag"
-        self._topics = ""
+        self._page = page
         self._folder = Path.cwd()
-        self._recorder: _Recording | None = None
+        self._recording: _Recording | None = None
 
-    def build(self, world: WorldState) -> None:
-        acting = self.page.acting
-        name = self.gui.add_text("file", self._name, hint=f".bag or .mcap, in {self._folder}")
-        acting(name, partial(setattr, self, "_name"))
-        topics = self.gui.add_text("topics to record", self._topics, hint="names or their ends; empty: all")
-        acting(topics, partial(setattr, self, "_topics"))
-        self._start_button = self.gui.add_button("Record")
-        acting(self._start_button, lambda _: self._start())
-        self._stop_button = self.gui.add_button("Stop recording")
-        acting(self._stop_button, lambda _: self.leave())
-        self._state = self.gui.add_html("")
-        self.refresh(world)
+    def state(self) -> dict[str, str] | None:
+        """The file that is recorded, and what it has so far; None without one."""
+        one = self._recording
+        return None if one is None else {"file": one.path.name, "text": one.so_far()}
 
     def leave(self) -> None:
-        if self._recorder is not None:
-            self._recorder.stop()
+        """End the recording."""
+        if self._recording is not None:
+            self._recording.stop()
 
-    def refresh(self, world: WorldState) -> None:  # noqa: ARG002
-        state, recorder = "not recording", self._recorder
-        if recorder is not None:
-            so_far = recorder.so_far()
-            state = f"recording into {escape(recorder.path.name)}: {so_far}"
-            if recorder.process.poll() is not None:
-                self._recorder = None
-                if trouble := recorder.trouble():
-                    self.page.notify(f"{recorder.path.name} ended", trouble, "red")
-                else:
-                    self.page.notify(f"{recorder.path.name} recorded", so_far)
-        state = f'<div style="{SCROLLED}">{state}</div>'
-        if self._state.content != state:
-            self._state.content = state
-        is_recording = self._recorder is not None
-        for button, is_off in ((self._start_button, is_recording), (self._stop_button, not is_recording)):
-            if not self.page.read_only and button.disabled != is_off:
-                button.disabled = is_off
+    def stop(self) -> None:
+        """End the recording. Raises Refused: there is none."""
+        if self._recording is None:
+            raise Refused("nothing is recorded")
+        self._recording.stop()
 
-    def _start(self) -> None:
-        if self._recorder is not None:
-            raise Refused(f"{self._recorder.path.name} is being recorded", "stop it first")
-        paths = self.page.client.paths
+    def update(self) -> None:
+        """Tell the browsers of a recorder that has ended."""
+        one = self._recording
+        if one is None or one.process.poll() is None:
+            return
+        self._recording = None
+        if trouble := one.trouble():
+            self._page.tell("error", f"{one.path.name} ended\n{trouble}")
+        else:
+            self._page.tell("info", f"{one.path.name} recorded\n{one.so_far()}, in {self._folder}")
+
+    def start(self, request: dict[str, Any]) -> None:
+        """Record the `topics`, all without any, into the new `file`. Raises Refused, UsageError."""
+        self.update()
+        if self._recording is not None:
+            raise Refused(f"{self._recording.path.name} is being recorded", "stop it first")
+        paths = self._page.client.paths
         daemon = ["--socket", paths.socket_text] if paths.prefix else ["--instance", paths.name]
-        topics = self._topics.split()
+        topics = str(request.get("topics", "")).split()
         if any(not topic.isprintable() for topic in topics):
             raise UsageError("there are characters in the names of topics that no topic has")
-        self._recorder = _Recording(self._path(), [*daemon, *(["--", *topics] if topics else ["--all"])])
+        path = self._path(str(request["file"]).strip())
+        self._recording = _Recording(path, [*daemon, *(["--", *topics] if topics else ["--all"])])
 
-    def _path(self) -> Path:
+    def _path(self, name: str) -> Path:
         """The path of the file. Raises UsageError, Refused."""
         from slidectl.extensions.recording.recording_files import check_kind
 
-        name = self._name.strip()
-        if Path(name).name != name or not name.isprintable() or len(os.fsencode(name)) > _LONGEST_NAME:
+        if not name or Path(name).name != name or not name.isprintable() or len(os.fsencode(name)) > _LONGEST_NAME:
             raise UsageError(f"{name!r} is no name of a file", f"it is made in {self._folder}: run.bag")
         path = self._folder / name
         check_kind(path)
