@@ -72,7 +72,7 @@ _SECTIONS = {
     "Other protocols": {
         "gateway": (
             "extensions.gateways.commands.gateway_commands",
-            "Let ROS 1 nodes, rosbridge clients and Foxglove in.",
+            "Connect ROS 1 nodes, rosbridge clients and Foxglove.",
         ),
     },
     "The ROS commands": {

@@ -284,13 +284,6 @@ def test_a_plot_is_live_on_a_terminal_and_stays_there_at_the_end(moving: Command
     assert max(map(len, lines)) <= 20
 
 
-def test_a_terminal_that_is_closed_ends_a_live_plot_as_an_interrupt(moving: CommandLine) -> None:
-    with Terminal(moving, "plot", f"{STATES}/position[0]") as terminal:
-        terminal.says("position[0]")
-        terminal.close()
-        assert terminal.process.wait(60) == 130
-
-
 def test_a_plot_in_a_pipe_is_drawn_once_without_colours(moving: CommandLine) -> None:
     text = moving.ok("plot", f"{STATES}/position[0]", "--for", "0.5")
     assert "\x1b" not in text

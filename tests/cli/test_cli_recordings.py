@@ -149,7 +149,7 @@ def test_a_recording_of_the_commands_gives_the_same_bits_again(tmp_path: Path) -
         spawn_slider(slidectl)
         recorder = Recorder(slidectl, STATES, COMMAND, "-O", str(again))
         player = slidectl("play", str(path), "--topic", COMMAND, "--at-recorded-times", "--detach")
-        assert "playing waits until it resumes" in player.stderr
+        assert "nothing is played until it goes on" in player.stderr
         assert (player.returncode, player.stdout.strip().isdigit()) == (0, True)
         slidectl.ok("sim", "step", "400")
         assert recorder.end().returncode == 0
