@@ -164,10 +164,13 @@ def modules() -> list[Path]:
 def room(parts: tuple[str, ...]) -> str:
     """The room of a module, given by the parts of its name below `slidectl`.
 
-    An extension is a room. Its commands, and those of ROS, are in the room of the command line.
+    An extension is a room. Its commands, and those of ROS, are in the room of the command line; its check is in that
+    of the checks.
     """
     if parts[0] != "extensions" or len(parts) == 1:
         return parts[0]
+    if parts[-1].endswith("_check"):
+        return "check"
     if "commands" in parts[2:3] or parts[1] == "ros_commands":
         return "cli"
     return "pytest_plugin" if "pytest_plugin" in parts else parts[1]

@@ -55,7 +55,7 @@ def check(
     _refuse_what_does_not_fit(kind, words, arguments, parameter_files)
     source = words[0]
     if kind == "launch":
-        from slidectl.check import launch_check
+        from slidectl.extensions.launch import launch_check
 
         launch_check.check(words, arguments, packages, findings, text, second_opinion, strict)
     elif kind == "controllers":

@@ -10,11 +10,12 @@ from slidectl.check.findings import Findings
 from slidectl.description import models, sdf
 from slidectl.description.packages import Packages, shown
 from slidectl.errors import BadFile
-from slidectl.extensions.launch.nodes import gazebo
 
 
 def check(path: Path, packages: Packages, findings: Findings, text: bytes | None = None, strict: bool = False) -> bool:
     """Add the findings on a file, or on `text` instead of its content. Returns True when it has a model."""
+    from slidectl.extensions.launch.nodes import gazebo
+
     content = models.read_file(path) if text is None else text
     base = Path.cwd() if text is not None else path.absolute().parent
     try:

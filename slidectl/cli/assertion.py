@@ -21,7 +21,6 @@ from slidectl.cli.commands import command, conditions, finite, number, seconds, 
 from slidectl.cli.context import Context
 from slidectl.cli.topic_streams import pause_remark
 from slidectl.errors import Refused, UsageError
-from slidectl.extensions.recording.commands.bag import open_recording
 from slidectl.measures import NoMeasure, measure_text
 from slidectl.traces import MEASURES, JointOrFieldTrace
 
@@ -192,6 +191,8 @@ def _trace(
 ) -> JointOrFieldTrace:
     field = "" if set_point is None or _number(set_point) is not None else set_point
     if file is not None:
+        from slidectl.extensions.recording.commands.bag import open_recording
+
         with open_recording(ctx, file) as recording:
             return traces.recorded(recording, name, last=last, set_point=field, namespace=ctx.namespace)
     if duration:

@@ -5,6 +5,7 @@ The module of a command has a click command of the command's name (`assert_`: a 
 
 from __future__ import annotations
 
+import os
 from importlib import import_module
 from keyword import iskeyword
 from typing import TYPE_CHECKING, NamedTuple
@@ -24,6 +25,7 @@ class Entry(NamedTuple):
     help: str
 
 
+_PACKAGE = os.path.dirname(os.path.dirname(__file__))
 _SECTIONS = {
     "The daemon": {
         "daemon": ("cli.daemon", "Start, stop and watch the daemon that holds the world."),
@@ -89,10 +91,18 @@ _SECTIONS = {
 }
 """Section of the help -> command -> its module, below `slidectl`, and its help."""
 
+
+def has_module(name: str) -> bool:
+    """True for a module of slidectl, named below `slidectl`; False for one of an extension that is left out."""
+    parts = name.split(".")
+    return parts[0] != "extensions" or os.path.isdir(os.path.join(_PACKAGE, *parts[:2]))
+
+
 COMMANDS = {
     name: Entry(section, f"slidectl.{module}", text)
     for section, commands in _SECTIONS.items()
     for name, (module, text) in commands.items()
+    if has_module(module)
 }
 
 WINDOWS = {

@@ -17,15 +17,22 @@ from typing import TYPE_CHECKING, Any, TextIO
 import click
 
 from slidectl.cli import completion, output
+from slidectl.cli.command_table import has_module
 from slidectl.cli.commands import group
 from slidectl.cli.context import Context
 from slidectl.cli.sim import status_text
 from slidectl.errors import NoDaemon, Refused
-from slidectl.extensions.gateways.commands import gateway_commands
-from slidectl.extensions.gateways.commands.gateway_commands import PORTS
 
 if TYPE_CHECKING:
     from slidectl.daemon.options import DaemonOptions
+    from slidectl.paths import InstancePaths
+
+PORTS: dict[str, int] = {}
+"""Kind of a gateway -> its port; empty where the extension of the gateways is left out."""
+if TYPE_CHECKING or has_module("extensions.gateways"):
+    from slidectl.extensions.gateways.commands import gateway_commands
+
+    PORTS = gateway_commands.PORTS
 
 START_LIMIT_S = 30.0
 STOP_LIMIT_S = 10.0
@@ -104,6 +111,8 @@ def module_or_file(word: str) -> str:
 
 def _gateways(function: Callable[..., Any]) -> Callable[..., Any]:
     """Add an option for each gateway of slidectl, with an optional port, and one for those of installed packages."""
+    if not PORTS:
+        return function
     function = click.option(
         "--gateway",
         "others",
@@ -142,7 +151,7 @@ def start(click_context: click.Context, /, **world: Any) -> None:
     gateway an object follows, as 'slidectl gateway' has it.
     """
     ctx: Context = click_context.obj
-    others = tuple(map(gateway_commands.known, world.pop("others")))
+    others = tuple(gateway_commands.known(name) for name in world.pop("others", ()))
     gateways = {kind: world.pop(kind) for kind in PORTS}
     options, given = _options(click_context, world)
     already = _start(ctx, options)
@@ -194,7 +203,8 @@ def stop(ctx: Context) -> None:
 
     When none runs there is nothing to do (exit code 0). JSON keys: instance, pid (null when none ran), socket, log.
     """
-    gateway_commands.stop_all(ctx)
+    if PORTS:
+        gateway_commands.stop_all(ctx)
     pid = _stop(ctx)
     how = "does not run" if pid is None else f"stopped, it was process {pid}"
     ctx.done(place(ctx, pid), f"daemon {ctx.paths.name}: {how}")
@@ -384,6 +394,12 @@ def clean(ctx: Context, dry_run: bool, everything: bool) -> None:
         ctx.say(f"{left} is left")
 
 
+def _gateways_of(paths: InstancePaths) -> list[dict[str, Any]]:
+    from slidectl.extensions.gateways.process import find_all
+
+    return [{"kind": found.kind, "pid": found.pid, "address": found.address} for found in find_all(paths)]
+
+
 @daemon.command("list", examples=["slidectl daemon list", "slidectl daemon list --json"])
 @click.pass_obj
 def list_daemons(ctx: Context) -> None:
@@ -396,7 +412,6 @@ def list_daemons(ctx: Context) -> None:
     stopped by an error, or why it does not answer), robots, gateways (objects with kind, pid, address).
     """
     from slidectl.daemon.lifecycle import running_daemons
-    from slidectl.extensions.gateways.process import find_all
     from slidectl.paths import is_named_by_instance
 
     rows = []
@@ -404,7 +419,7 @@ def list_daemons(ctx: Context) -> None:
         status = one.status
         state = status["trouble"] or ("paused" if status["paused"] else "running") if status else ""
         since = one.since and datetime.fromtimestamp(one.since).astimezone().isoformat(timespec="seconds")
-        gateways = [{"kind": found.kind, "pid": found.pid, "address": found.address} for found in find_all(one.paths)]
+        gateways = _gateways_of(one.paths) if PORTS else []
         row: dict[str, Any] = {
             "instance": one.paths.name,
             "socket": one.paths.socket_text,

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from slidectl import __version__, entry_points
+from slidectl.cli.command_table import has_module
 from slidectl.cli.commands import command
 from slidectl.cli.context import Context
 from slidectl.entry_points import Part, PartError, Registry
@@ -57,7 +58,7 @@ def _extensions() -> Iterator[Finding]:
     """What installed packages add: a line for each package, and one for each part that cannot be used."""
     from slidectl.daemon.health import BROKEN, LOOK, OK, Finding
 
-    registries = {registry.group: registry for registry in map(_registry, _REGISTRIES)}
+    registries = {registry.group: registry for registry in map(_registry, filter(_has_registry, _REGISTRIES))}
     by_owner: dict[str, list[Part]] = {}
     for registry in registries.values():
         yield from (Finding("extensions", LOOK, refusal.message, refusal.hint or "") for refusal in registry.refused())
@@ -78,6 +79,10 @@ def _extensions() -> Iterator[Finding]:
         yield Finding("extensions", LOOK, text, f"groups: {', '.join(registries)}")
     for unread in entry_points.unread():
         yield Finding("extensions", BROKEN, unread.message, unread.hint or "")
+
+
+def _has_registry(place: str) -> bool:
+    return has_module(place.partition(":")[0].removeprefix("slidectl."))
 
 
 def _registry(place: str) -> Registry:

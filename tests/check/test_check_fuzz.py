@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 from slidectl.check import Findings
 from slidectl.check.controllers import check as check_controllers
 from slidectl.check.dispatch import check
-from slidectl.check.launch_check import check as check_launch
 from slidectl.check.model import Model, check_text
 from slidectl.control import registry
 from slidectl.description import Packages, parse
 from slidectl.errors import BadFile, SlidectlError
+from slidectl.extensions.launch.launch_check import check as check_launch
 
 SOUND = check_text(driven_cart(), "bot.urdf", Findings())
 assert isinstance(SOUND, Model)

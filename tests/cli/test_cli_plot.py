@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from command_line import CommandLine
 from daemon_fixture import running_daemon
-from terminal import Terminal
 from waiting import eventually
 
 from slidectl import traces
