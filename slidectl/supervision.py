@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import os
 import sched
+import select
 import signal
 import subprocess
 import time
@@ -27,6 +28,7 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _CHUNK = 65536
 """Bytes per read: the capacity of a pipe."""
 _LONGEST_LINE = 65536
+_LOOK_FOR_SIGNALS_S = 0.1
 _LOOK_EVERY_S = 0.01
 """In a scenario: simulated seconds between two polls of descriptors."""
 
@@ -41,6 +43,51 @@ class Interrupted(BaseException):
         self.number = number
 
 
+class _Wakeup:
+    """A pipe that is readable from the moment of a signal.
+
+    A signal that comes between two instructions of the interpreter, just before a system call that waits, is handled
+    after that call: it would be lost for as long as the call waits. A wait that watches this pipe as well ends at once.
+    """
+
+    def __init__(self) -> None:
+        self.descriptor = -1
+        """Readable after a signal; -1 outside of the main thread, which alone handles signals."""
+        self._write_end = self._previous = -1
+
+    def begin(self) -> None:
+        """Raises ValueError: this is not the main thread."""
+        read_end, write_end = os.pipe()
+        os.set_blocking(read_end, False)
+        os.set_blocking(write_end, False)
+        try:
+            self._previous = signal.set_wakeup_fd(write_end, warn_on_full_buffer=False)
+        except ValueError:
+            os.close(read_end)
+            os.close(write_end)
+            raise
+        self.descriptor, self._write_end = read_end, write_end
+
+    def drain(self) -> bytes:
+        """The numbers of the signals since the last call."""
+        try:
+            return os.read(self.descriptor, _CHUNK)
+        except BlockingIOError:
+            return b""
+
+    def end(self) -> None:
+        """Close the pipe. What came in the meantime is readable in the pipe that was there before."""
+        if self.descriptor < 0:
+            return
+        signal.set_wakeup_fd(self._previous, warn_on_full_buffer=False)
+        if (numbers := self.drain()) and self._previous >= 0:
+            with suppress(OSError):
+                os.write(self._previous, numbers)
+        os.close(self.descriptor)
+        os.close(self._write_end)
+        self.descriptor = -1
+
+
 class Interrupts:
     """Handles SIGNALS while it is entered: their numbers are recorded in `received`, which an event loop checks.
 
@@ -51,10 +98,7 @@ class Interrupts:
         self.received: list[int] = []
         self._raises = False
         self._previous: dict[int, Any] = {}
-        self._pipe: tuple[int, ...] = ()
-        """Readable after a signal. A signal just before a system call that waits is handled after that call: a wait
-        that watches this pipe as well ends at once. Empty outside of the main thread, which alone handles signals."""
-        self._previous_pipe = -1
+        self._wakeup = _Wakeup()
 
     def __enter__(self) -> Interrupts:
         # `nohup` makes programs ignore SIGHUP; this is kept.
@@ -63,18 +107,11 @@ class Interrupts:
             for number in SIGNALS:
                 if number not in ignored:
                     self._previous[number] = signal.signal(number, self._receive)
-            self._pipe = os.pipe()
-            for end in self._pipe:
-                os.set_blocking(end, False)
-            self._previous_pipe = signal.set_wakeup_fd(self._pipe[1], warn_on_full_buffer=False)
+            self._wakeup.begin()
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._pipe:
-            signal.set_wakeup_fd(self._previous_pipe, warn_on_full_buffer=False)
-        for end in self._pipe:
-            os.close(end)
-        self._pipe = ()
+        self._wakeup.end()
         for number, handler in self._previous.items():
             signal.signal(number, handler)
 
@@ -105,10 +142,10 @@ class Interrupts:
         """Let a signal end a wait of the loop, also one that comes after the loop looked and before it waits."""
 
         def drain(_: int) -> None:
-            os.read(self._pipe[0], _CHUNK)
+            self._wakeup.drain()
 
-        if self._pipe:
-            loop.watch(self._pipe[0], READ, drain)
+        if self._wakeup.descriptor >= 0:
+            loop.watch(self._wakeup.descriptor, READ, drain)
 
     def ignore(self) -> None:
         """Ignore signals from now on, also after `__exit__`: the process is about to end."""
@@ -266,17 +303,75 @@ def run(arguments: Sequence[str], environment: Mapping[str, str], most_bytes: in
     Raises:
         OSError, ValueError: it cannot be started. OverflowError: its output has more than `most_bytes`.
     """
-    process = subprocess.Popen(
-        arguments, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, env=environment, start_new_session=True
-    )
-    with process:  # waits for it, and closes its pipes
+    with _woken_by_signals() as wakeup, _signals_deferred() as handle_deferred:
+        process = subprocess.Popen(
+            arguments, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, env=environment, start_new_session=True
+        )
         try:
+            handle_deferred()  # not earlier: an exception inside `Popen`, or behind it, would lose the new process
             assert process.stdout is not None
-            output = process.stdout.read(most_bytes + 1)
+            output = _read(process.stdout.fileno(), most_bytes + 1, wakeup)
             if len(output) > most_bytes:
                 raise OverflowError(f"more than {most_bytes >> 20} MiB")
-            return process.wait(), output
+            while True:  # a wait without a limit would not notice a signal that comes just before it
+                with suppress(subprocess.TimeoutExpired):
+                    return process.wait(_LOOK_FOR_SIGNALS_S), output
         except BaseException:
             with suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGKILL)
             raise
+        finally:
+            with process:  # waits for it, and closes its pipes
+                pass
+
+
+def _read(descriptor: int, most_bytes: int, wakeup: _Wakeup) -> bytes:
+    """Read up to the end, or this many bytes. A signal is handled at once."""
+    output = bytearray()
+    waiting = select.poll()
+    waiting.register(descriptor, select.POLLIN)
+    if wakeup.descriptor >= 0:
+        waiting.register(wakeup.descriptor, select.POLLIN)
+    while len(output) < most_bytes:
+        ready = [fd for fd, _ in waiting.poll()]
+        if wakeup.descriptor in ready:
+            wakeup.drain()  # its handler was called when `poll` returned
+        if descriptor in ready:
+            piece = os.read(descriptor, min(_CHUNK, most_bytes - len(output)))
+            if not piece:
+                break
+            output += piece
+    return bytes(output)
+
+
+@contextmanager
+def _woken_by_signals() -> Iterator[_Wakeup]:
+    wakeup = _Wakeup()
+    with suppress(ValueError):  # not in the main thread, which alone handles signals
+        wakeup.begin()
+    try:
+        yield wakeup
+    finally:
+        wakeup.end()
+
+
+@contextmanager
+def _signals_deferred() -> Iterator[Action]:
+    """Keep signals for later: the function that is yielded, and the end of the block, let their handlers have them."""
+    received: list[int] = []
+    handlers: dict[int, Any] = {}
+    with suppress(ValueError):  # not in the main thread, which alone handles signals
+        for handled in [number for number in SIGNALS if callable(signal.getsignal(number))]:
+            handlers[handled] = signal.signal(handled, lambda number, _frame: received.append(number))
+    deferred = dict(handlers)
+
+    def handle() -> None:
+        while deferred:
+            signal.signal(*deferred.popitem())
+        while received:
+            handlers[number := received.pop(0)](number, None)
+
+    try:
+        yield handle
+    finally:
+        handle()

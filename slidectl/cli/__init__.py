@@ -37,11 +37,16 @@ def __getattr__(name: str) -> Any:
 
 
 def entry() -> NoReturn:
-    """Run the command line of this process and exit with its exit code."""
+    """Run the command line of this process and exit with its exit code. Every Ctrl-C after the first is ignored."""
+    code = _INTERRUPTED
     try:
-        code = _run()
-    except KeyboardInterrupt:
-        code = _INTERRUPTED
+        try:  # noqa: SIM105 (contextlib takes too long here)
+            code = _run()
+        except KeyboardInterrupt:
+            pass
+        _ignore_interrupts()
+    except KeyboardInterrupt:  # a second Ctrl-C before the line above
+        _ignore_interrupts()
     leave(code)
 
 
@@ -58,6 +63,12 @@ def _run() -> int:
     from slidectl.cli.main import run
 
     return run(sys.argv[1:])
+
+
+def _ignore_interrupts() -> None:
+    import signal
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def leave(code: int) -> NoReturn:

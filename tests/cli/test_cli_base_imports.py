@@ -130,6 +130,7 @@ def test_an_everyday_command_imports_only_what_is_allowed(
         "cli",
         "command_steps",
         "client",
+        "entry_points",
         "errors",
         "input_files",
         "msgs",

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import pytest
 
@@ -177,6 +179,22 @@ def test_a_program_that_cannot_be_started_is_an_error() -> None:
         run(["/no/such/program"], {}, 1024)
 
 
+def test_a_signal_that_comes_while_a_command_is_started_ends_the_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    started: list[int] = []
+
+    class Interrupting(subprocess.Popen):  # type: ignore[type-arg]
+        def __init__(self, *arguments: Any, **more: Any) -> None:
+            super().__init__(*arguments, **more)
+            started.append(self.pid)
+            interrupt()
+
+    monkeypatch.setattr(subprocess, "Popen", Interrupting)
+    with Interrupts() as interrupts, pytest.raises(Interrupted), interrupts.raised():
+        run(["sleep", "600"], dict(os.environ), 1024)
+    with pytest.raises(ChildProcessError):
+        os.waitpid(started[0], 0)  # it has ended, and was waited for
+
+
 @contextmanager
 def signals_to_another_thread() -> Iterator[None]:
     """The kernel interrupts another thread, so that a system call of this one goes on.
@@ -193,6 +211,12 @@ def signals_to_another_thread() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
         ended.set()
         other.join()
+
+
+def test_a_signal_that_comes_just_before_a_command_is_waited_for_ends_the_command() -> None:
+    script = f"kill -INT {os.getpid()}; exec sleep 600"
+    with Interrupts() as interrupts, pytest.raises(Interrupted), signals_to_another_thread(), interrupts.raised():
+        run(["bash", "-c", script], dict(os.environ), 1024)
 
 
 def test_a_signal_that_comes_just_before_a_wait_of_the_loop_ends_the_wait() -> None:
