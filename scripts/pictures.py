@@ -80,8 +80,6 @@ def page(chromium: str) -> None:
                 fields = "joint1_position_controller/state/{set_point,process_value}"
                 tab.goto(f"{url}?plot={fields}")
                 time.sleep(SETTLE_S)
-                for button in tab.locator(".mantine-Notification-closeButton").all():
-                    button.click()
                 for joint, position in (("joint1", 0.8), ("joint2", -0.6)):
                     run(environment, "pub", f"{joint}_position_controller/command", str(position), "-q")
                 for _ in range(40):

@@ -243,9 +243,11 @@ def load(ctx: Context, manager: str | None, source: str | None, names: tuple[str
         _load_file(ctx, manager, source, names)
         return
     target, local, before = owner(ctx, manager, names)
-    _warn_unknown(ctx, target, local)
+    calls = _ask_for_parameters(target, local)
+    loads = target.ask_to_load(local)
+    _warn_unknown(ctx, target, calls)
     with _changes(ctx, target, local, before):
-        target.loaded(target.ask_to_load(local))
+        target.loaded(loads)
 
 
 def _load_file(ctx: Context, manager: str | None, source: str, names: Sequence[str]) -> None:
@@ -417,9 +419,11 @@ def spawn(ctx: Context, manager: str | None, stopped: bool, wait: bool, names: t
     if wait:
         wait_for_owner(ctx, manager, names)
     target, local, before = owner(ctx, manager, names)
-    _warn_unknown(ctx, target, local)
+    calls = _ask_for_parameters(target, local)
+    loads = target.ask_to_load([name for name in local if name not in before])
+    _warn_unknown(ctx, target, calls)
     with _changes(ctx, target, local, before) as after:
-        after |= target.bring_up(local, start=not stopped, states=before)
+        after |= target.bring_up(local, start=not stopped, states=before, loads=loads)
 
 
 @controller.command("unspawn", examples=["slidectl controller unspawn joint1_position_controller"])
@@ -541,13 +545,17 @@ def read_parameters(ctx: Context, file: str, namespaces: Sequence[str], reports_
     return dict(leaves(placed))
 
 
-def _warn_unknown(ctx: Context, manager: Manager, controllers: Sequence[str]) -> None:
-    """Warn of parameter names that no controller knows. It comes before a load, which adds parameters."""
+def _ask_for_parameters(manager: Manager, controllers: Sequence[str]) -> dict[str, str]:
+    """Send the requests for what `_warn_unknown` looks at: the parameters, before loading a controller adds to them."""
+    requests = {name: {"name": join(manager.namespace, name), "default": "null"} for name in controllers}
+    return {name: manager.client.call_async("/rosapi/get_param", request) for name, request in requests.items()}
+
+
+def _warn_unknown(ctx: Context, manager: Manager, calls: Mapping[str, str]) -> None:
+    """Warn of parameter names that no controller knows. `calls` are those of `_ask_for_parameters`."""
     from slidectl.check.controllers import ParameterFile, unknown
     from slidectl.check.findings import Findings
 
-    requests = {name: {"name": join(manager.namespace, name), "default": "null"} for name in controllers}
-    calls = {name: ctx.client.call_async("/rosapi/get_param", request) for name, request in requests.items()}
     for name, call_id in calls.items():
         tree = json.loads(ctx.client.answer(call_id)["value"])
         for part in reversed(name.split("/")):

@@ -185,10 +185,12 @@ def guard(action: Callable[[], None], context: Context, words: Sequence[str] = (
     except click.exceptions.Exit as leaving:
         return leaving.exit_code
     except (output.ClosedPipe, BrokenPipeError):
-        return EXIT_DONE
+        return EXIT_INTERRUPTED if output.terminal_is_closed() else EXIT_DONE
     except (KeyboardInterrupt, click.Abort):
         return EXIT_INTERRUPTED
     except Exception as error:
+        if output.terminal_is_closed():  # SIGHUP may come after a failed write
+            return EXIT_INTERRUPTED
         return _report(error, context, words)
 
 

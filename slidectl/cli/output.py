@@ -5,6 +5,7 @@ Functions that build text, and that write to stdout and into files. They depend 
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import sys
@@ -65,6 +66,19 @@ def is_reader_gone() -> bool:
     for stream in (sys.stdout, sys.stderr):
         poll.register(stream.fileno(), 0)
     return any(event & (select.POLLERR | select.POLLHUP) for _, event in poll.poll(0))
+
+
+def terminal_is_closed() -> bool:
+    """True when standard output is a terminal that was closed."""
+    import termios
+
+    try:
+        termios.tcgetattr(sys.stdout.fileno())
+    except termios.error as error:
+        return bool(error.args[0] == errno.EIO)
+    except (OSError, ValueError):  # stdout is not a file
+        return False
+    return False
 
 
 def check_reader() -> None:

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from command_line import CommandLine
 from daemon_fixture import running_daemon
+from terminal import Terminal
 from waiting import eventually
 
 from slidectl import traces
@@ -281,6 +282,13 @@ def test_a_plot_is_live_on_a_terminal_and_stays_there_at_the_end(moving: Command
     lines = _ESCAPE.sub("", narrow.partition("\x1b[?1049l")[2]).splitlines()
     assert "a: set_point" in lines[1] or "a: set_point" in lines[2]
     assert max(map(len, lines)) <= 20
+
+
+def test_a_terminal_that_is_closed_ends_a_live_plot_as_an_interrupt(moving: CommandLine) -> None:
+    with Terminal(moving, "plot", f"{STATES}/position[0]") as terminal:
+        terminal.says("position[0]")
+        terminal.close()
+        assert terminal.process.wait(60) == 130
 
 
 def test_a_plot_in_a_pipe_is_drawn_once_without_colours(moving: CommandLine) -> None:
