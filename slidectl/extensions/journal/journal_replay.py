@@ -21,7 +21,7 @@ from slidectl.daemon.outbox import Outbox, Publications
 from slidectl.daemon.session import Session
 from slidectl.daemon.time_limit import TimeLimit
 from slidectl.description.robot import Camera
-from slidectl.errors import Refused
+from slidectl.errors import BadFile, Refused, SlidectlError
 from slidectl.extensions.journal import journal
 from slidectl.extensions.journal.journal import Contents, invalid_entry, mesh_of
 from slidectl.physics import World
@@ -96,8 +96,10 @@ class Replay(HostWrapper):
         options = contents.options
         try:
             simulation = Simulation(**options.of_simulation(), host=self)
-        except BaseException:
+        except BaseException as error:
             self._end()
+            if isinstance(error, SlidectlError) and getattr(error, "file", None) is None:  # a module is missing
+                raise BadFile(error.message, contents.path, 1, hint=error.hint) from error
             raise
         simulation.driven = True
         simulation.run.paused = options.paused
