@@ -147,6 +147,7 @@ ELSEWHERE = {
     "extensions/scenarios/commands/test_run.py": "files in a temporary folder, which slidectl and pytest wrote",
     "simulation/compiled/object_file.py": "the package's own code, and the cache of machine code, which slidectl wrote",
     "extensions/viewing/world_monitor.py": "the log of the instance, which slidectl wrote",
+    "extensions/viewing/page/page_files.py": "the page's own scripts, which are a part of slidectl",
     "writing.py": "drafts, which are written",
 }
 """The files that read in another way, and what: nothing that a user or a client can name."""
