@@ -5,6 +5,7 @@ The browser is one that only speaks viser's protocol: a real one that draws by s
 
 from __future__ import annotations
 
+import json
 import statistics
 import subprocess
 import sys
@@ -94,7 +95,8 @@ def _drag() -> Row:
                 for number in range(DRAGS):
                     value = 0.01 * (number + 1)
                     began = time.perf_counter()
-                    browser.set("joint1_position_controller", value, "Slider")
+                    command = {"op": "publish", "topic": "/rrbot/joint1_position_controller/command"}
+                    browser.panels.send(json.dumps({**command, "msg": {"data": value}}))
                     while state.get()["set_point"] != value:
                         pass
                     taken.append(time.perf_counter() - began)
