@@ -408,3 +408,20 @@ def memory_file(name: str) -> tuple[BinaryIO, str]:
     # /dev/fd/N is no second opening on the BSDs, but the same one: it would share the place in the file.
     kept = tempfile.NamedTemporaryFile(prefix=f"slidectl-{name}-")  # noqa: SIM115 - the caller closes it
     return cast(BinaryIO, kept), kept.name
+
+
+def reserve_space(descriptor: int, size: int) -> None:
+    """Reserve room on the disk for the first `size` bytes of a file. Raises OSError: the disk is full.
+
+    Elsewhere than on Linux the room is only compared with what is free.
+    """
+    if LINUX:
+        try:
+            os.posix_fallocate(descriptor, 0, size)
+        except OSError as error:
+            if error.errno not in (errno.EOPNOTSUPP, errno.EINVAL, errno.ENOSYS):
+                raise
+        return
+    disk = os.fstatvfs(descriptor)
+    if size - os.fstat(descriptor).st_size > disk.f_bavail * disk.f_frsize:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))

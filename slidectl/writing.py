@@ -9,18 +9,21 @@ from __future__ import annotations
 
 import errno
 import os
+import signal
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING, BinaryIO, NoReturn, cast
 
 from slidectl.errors import Refused
+from slidectl.operating_system import reserve_space
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 AnyPath = str | os.PathLike[str]
 _FULL = {errno.ENOSPC: "is full", errno.EDQUOT: "has no more room for this user"}
+_ENDING = (signal.SIGTERM, signal.SIGHUP)
 _LONGEST_STEM = 200
 """Bytes of a name that its draft has too; a file system takes 255 in all."""
 
@@ -78,35 +81,44 @@ def write_whole(path: AnyPath, text: str | bytes) -> None:
 def whole_file(path: AnyPath) -> Iterator[BinaryIO]:
     """A file to write piece by piece. It is there when the block ends; after an exception the old one is, or none.
 
-    A link stays, and its target is written. An existing file keeps its permissions. A file that cannot be replaced (a
-    pipe, a device, a file of another user or with several names, a folder that may not be changed) is written in place.
+    A link stays, and its target is written. An existing file keeps its permissions. Pipes and devices are written as
+    the pieces come. A file that cannot be replaced (of another user, with several names, in a folder that may not be
+    changed) gets the new content at the end, if the disk has room for it.
 
     Raises:
         OSError: it cannot be written.
     """
     target = os.path.realpath(path)
-    there = os.stat(target) if os.path.exists(target) else None
-    if there is None or _can_be_replaced(target, there):
+    there = os.stat(target) if os.path.exists(path) else None
+    is_regular = there is None or stat.S_ISREG(there.st_mode)
+    if there is None or (is_regular and _can_be_replaced(target, there)):
         mode = None if there is None else stat.S_IMODE(there.st_mode)
         with draft(target) as new, _created(new, mode) as file:
             yield file
+    elif is_regular:
+        with _collected() as file:
+            yield file
+            _overwrite(target, file)
     else:
         with open(target, "wb") as file:
             yield file
 
 
-def _can_be_replaced(target: str, there: os.stat_result) -> bool:
-    is_ours_alone = stat.S_ISREG(there.st_mode) and there.st_uid == os.geteuid() and there.st_nlink == 1
-    return is_ours_alone and os.access(target, os.W_OK) and os.access(os.path.dirname(target), os.W_OK)
-
-
-def check_writable(path: str) -> None:
-    """Raise OSError when the file cannot be opened for writing, or cannot be made. Nothing changes."""
-    if os.path.exists(path):
+def check_writable(path: AnyPath) -> None:
+    """Raise OSError when `whole_file` cannot write a file of one byte. Nothing changes."""
+    if not os.path.exists(path):
+        with suppress(_Discarded), whole_file(path) as file:
+            file.write(b"\n")
+            file.flush()
+            raise _Discarded
+    elif os.path.isfile(path):
         open(path, "rb+").close()
-    else:
-        open(path, "xb").close()
-        os.unlink(path)
+    elif os.path.isdir(path):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), path)
+
+
+class _Discarded(Exception):
+    """Ends the writing of a file that is not wanted."""
 
 
 def replace(target: AnyPath, content: bytes, mode: int | None = None) -> None:
@@ -126,7 +138,8 @@ def replace(target: AnyPath, content: bytes, mode: int | None = None) -> None:
 def draft(target: AnyPath) -> Iterator[Path]:
     """A path beside `target`, with its suffix, for a file that takes its place when the block ends.
 
-    The block makes the file. After an exception it is removed.
+    The block makes the file. After an exception it is removed. SIGTERM and SIGHUP, where they would end the process,
+    end it when the file is removed.
 
     Raises:
         OSError: it cannot be put on the disk.
@@ -137,18 +150,19 @@ def draft(target: AnyPath) -> Iterator[Path]:
     stem, suffix = os.path.splitext(name)
     stem = os.fsdecode(os.fsencode(stem)[:_LONGEST_STEM])
     new = Path(folder, f".{stem}.{os.urandom(4).hex()}{suffix}")
-    try:
-        yield new
-        file = os.open(new, os.O_RDONLY | os.O_CLOEXEC)
+    with _ended_late():
         try:
-            os.fsync(file)
-        finally:
-            os.close(file)
-        os.replace(new, target)
-    except BaseException:  # also on an interrupt; on a full disk the space must be freed
-        with suppress(OSError):
-            os.unlink(new)
-        raise
+            yield new
+            file = os.open(new, os.O_RDONLY | os.O_CLOEXEC)
+            try:
+                os.fsync(file)
+            finally:
+                os.close(file)
+            os.replace(new, target)
+        except BaseException:  # also on an interrupt; on a full disk the space must be freed
+            with suppress(OSError):
+                os.unlink(new)
+            raise
 
 
 @contextmanager
@@ -159,3 +173,77 @@ def _created(new: Path, mode: int | None) -> Iterator[BinaryIO]:
         if mode is not None:
             os.fchmod(file.fileno(), mode)
         yield file
+
+
+class _Ended(BaseException):
+    """A signal that ends the process came."""
+
+
+@contextmanager
+def _ended_late() -> Iterator[None]:
+    """Raise _Ended inside for a signal that would end the process, and end it by that signal afterwards."""
+    caught, received = [], []
+
+    def end(number: int, _: object) -> NoReturn:
+        received.append(number)
+        raise _Ended
+
+    with suppress(ValueError):  # not in the main thread, where signals are handled
+        for number in _ENDING:
+            if signal.getsignal(number) is signal.SIG_DFL:
+                signal.signal(number, end)
+                caught.append(number)
+    try:
+        yield
+    finally:
+        for number in caught:
+            signal.signal(number, signal.SIG_DFL)
+        if received:
+            os.kill(os.getpid(), received[0])
+
+
+# --- files that cannot be replaced ------------------------------------------------------------------------------------
+
+
+def _can_be_replaced(target: str, there: os.stat_result) -> bool:
+    is_ours_alone = there.st_uid == os.geteuid() and there.st_nlink == 1
+    return is_ours_alone and os.access(target, os.W_OK) and os.access(os.path.dirname(target), os.W_OK)
+
+
+@contextmanager
+def _collected() -> Iterator[BinaryIO]:
+    """A file without a name, in the folder for temporary files, which an error names."""
+    import tempfile  # imported here, as shutil: most commands write no such file, and many import this one
+
+    with tempfile.TemporaryFile() as file:
+        try:
+            yield cast("BinaryIO", file)
+        except OSError as error:
+            error.filename = error.filename or tempfile.gettempdir()
+            raise
+
+
+def _overwrite(target: str, content: BinaryIO) -> None:
+    """Give the file this content. The room is taken first, so that a full disk leaves the old content."""
+    import shutil
+
+    content.flush()
+    size = content.seek(0, os.SEEK_END)
+    content.seek(0)
+    held = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, *_ENDING))  # half of it would be worse
+    try:
+        with open(os.open(target, os.O_WRONLY | os.O_CLOEXEC), "wb") as file:
+            before = os.fstat(file.fileno()).st_size
+            try:
+                if size:
+                    reserve_space(file.fileno(), size)
+            except OSError as error:
+                os.ftruncate(file.fileno(), before)
+                error.filename = target
+                raise
+            shutil.copyfileobj(content, file)
+            file.truncate()
+            file.flush()
+            os.fsync(file.fileno())
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, held)

@@ -82,6 +82,18 @@ def test_a_file_that_tells_no_size_is_counted_while_it_is_read() -> None:
         input_files.read_bytes("/proc/self/maps", 100)
 
 
+def test_a_file_that_grows_while_it_is_read_is_refused_at_the_bound(tmp_path: Path) -> None:
+    path = tmp_path / "growing"
+    path.write_bytes(b"a\n")
+    with input_files.opened(path, 2**20) as file, input_files.opened_text(path, 2**20) as text:
+        os.truncate(path, 2**40)
+        with pytest.raises(BadFile, match="is larger than 1 MiB"):
+            file.read()
+        assert text.readline() == "a\n"
+        with pytest.raises(BadFile, match="is larger than 1 MiB"):
+            text.readline()
+
+
 def test_a_file_of_just_the_bound_is_read(tmp_path: Path) -> None:
     path = tmp_path / "full"
     path.write_bytes(b"x" * 2**20)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import importlib.util
 import os
@@ -176,6 +177,14 @@ def test_a_file_in_memory_is_opened_by_a_child(ways: ModuleType) -> None:
         words = ["cat", path]
         assert subprocess.run(words, pass_fds=[file.fileno()], capture_output=True).stdout == b"content"
     assert not os.path.exists(path)
+
+
+def test_room_on_the_disk_is_there_or_refused(ways: ModuleType, tmp_path: Path) -> None:
+    with open(tmp_path / "file", "wb") as file:
+        ways.reserve_space(file.fileno(), 1000)
+        with pytest.raises(OSError) as caught:  # noqa: PT011 - the number tells it
+            ways.reserve_space(file.fileno(), 1 << 60)
+    assert caught.value.errno in (errno.ENOSPC, errno.EFBIG)
 
 
 def test_memory_is_told_and_bounded_where_it_can_be(ways: ModuleType) -> None:
