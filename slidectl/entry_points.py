@@ -75,8 +75,27 @@ class PartError(Refused):
         self.part = part
 
 
-class NameRefused(PartError):
-    """A package claims a name that slidectl has, that another package claims, or that no part of the kind can have."""
+class NameOfSlidectl(PartError):
+    """A package claims a name that slidectl has."""
+
+    def __init__(self, part: Part, kind: str) -> None:
+        super().__init__(part, kind, "is not used: slidectl has one of that name")
+
+
+class BadPartName(PartError):
+    """A package claims a name that no part of this kind can have."""
+
+    def __init__(self, part: Part, kind: str, why: str) -> None:
+        super().__init__(part, kind, f"is not used: {why}")
+
+
+class NameClaimedTwice(PartError):
+    """Several packages claim a name."""
+
+    def __init__(self, parts: Sequence[Part], kind: str) -> None:
+        owners = " and ".join(other.owner for other in parts[1:])
+        hint = " or ".join(dict.fromkeys(part.removal for part in parts))
+        super().__init__(parts[0], kind, f"is not used: {owners} claims the name, too", hint)
 
 
 class BrokenPart(PartError):
@@ -174,16 +193,12 @@ class Registry:
         return _installed()[0].get(self.group, {})
 
     def _refusal(self, parts: Sequence[Part]) -> PartError | None:
-        part, *others = parts
+        part = parts[0]
         if part.name in self._ours():
-            return NameRefused(part, self.kind, "is not used: slidectl has one of that name")
+            return NameOfSlidectl(part, self.kind)
         if why := self._bad_name(part.name):
-            return NameRefused(part, self.kind, f"is not used: {why}")
-        if others:
-            owners = " and ".join(other.owner for other in others)
-            hint = " or ".join(dict.fromkeys(each.removal for each in parts))
-            return NameRefused(part, self.kind, f"is not used: {owners} claims the name, too", hint)
-        return None
+            return BadPartName(part, self.kind, why)
+        return NameClaimedTwice(parts, self.kind) if len(parts) > 1 else None
 
 
 def unread() -> list[BadMetadata]:
@@ -212,7 +227,10 @@ def _installed() -> tuple[dict[str, dict[str, list[Part]]], list[BadMetadata]]:
     parts: dict[str, list[Part]] = {}
     unreadable: dict[str, BadMetadata] = {}
     for folder in _metadata_folders():
-        with suppress(OSError), open(os.path.join(folder, "entry_points.txt"), "rb") as file:
+        points_file = os.path.join(folder, "entry_points.txt")
+        if not os.path.isfile(points_file):  # most packages have none; to open a pipe would wait
+            continue
+        with suppress(OSError), open(points_file, "rb") as file:
             if f"[{_GROUP}".encode() not in file.read():
                 continue
             from importlib.metadata import Distribution

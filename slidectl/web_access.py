@@ -13,6 +13,7 @@ import re
 import socket
 import struct
 from collections.abc import Collection
+from contextlib import suppress
 from ipaddress import IPv4Address, IPv6Address, ip_address
 from urllib.parse import urlsplit
 
@@ -109,10 +110,12 @@ def owner(peer: Address, here: Address) -> int | None:
     """
     if not LINUX:
         return None
-    try:
-        return _by_netlink(_numbers(peer), _numbers(here))
-    except OSError:  # a sandbox without this kind of socket
-        return None
+    ends = _numbers(peer), _numbers(here)
+    with suppress(OSError):  # a sandbox without this kind of socket
+        return _by_netlink(*ends)
+    with suppress(OSError):
+        return _by_table(*ends)
+    return None
 
 
 def stranger(peer: Address, here: Address) -> str:
@@ -156,3 +159,26 @@ def _by_netlink(peer: tuple[IPv4Address | IPv6Address, int], here: tuple[IPv4Add
     *_, found, _, _, _, uid, inode = _ANSWER.unpack_from(answer, _HEADER.size)
     # The kernel may answer with a listener on that port, or with a connection that no process has any more.
     return int(uid) if inode and found[: _ID.size] in (wanted, mapped) else None
+
+
+def _by_table(peer: tuple[IPv4Address | IPv6Address, int], here: tuple[IPv4Address | IPv6Address, int]) -> int | None:
+    """Look the connection up in /proc/net/tcp and /proc/net/tcp6 (proc_net(5)). Raises OSError."""
+    for name, size in (("tcp", 4), ("tcp6", 16)):
+        wanted = [_written(end, size) for end in (peer, here)]
+        if None in wanted:
+            continue
+        with open(f"/proc/net/{name}", encoding="ascii") as table:
+            for line in table:
+                fields = line.split()
+                if fields[1:3] == wanted and int(fields[9]):
+                    return int(fields[7])
+    return None
+
+
+def _written(end: tuple[IPv4Address | IPv6Address, int], size: int) -> str | None:
+    """An address and port as the tables have them: words of the machine's byte order. None: not in this table."""
+    address = end[0] if size == 4 else _as_ipv6(end[0])
+    if len(address.packed) != size:
+        return None
+    words = struct.unpack(f"={size // 4}I", address.packed)
+    return f"{''.join(f'{word:08X}' for word in words)}:{end[1]:04X}"

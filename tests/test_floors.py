@@ -268,7 +268,7 @@ def test_what_linux_alone_has_is_used_in_one_module() -> None:
     """And in web_access.py, which asks there whether it may: elsewhere whose a connection is cannot be told."""
     used = {str(path.relative_to(PACKAGE)): linux_only(path.read_text(encoding="utf-8")) for path in modules()}
     assert {name for name, found in used.items() if found} == {"operating_system.py", "web_access.py"}, used
-    assert used["web_access.py"] == {"socket.AF_NETLINK"}
+    assert used["web_access.py"] == {"socket.AF_NETLINK", "/proc/"}
 
 
 def test_the_search_for_what_linux_alone_has_finds_it() -> None:

@@ -160,6 +160,7 @@ ELSEWHERE = {
     "simulation/compiled/object_file.py": "the package's own code, and the cache of machine code, which slidectl wrote",
     "extensions/viewing/world_monitor.py": "the log of the instance, which slidectl wrote",
     "extensions/viewing/page/page_files.py": "the page's own scripts, which are a part of slidectl",
+    "web_access.py": "/proc",
     "writing.py": "drafts, which are written",
 }
 """The files that read in another way, and what: nothing that a user or a client can name."""

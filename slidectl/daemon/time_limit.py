@@ -41,6 +41,8 @@ class TimeLimit(CodeLimit):
         self.has_ended = False
         """True when the code inside was ended."""
         self._depth = 0
+        self._outer: TimeLimit | None = None
+        """The limit of another world whose code runs this one's."""
         signal.signal(signal.SIGALRM, _TIMER.tick)
 
     def __enter__(self) -> None:
@@ -48,7 +50,8 @@ class TimeLimit(CodeLimit):
         if self._depth == 1:
             self.end_s = monotonic() + self.most_s
             timer = _TIMER
-            timer.limit = self
+            if timer.limit is not self:
+                self._outer, timer.limit = timer.limit, self
             timer.was_entered = True
             if not timer.period_s:
                 timer.set(_TICK_S)
@@ -57,6 +60,9 @@ class TimeLimit(CodeLimit):
         self._depth -= 1
         if not self._depth:
             self.end_s = inf
+            if self._outer is not None:
+                _TIMER.limit = self._outer if self._outer.end_s < inf else self
+                self._outer = None
             if self.has_ended:
                 self.has_ended = False
                 for tell in self.on_end:

@@ -13,7 +13,7 @@ import random
 import reprlib
 import sys
 from array import array
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import is_dataclass
@@ -27,7 +27,7 @@ import numpy as np
 from slidectl.control import user_modules
 from slidectl.control.saved_classes import RECREATED
 from slidectl.control.user_classes import is_of_a_user, watched_for
-from slidectl.errors import Refused, SlidectlError
+from slidectl.errors import Refused, SlidectlError, listing
 from slidectl.simulation.clock import NEVER, Timer, Timers
 from slidectl.simulation.topics import TopicPublisher
 
@@ -97,6 +97,10 @@ class CannotSave(Refused):
 # -- saving ------------------------------------------------------------------------------------------------------------
 
 
+_NOT_CLASSES = ("frozenset", "numpy")
+"""Names of Named values that are no named tuples."""
+
+
 class Saving:
     """Saves values with `value`; the objects that they refer to are in `entries`."""
 
@@ -143,6 +147,26 @@ class Saving:
 # -- restoring ---------------------------------------------------------------------------------------------------------
 
 
+def _kinds(entries: Sequence[SavedObject], state: Any) -> Counter[str]:
+    """How many objects and named tuples of each class a saved state holds."""
+    found: dict[int, str] = {}
+    named: Counter[str] = Counter()
+    left = [state]
+    while left:
+        one = left.pop()
+        if type(one) is Ref:
+            if one.number not in found:
+                found[one.number], content = entries[one.number]
+                left.append(content)
+        elif isinstance(one, dict):
+            left += [*one, *one.values()]
+        elif isinstance(one, tuple | list):
+            if type(one) is Named and isinstance(one.value, tuple) and one.name not in _NOT_CLASSES:
+                named[one.name] += 1
+            left += one
+    return named + Counter(found.values())
+
+
 class Restoring:
     """Restores saved values into the present objects with `value`; `finish` must follow."""
 
@@ -159,6 +183,14 @@ class Restoring:
         """Publishers whose latched message has changed."""
         self.later: list[Callable[[], None]] = []
         """Called when all objects have their values."""
+
+    def check_complete(self, saved: Any, live: Any) -> None:
+        """Raise Refused when a state lacks an object that there is now, and that no later restore could make again."""
+        saving = Saving()
+        present = saving.value(live)
+        lost = _kinds(saving.entries, present) - _kinds(self._entries, saved)
+        if gone := [kind for kind in lost if kind not in _MAKERS and self._made_class(kind) is None]:
+            raise Refused(f"the snapshot lacks what there is now: {listing(gone)}")
 
     def finish(self) -> None:
         """Set the timers in the saved order, and send latched messages to subscribers."""
@@ -222,17 +254,21 @@ class Restoring:
         return found
 
     def _class(self, name: str) -> Any:
-        """The class with this name, if objects of it can be created. Raises Refused.
+        """Find a class by name. Raises Refused."""
+        cls = self._made_class(name)
+        if cls is None:
+            raise Refused(f"the snapshot has a {name} where there is none, and none can be created", _HINT)
+        return cls
 
-        Classes that a user module only imports are excluded: their constructor may do anything.
-        """
-        if name in RECREATED:
-            return RECREATED[name]
-        for module in self._users:
-            cls = vars(module).get(name)
-            if isinstance(cls, type) and cls.__module__ in {one.__name__ for one in self._users}:
+    def _made_class(self, name: str) -> type | None:
+        """The class with this name, if objects of it can be created. Classes that a user module only imports are
+        excluded: their constructor may do anything."""
+        known = [RECREATED.get(name), *(vars(module).get(name) for module in self._users)]
+        places = {*(module.__name__ for module in self._users)}
+        for cls in known:
+            if isinstance(cls, type) and (cls in RECREATED.values() or cls.__module__ in places):
                 return cls
-        raise Refused(f"the snapshot has a {name} where there is none, and none can be created", _HINT)
+        return None
 
     def _named(self, saved: Named, live: Any) -> Any:
         name, value = saved

@@ -10,6 +10,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
+import math
 import os
 import zlib
 from array import array
@@ -158,6 +159,16 @@ def _check(snapshot: Snapshot) -> None:
     whole = snapshot.time_ns, snapshot.cycles, snapshot.step_ns - 1
     if not all(type(number) is int and 0 <= number < NEVER for number in whole):
         raise ValueError("its time is not a whole number of ns")
+    if len(snapshot.gravity) != 3 or not all(math.isfinite(number) for number in snapshot.gravity):
+        raise ValueError("its gravity is not a vector")
+    if not isinstance(snapshot.parameters, dict) or not isinstance(snapshot.world, dict):
+        raise ValueError("it has no parameters, or no world")
+    if not all(type(name) is str and len(name) <= names.LONGEST for name in snapshot.derived):
+        raise ValueError("its derived parameters are not names")
+    if not all(type(name) is str and len(name) <= names.LONGEST for name in (*snapshot.features, *snapshot.parts)):
+        raise ValueError("its features are not names")
+    if not all(type(parts) is list for parts in snapshot.parts.values()):
+        raise ValueError("a feature has no list of its parts")
 
 
 def _hull(path: str, scale: tuple[float, float, float], *rest: Any) -> tuple[MeshSource, Hull | BadMesh]:

@@ -118,6 +118,10 @@ def capture(simulation: Simulation) -> Snapshot:
         raise Refused(f"a world that cannot go on cannot be saved: {simulation.run.trouble}", "slidectl sim reset")
     _check_settled(simulation, "save a snapshot")
     simulation.loop.settle()
+    return _captured(simulation)
+
+
+def _captured(simulation: Simulation) -> Snapshot:
     simulation.types.code.activate()  # `save_state` of users' classes may be called
     saving = Saving()
     state = saving.value(_tree(simulation, simulation.features.with_state()))
@@ -165,6 +169,8 @@ def restore(simulation: Simulation, snapshot: Snapshot) -> list[str]:
             raise Refused(text, error.hint) from None
     try:
         made = _restore(simulation, snapshot)
+        if snapshot.is_from_file:  # a state that cannot be saved and loaded again is not one of a simulation
+            _restore(simulation, _captured(simulation))
     except BaseException as error:
         if before is not None:
             _go_back(simulation, before)
@@ -206,6 +212,8 @@ def _restore(simulation: Simulation, snapshot: Snapshot) -> list[str]:
             goal.cancel(text=RESTORED)
     live = _tree(simulation, with_state)
     restoring = Restoring(snapshot.entries, timers, _modules_of_users(simulation))
+    if snapshot.is_from_file:
+        restoring.check_complete(snapshot.state, live)
     state = restoring.value(snapshot.state, live)
     for robot in simulation.robots:
         robot.node.command_warning = state["robots"][robot.name]["command_warning"]

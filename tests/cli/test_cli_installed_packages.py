@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import socket
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -365,4 +366,11 @@ def test_a_group_of_entry_points_that_nothing_uses_is_told(packages: Installed) 
 def test_of_two_versions_the_first_on_the_path_counts(hello: Installed, tmp_path: Path) -> None:
     write_package(tmp_path / "later", "slidectl-hello", {COMMANDS: {"hello": "older:hello"}}, {}, "0.9")
     hello.environment["PYTHONPATH"] += f":{tmp_path / 'later'}"
+    assert hello.ok("hello") == "hello\n"
+
+
+def test_a_file_of_entry_points_that_never_ends_is_passed_over(hello: Installed) -> None:
+    for name, make in (("fifo", os.mkfifo), ("folder", os.mkdir), ("loop", lambda path: os.symlink(path, path))):
+        (hello.site / f"{name}-1.0.dist-info").mkdir()
+        make(hello.site / f"{name}-1.0.dist-info" / "entry_points.txt")
     assert hello.ok("hello") == "hello\n"

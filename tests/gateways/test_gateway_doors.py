@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import socket
 import xmlrpc.client
 from collections.abc import Iterator
@@ -144,6 +145,9 @@ def test_the_user_of_a_connection_is_told_by_the_kernel() -> None:
                 told = [web_access.stranger(peer[:2], here.getsockname()[:2]) for here, peer in found]
                 # nobody's connections are closed by now: the kernel has no process for them, and shows root
                 assert ["cannot be determined" in text for text in told] == [True, True, False]
+                here, peer = found[2]
+                ends = [web_access._numbers(end[:2]) for end in (peer, here.getsockname())]
+                assert web_access._by_netlink(*ends) == web_access._by_table(*ends) == os.geteuid()
                 assert own.fileno() > 0
             for here, _ in found:
                 here.close()

@@ -435,8 +435,8 @@ print(json.dumps([broken, half, "good" in simulation.features, type(simulation.f
         "gone": "BadFile",
         "typo": "BadFile",
         "number": "NotAFeature",
-        "faults": "NameRefused",
-        "bad-name": "NameRefused",
+        "faults": "NameOfSlidectl",
+        "bad-name": "BadPartName",
         "raises": "Refused",
     }
     assert all(f"the feature {name!r} of broken-ones 1.0 is " in text for name, (text, _) in broken.items())

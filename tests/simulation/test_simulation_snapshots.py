@@ -819,6 +819,28 @@ def with_late_timers(values: dict[str, Any]) -> None:
         timer[1] = "late"
 
 
+def lacking(kind: str) -> Callable[[dict[str, Any]], None]:
+    """Nothing refers to the objects of the class: later snapshots have them, and nobody else can make them."""
+
+    def edit(values: dict[str, Any]) -> None:
+        numbers = {number for number, entry in enumerate(values["entries"]) if entry[0] == kind}
+        assert numbers, f"there is no {kind}"
+        values["entries"] = without(values["entries"], numbers)
+
+    return edit
+
+
+def without(value: Any, numbers: set[int]) -> Any:
+    """The saved value with None for these objects."""
+    if isinstance(value, list):
+        return [without(one, numbers) for one in value]
+    if not isinstance(value, dict):
+        return value
+    if value.get("~") == "Ref" and value["of"][0] in numbers:
+        return None
+    return {key: without(one, numbers) for key, one in value.items()}
+
+
 def without_tolerances(values: dict[str, Any]) -> None:
     """One of a controller's tolerances is a number; what else refers to them stays."""
     lists = [entry[1] for entry in values["entries"] if entry[0] == "list"]
@@ -855,6 +877,9 @@ def chain(values: dict[str, Any]) -> None:
         lambda values: values["world"].update(time=10**400),
         chain,
         with_late_timers,
+        without_tolerances,
+        lacking("Pid"),
+        lacking("Faults"),
         lambda values: [entry[1].append("x") for entry in values["entries"] if entry[0] == "list" and not entry[1]],
     ],
 )

@@ -144,11 +144,15 @@ def _check_complete(run: Recording) -> None:
 
 
 def _write(path: Path, content: bytes) -> None:
-    """Write a file, and the folders above it. Raises CannotWrite."""
+    """Write a file, and the folders above it. Raises CannotWrite: none of them was made then."""
+    made = [folder for folder in path.parents if not folder.exists()]
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         writing.write_whole(path, content)
     except OSError as error:
+        for folder in made:
+            with suppress(OSError):  # another case may have put its baseline there
+                folder.rmdir()
         raise CannotWrite(path, error) from None
 
 

@@ -743,32 +743,61 @@ def readable_messages(path: Path) -> int:
 # --- copying ----------------------------------------------------------------------------------------------------------
 
 
-def copy(records: Iterable[Record], recording: Recording, target: Path, compression: str = "none") -> int:
+def copy(
+    records: Iterable[Record], recording: Recording, target: Path, compression: str = "none", kept: Path | None = None
+) -> int:
     """Write records of a recording into a new one, which appears when it is complete. Returns their number.
 
-    An existing file is replaced, where a link leads too. Raises UsageError, Refused: it cannot be written.
+    Args:
+        target: the path of the new one; an existing file is replaced, where a link leads too.
+        kept: where an existing file is moved instead.
+
+    Raises:
+        UsageError, Refused: it cannot be written.
     """
     check_kind(target, compression)
-    refuse_unreplaceable(target)
+    if kept is None:
+        refuse_unreplaceable(target)
     target = Path(os.path.realpath(target))
     mode = stat.S_IMODE(target.stat().st_mode) if target.exists() else None
     count = 0
     try:
-        with writing.draft(target) as new, ExitStack() as leaving:
-            writer = _begun(new, compression, mode)
-            leaving.callback(writer.abandon)
-            added: dict[Any, Any] = {}
-            numbers: dict[int, Any] = {}
-            for channel, time_ns, raw in records:
-                if channel.number not in numbers:
-                    codec = recording.codec(channel)
-                    key = channel.topic, codec.type, codec.md5, channel.latching, channel.callerid
-                    if key not in added:  # in rosbag's files a publisher that connected twice has two connections
-                        added[key] = writer.add(channel.topic, codec, channel.latching, channel.callerid)
-                    numbers[channel.number] = added[key]
-                writer.write(numbers[channel.number], time_ns, raw)
-                count += 1
-            writer.close()
+        with ExitStack() as undo:
+            with writing.draft(target) as new, ExitStack() as leaving:
+                writer = _begun(new, compression, mode)
+                leaving.callback(writer.abandon)
+                added: dict[Any, Any] = {}
+                numbers: dict[int, Any] = {}
+                for channel, time_ns, raw in records:
+                    if channel.number not in numbers:
+                        codec = recording.codec(channel)
+                        key = channel.topic, codec.type, codec.md5, channel.latching, channel.callerid
+                        if key not in added:  # in rosbag's files a publisher that connected twice has two connections
+                            added[key] = writer.add(channel.topic, codec, channel.latching, channel.callerid)
+                        numbers[channel.number] = added[key]
+                    writer.write(numbers[channel.number], time_ns, raw)
+                    count += 1
+                writer.close()
+                if kept is not None:
+                    _keep(target, kept)
+                    undo.callback(_give_back, target, kept)
+            undo.pop_all()
     except OSError as error:
         raise writing.CannotWrite(target, error) from None
     return count
+
+
+def _keep(target: Path, kept: Path) -> None:
+    """Give the file another name, before another file takes its own. It keeps both until then, where that can be."""
+    try:
+        os.link(target, kept)
+    except OSError:  # a file system without links
+        target.rename(kept)
+
+
+def _give_back(target: Path, kept: Path) -> None:
+    """Undo `_keep`."""
+    if target.exists():
+        kept.unlink()
+    else:
+        kept.rename(target)

@@ -181,12 +181,7 @@ def reindex(ctx: Context, file: str) -> None:
         kept = path.with_name(f"{path.stem}.orig{path.suffix}")
         if kept.exists():
             raise Refused(f"{kept} already exists", f"it is from an earlier reindex; remove it, or rename {file}")
-        path.rename(kept)
-        try:
-            count = copy(recording.records(), recording, path, recording.summary().compression)
-        except BaseException:
-            kept.rename(path)
-            raise
+        count = copy(recording.records(), recording, path, recording.summary().compression, kept)
     ctx.done({"file": file, "messages": count, "kept": str(kept)}, f"{file}: {count} messages; the original is {kept}")
 
 

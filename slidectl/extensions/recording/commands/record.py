@@ -17,7 +17,7 @@ from slidectl.cli import completion, output
 from slidectl.cli.commands import command, finite
 from slidectl.cli.context import Context
 from slidectl.command_steps import CommandStep, check_not_detached
-from slidectl.errors import NoDaemon, Refused, SlidectlError, UnknownName, UsageError
+from slidectl.errors import MessageRefused, NoDaemon, Refused, SlidectlError, UnknownName, UsageError
 from slidectl.msgs.schema import nanoseconds
 
 if TYPE_CHECKING:
@@ -205,7 +205,10 @@ class _RecordedTopics:
                 topic, topics[topic], queue_length=_QUEUE, take=self._write, wait=False
             )
         if new:
-            client.flush()
+            try:
+                client.flush()
+            except MessageRefused as error:  # a node advertised it with another type meanwhile
+                self._ctx.warn(f"not recorded: {error.message}")
 
     def _write(self, published: dict[str, Any]) -> None:
         topic = published["topic"]
