@@ -95,7 +95,7 @@ class NameClaimedTwice(PartError):
     def __init__(self, parts: Sequence[Part], kind: str) -> None:
         owners = " and ".join(other.owner for other in parts[1:])
         hint = " or ".join(dict.fromkeys(part.removal for part in parts))
-        super().__init__(parts[0], kind, f"is not used: {owners} claims the name, too", hint)
+        super().__init__(parts[0], kind, f"is not used: the name is also claimed by {owners}", hint)
 
 
 class BrokenPart(PartError):
@@ -226,7 +226,13 @@ def _installed() -> tuple[dict[str, dict[str, list[Part]]], list[BadMetadata]]:
     """
     parts: dict[str, list[Part]] = {}
     unreadable: dict[str, BadMetadata] = {}
+    seen: set[str] = set()
     for folder in _metadata_folders():
+        # Of two versions the first on the path counts, as for an import, also where only the second has parts.
+        name = os.path.basename(folder).partition("-")[0].lower().replace("_", "-")
+        if name in seen:
+            continue
+        seen.add(name)
         points_file = os.path.join(folder, "entry_points.txt")
         if not os.path.isfile(points_file):  # most packages have none; to open a pipe would wait
             continue
@@ -240,9 +246,8 @@ def _installed() -> tuple[dict[str, dict[str, list[Part]]], list[BadMetadata]]:
             try:
                 found = Distribution.at(Path(folder))
                 package = found.name or folder
-                if package not in parts:  # of two versions the first on the path counts, as for an import
-                    points = [point for point in found.entry_points if point.group.startswith(_GROUP)]
-                    parts[package] = [Part(one.group, one.name, one.value, package, found.version) for one in points]
+                points = [point for point in found.entry_points if point.group.startswith(_GROUP)]
+                parts[package] = [Part(one.group, one.name, one.value, package, found.version or "") for one in points]
             except Exception as error:  # the files of a package may be broken in any way
                 unreadable[package] = BadMetadata(package, f"{type(error).__name__}: {error}")
     by_name: dict[str, dict[str, list[Part]]] = {}

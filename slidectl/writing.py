@@ -89,6 +89,8 @@ def whole_file(path: AnyPath) -> Iterator[BinaryIO]:
         OSError: it cannot be written.
     """
     target = os.path.realpath(path)
+    if os.path.exists(path) and not os.path.exists(target):  # a pipe of the shell, `>(...)`: its link leads nowhere
+        target = os.fspath(path)
     there = os.stat(target) if os.path.exists(path) else None
     is_regular = there is None or stat.S_ISREG(there.st_mode)
     if there is None or (is_regular and _can_be_replaced(target, there)):

@@ -396,7 +396,7 @@ class ControllerCheck:
     def _transmissions(self, path: str, value: Any, model: Model | None) -> None:
         """Check the parameter TRANSMISSIONS."""
         if model is not None and model.sets_transmissions:
-            text = "has no effect: <transmissions> of the model, or --transmissions, goes before it"
+            text = "has no effect: <transmissions> of the model, or --transmissions, overrides it"
             self.source.add("ignored", path, text)
             return
         try:

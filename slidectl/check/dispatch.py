@@ -101,7 +101,7 @@ def _refuse_what_does_not_fit(
     if kind != "launch" and len(words) > 1:
         hint = "slidectl check --help shows the order of arguments"
         if kind == "model" and file_kinds.of_name(words[1]) == "controllers":
-            hint = f"a file of controllers stands behind an option: --controllers {words[1]}"
+            hint = f"a file of controllers is given with an option: --controllers {words[1]}"
         raise UsageError(f"{words[1]!r} is not KEY:=VALUE", hint)
     if kind != "model" and parameter_files:
         what = "SDF" if kind == "scene" else f"a file of {kind}"

@@ -25,6 +25,7 @@ from slidectl.errors import (
     EXIT_INTERRUPTED,
     EXIT_REFUSED,
     EXIT_USAGE,
+    NoDaemon,
     NoDescriptors,
     Refused,
     SlidectlError,
@@ -152,7 +153,9 @@ def run(argv: Sequence[str]) -> int:
     if COMPLETION_VARIABLE in os.environ:
         from click.shell_completion import shell_complete
 
-        return shell_complete(root, {}, "slidectl", COMPLETION_VARIABLE, os.environ[COMPLETION_VARIABLE])
+        with suppress(SlidectlError):  # a broken package: a traceback would stand in the user's line
+            return shell_complete(root, {}, "slidectl", COMPLETION_VARIABLE, os.environ[COMPLETION_VARIABLE])
+        return EXIT_REFUSED
     context = Context()
     for stream in (sys.stdout, sys.stderr):
         stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
@@ -184,10 +187,14 @@ def guard(action: Callable[[], None], context: Context, words: Sequence[str] = (
         return EXIT_DONE
     except click.exceptions.Exit as leaving:
         return leaving.exit_code
-    except (output.ClosedPipe, BrokenPipeError):
+    except output.ClosedPipe:
         return EXIT_INTERRUPTED if output.terminal_is_closed() else EXIT_DONE
     except (KeyboardInterrupt, click.Abort):
         return EXIT_INTERRUPTED
+    except BrokenPipeError as error:
+        if output.is_reader_gone():
+            return EXIT_DONE
+        return _report(NoDaemon(f"the connection broke: {error}"), context, words)
     except Exception as error:
         if output.terminal_is_closed():  # SIGHUP may come after a failed write
             return EXIT_INTERRUPTED

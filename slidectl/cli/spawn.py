@@ -301,7 +301,7 @@ def in_package(
     if model == "-" or models.is_path_like(model) or model in models.shipped():
         hint = f"slidectl {command} --help shows the order of arguments"
         if command == "spawn" and file.endswith((".yaml", ".yml")):
-            hint = f"a file of controllers stands behind an option: --controllers {file}"
+            hint = f"a file of controllers is given with an option: --controllers {file}"
         raise UsageError(f"{file!r} is not KEY:=VALUE", hint)
     return shown(files.find_in_package(model, file, packages)), arguments
 

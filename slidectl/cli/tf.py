@@ -126,7 +126,7 @@ def _rows(ctx: Context, frames: Frames) -> None:
 def tree(ctx: Context) -> None:
     """Show the frames as a tree, children indented under their parent.
 
-    Behind a frame stands 'static' or 'moving'. JSON is one object for each frame, as in 'slidectl tf list'.
+    Each frame is followed by 'static' or 'moving'. JSON is one object for each frame, as in 'slidectl tf list'.
     """
     frames = _frames(ctx)
     if ctx.format != "text":

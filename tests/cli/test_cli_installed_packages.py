@@ -340,7 +340,7 @@ def test_a_name_of_slidectl_and_a_name_that_two_packages_claim_are_refused(hello
     points = {"hello": "other:hello", "version": "other:hello", "sim.step": "other:hello", "no.verb": "other:hello"}
     hello.add("slidectl-other", COMMANDS, points, other=HELLO)
     assert refused(hello("hello")) == (
-        "error: the command 'hello' of slidectl-hello 1.0 is not used: slidectl-other 1.0 claims the name, too\n"
+        "error: the command 'hello' of slidectl-hello 1.0 is not used: the name is also claimed by slidectl-other 1.0\n"
         "pip uninstall slidectl-hello or pip uninstall slidectl-other\n"
     )
     assert hello.ok("version").startswith("slidectl ")

@@ -5,15 +5,14 @@ from __future__ import annotations
 import asyncio
 from random import Random
 from typing import Any
-from xmlrpc.client import DateTime
 
 from fuzz_mutations import ODD_VALUES, mutated_bytes, mutated_text
 from fuzz_target import Fault, Target
 
 from slidectl.extensions.gateways.ros1 import xmlrpc
 from slidectl.extensions.gateways.ros1.api_calls import Api
-from slidectl.extensions.gateways.ros1.data_plane import NativeGraph
 from slidectl.extensions.gateways.ros1.master import Master
+from slidectl.extensions.gateways.ros1.native_graph import NativeGraph
 
 DOCUMENTS = 100
 """Of one case."""
@@ -113,7 +112,7 @@ class XmlRpcCalls:
         if kind < 3:
             return rng.choice(_WORDS)
         if kind < 6:
-            return rng.choice((0, -1, 2**40, 1.5, True, None, b"\x00\xff", DateTime("20200101T00:00:00")))
+            return rng.choice((0, -1, 2**40, 1.5, True, None, b"\x00\xff", xmlrpc.DateTime("20200101T00:00:00")))
         if kind == 6:
             return [self._value(rng, depth + 1) for _ in range(rng.randrange(4))]
         return {rng.choice(_WORDS): self._value(rng, depth + 1) for _ in range(rng.randrange(4))}

@@ -105,17 +105,13 @@ def test_a_topic_is_subscribed_at_the_daemon_while_an_app_subscribes_it(
 
     assert subscribers() == []
     subscription = app.subscribe(STATES)
-    eventually(lambda: len(subscribers()) == 1)
-    (first,) = subscribers()
-    assert first.startswith("/foxglove_gateway_")
+    eventually(lambda: subscribers() == ["/foxglove_gateway"])
     with FoxgloveApp(address) as other:
         also = other.subscribe(STATES)
         other.message(STATES, also)
-        assert len(subscribers()) == 2
         app.send("unsubscribe", subscriptionIds=[subscription])
-        eventually(lambda: first not in subscribers())
         other.message(STATES, also)
-        assert len(subscribers()) == 1
+        assert "/foxglove_gateway" in subscribers()
     eventually(lambda: subscribers() == [])
 
 
@@ -152,7 +148,7 @@ def test_an_app_publishes_a_topic_of_its_own_with_times_as_it_has_them(app: Foxg
 def test_an_app_is_told_why_its_message_was_refused(app: FoxgloveApp) -> None:
     channel = app.advertise(COMMAND, "std_msgs/Float64")
     app.publish(channel, b"\x00\x00")
-    assert "2 bytes that are no std_msgs/Float64" in app.error()
+    assert "2 bytes that are not std_msgs/Float64" in app.error()
     app.publish(channel, float64(float("nan")))
     assert "it must be a finite number, not nan or infinity" in app.error()
     app.advertise(COMMAND, "std_msgs/NoSuchType")
@@ -402,14 +398,8 @@ def test_an_app_that_does_not_read_loses_the_oldest_messages_and_the_others_lose
                 for _ in range(10):
                     client.publish("/much", {"data": "x" * 100_000})
                 client.flush()
+            eventually(lambda: int(status(world)["dropped"]) > before)
             eventually(lambda: len(times) > 1000)
-
-            def reads_again() -> bool:
-                for _ in range(500):
-                    stopped.receive()
-                return int(status(world)["dropped"]) > before
-
-            eventually(reads_again, "what was dropped is not counted when the app reads again")
         finally:
             is_over.set()
             thread.join()

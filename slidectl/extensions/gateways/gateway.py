@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import signal
 import traceback
-from collections.abc import Callable, Collection, Coroutine
+from collections.abc import Callable, Collection
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -15,29 +15,8 @@ from slidectl.errors import NoDaemon
 from slidectl.extensions.gateways.daemon_connection import DaemonConnection
 from slidectl.paths import InstancePaths
 
-_RETRY_EVERY_S = 0.1
+_LOOK_EVERY_S = 0.1
 """Wall seconds between two attempts to connect to the daemon."""
-
-
-class Tasks:
-    """Holds running tasks until they end. asyncio keeps only weak references, so an unheld task may be lost."""
-
-    def __init__(self) -> None:
-        self._running: set[asyncio.Task[None]] = set()
-
-    def __len__(self) -> int:
-        return len(self._running)
-
-    def begin(self, work: Coroutine[Any, Any, None], ended: Callable[[], None] = lambda: None) -> None:
-        """Run `work` and call `ended` after it, also when it was cancelled."""
-        task = asyncio.get_running_loop().create_task(work)
-        self._running.add(task)
-        task.add_done_callback(self._running.discard)
-        task.add_done_callback(lambda _: ended())
-
-    def cancel(self) -> None:
-        for task in self._running:
-            task.cancel()
 
 
 @dataclass(frozen=True)
@@ -119,7 +98,7 @@ async def serve(gateway: Gateway, paths: InstancePaths, opened: Callable[[str], 
                 except Exception:  # possibly because the daemon ends; try again
                     traceback.print_exc()
                 with suppress(TimeoutError):
-                    await asyncio.wait_for(ended.wait(), _RETRY_EVERY_S)
+                    await asyncio.wait_for(ended.wait(), _LOOK_EVERY_S)
         connection.close()
     finally:
         await gateway.close()

@@ -22,7 +22,7 @@ class Strangers:
         self._open: set[object] = set()
         self.refused = 0
 
-    def check(self, connection: object, transport: asyncio.BaseTransport) -> str:
+    def seen(self, connection: object, transport: asyncio.BaseTransport) -> str:
         """Why a new connection is one of another user, as `web_access.stranger`; empty when it is not."""
         if self._lets_all_in:
             return ""
@@ -33,13 +33,13 @@ class Strangers:
             self._open.add(connection)
         return why
 
-    def remove(self, connection: object) -> None:
+    def gone(self, connection: object) -> None:
         """Forget a connection that has ended."""
         self._open.discard(connection)
 
     @property
     def are_many(self) -> bool:
-        """True when a connection that was just checked is one too many."""
+        """True when a connection that was just seen is one too many."""
         return len(self._open) > MOST
 
 

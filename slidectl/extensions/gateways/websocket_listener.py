@@ -1,7 +1,7 @@
 """The WebSocket listener of a gateway: it decides who may connect, and from where.
 
 It checks tokens, origins, host names, TLS and the number of connections. It knows no protocol on top of WebSocket.
-What connections may hold is bounded by bounded_websocket.py.
+What connections may hold is bounded by slidectl/bounded_websocket.py.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from functools import partial
 from typing import Any, cast
 from urllib.parse import parse_qs, urlsplit
 
-from websockets.asyncio.server import Server, ServerConnection, broadcast, serve
+from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
@@ -34,7 +34,6 @@ from slidectl.extensions.gateways.bounded_websocket import (
     ConnectionBounds,
     answering_bad_requests,
 )
-from slidectl.extensions.gateways.daemon_connection import DaemonConnection
 from slidectl.extensions.gateways.gateway import GatewayOptions
 from slidectl.extensions.gateways.strangers import Strangers
 from slidectl.web_access import (
@@ -49,9 +48,6 @@ from slidectl.web_access import (
 
 _MORE_HANDSHAKES = 200
 """Connections beyond the limit that still get a refusal as answer; further ones cut the oldest unfinished one."""
-_PING_EVERY_S, _PONG_WITHIN_S = 20.0, 60.0
-_UNREAD = 256 * 1024
-"""Unsent bytes to a client at which sending stops."""
 _BACKLOG = 1000
 """Connections that the system may keep until they are accepted."""
 _MOST_HELD = 128 * 1024 * 1024
@@ -83,68 +79,23 @@ class ListenerOptions(GatewayOptions):
 
 
 class ListenerConnection(BoundedConnection):
-    """A connection of a client. While the client does not read, neither it nor its daemon connection is read.
-
-    It is cut at once when there are too many of other users.
-    """
+    """A connection; it is cut at once when there are too many of other users."""
 
     def __init__(self, *args: Any, strangers: Strangers, **options: Any) -> None:
         super().__init__(*args, **options)
         self._strangers = strangers
         self.stranger = ""
         """Why the connection is one of another user, who may not come in; empty for others."""
-        self.daemon: DaemonConnection | None = None
-        """The client's connection to the daemon."""
-        self.on_writable: Callable[[], None] = lambda: None
-        """Called when the client reads again."""
-        self._may_write = asyncio.Event()
-        self._may_write.set()
-        self._ending: asyncio.Future[None] | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         super().connection_made(transport)
-        self.stranger = self._strangers.check(self, transport)
+        self.stranger = self._strangers.seen(self, transport)
         if self.stranger and self._strangers.are_many:
             cast(asyncio.Transport, transport).abort()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        self._strangers.remove(self)
+        self._strangers.gone(self)
         super().connection_lost(exc)
-        self._may_write.set()
-        if self.daemon is not None:  # the handler may be waiting in `drain`
-            self.daemon.close()
-
-    def pause_writing(self) -> None:
-        super().pause_writing()
-        self._may_write.clear()
-        self.stop_reading("unread")  # stops pings too: answers to them would add to the unsent data
-        if self.daemon is not None:
-            self.daemon.pause()
-
-    def resume_writing(self) -> None:
-        super().resume_writing()
-        self._may_write.set()
-        self.go_on_reading("unread")
-        if self.daemon is not None:
-            self.daemon.resume()
-        self.on_writable()
-
-    @property
-    def is_writable(self) -> bool:
-        """False while too much is unsent."""
-        return self._may_write.is_set()
-
-    async def writable(self) -> None:
-        """Wait while too much is unsent."""
-        await self._may_write.wait()
-
-    def write(self, frame: bytes, is_text: bool) -> None:
-        """Send a frame without waiting: `pause_writing` is called when too much is unsent."""
-        broadcast((self,), frame, text=is_text)
-
-    def end_soon(self, code: int, reason: str) -> None:
-        """Start closing the connection, from code that cannot await."""
-        self._ending = asyncio.ensure_future(self.close(code, reason))
 
 
 class WebSocketListener:
@@ -164,6 +115,8 @@ class WebSocketListener:
         self._origins = {*map(_checked_origin, options.origins), *known_origins}
         self._server: Server | None = None
         self.bounds = ConnectionBounds(_MOST_HELD, options.max_connections + _MORE_HANDSHAKES, self._tls)
+        self.connections = 0
+        """The present number of connections."""
         self.refused = 0
 
     def is_local(self) -> bool:
@@ -181,7 +134,12 @@ class WebSocketListener:
             raise UsageError(f"--host {options.host} lets other machines in: --token WORD is needed")
         return is_local
 
-    async def open(self, handler: Callable[[ListenerConnection], Awaitable[None]], **more: Any) -> str:
+    async def open(
+        self,
+        handler: Callable[[Any], Awaitable[None]],
+        kind: type[ListenerConnection] = ListenerConnection,
+        **more: Any,
+    ) -> str:
         """Listen, and return the address to show. `more` goes to the library's server.
 
         Raises:
@@ -196,27 +154,30 @@ class WebSocketListener:
         if not self._token:
             check_users_can_be_told(options.any_user)
         strangers = Strangers(lets_all_in=bool(self._token) or options.any_user)
-        made = partial(ListenerConnection, bounds=self.bounds, strangers=strangers)
+        made = partial(kind, bounds=self.bounds, strangers=strangers)
 
-        async def handle(connection: ServerConnection) -> None:
+        async def count(connection: ServerConnection) -> None:
+            if self.connections >= options.max_connections:  # several connected at the same time
+                await connection.close(1013, "too many are connected")
+                return
+            self.connections += 1
             try:
-                await handler(cast(ListenerConnection, connection))
+                await handler(connection)
             except ConnectionClosed:
                 pass
             except Exception:  # an internal error ends one connection
                 traceback.print_exc(file=sys.stderr)
                 await connection.close(1011, "internal error; the log of the gateway has more")
+            finally:
+                self.connections -= 1
 
         try:
             self._server = await serve(
-                handle,
+                count,
                 cast(str, addresses if options.port else addresses[:1]),  # asyncio's server accepts a list
                 options.port,
                 process_request=answering_bad_requests(self._judge),
                 open_timeout=HANDSHAKE_S,
-                ping_interval=_PING_EVERY_S,
-                ping_timeout=_PONG_WITHIN_S,
-                write_limit=_UNREAD,
                 close_timeout=CLOSE_S,
                 backlog=_BACKLOG,
                 server_header=None,
@@ -253,7 +214,7 @@ class WebSocketListener:
         headers = request.headers
         for name in headers.get_all("Host"):
             if not self._token and host_of(name) not in (*LOOPBACK, self._options.host):
-                return http.HTTPStatus.FORBIDDEN, f"{name!r} is not a name of this gateway"
+                return http.HTTPStatus.FORBIDDEN, f"this gateway does not go by the name {name!r}"
         for origin in headers.get_all("Origin"):
             if not self._is_allowed_origin(origin):
                 return http.HTTPStatus.FORBIDDEN, f"pages of {origin} may not use this gateway; see --origin"
@@ -264,20 +225,20 @@ class WebSocketListener:
                 return http.HTTPStatus.UNAUTHORIZED, f"a token is needed: {where}"
             if not is_secret(given, self._token):
                 return http.HTTPStatus.UNAUTHORIZED, "the token is wrong"
-        most = self._options.max_connections
-        if self.bounds.open >= most:
+        if self.connections >= self._options.max_connections:
+            most = self._options.max_connections
             return http.HTTPStatus.SERVICE_UNAVAILABLE, f"{most} clients are connected, which is the maximum"
         return http.HTTPStatus.OK, ""
 
     def _is_allowed_origin(self, origin: str) -> bool:
-        """True for pages of the given sites. Programs that are no browser send no origin."""
+        """True for pages of the given sites. Programs other than browsers send no origin."""
         return "*" in self._origins or origin.lower() in self._origins
 
 
 def _token(options: ListenerOptions) -> str:
     """The token of the options. Raises UsageError, BadFile."""
     if options.token and options.token_file:
-        raise UsageError("--token and --token-file exclude each other", "give one of them")
+        raise UsageError("--token and --token-file are two ways to say one thing", "give one of them")
     token = options.token
     if options.token_file:
         try:
@@ -330,7 +291,7 @@ def _not_bound(options: ListenerOptions, error: OSError) -> SlidectlError:
     if error.errno == errno.EADDRINUSE:
         return Refused(f"{where} is taken", "choose another port")
     if error.errno == errno.EACCES:
-        return Refused(f"{where} is for root only", "choose a port from 1024 on")
+        return Refused(f"{where} is for root alone", "choose a port from 1024 on")
     return Refused(f"cannot listen on {where}: {error.strerror}")
 
 
@@ -379,4 +340,4 @@ def _check_dates(context: ssl.SSLContext, cert: str) -> None:
             continue
         except ssl.SSLCertVerificationError as error:
             hint = f"look at it: openssl x509 -noout -dates -in {cert}"
-            raise BadFile(f"browsers reject {cert}: {error.verify_message}", hint) from None
+            raise BadFile(f"no browser will take {cert}: {error.verify_message}", hint) from None

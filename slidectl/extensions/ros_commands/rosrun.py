@@ -13,7 +13,7 @@ import sys
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -33,9 +33,6 @@ from slidectl.extensions.ros_commands.arguments import Failure, Parser, option, 
 from slidectl.extensions.ros_commands.command import program, run
 from slidectl.typed_values import read
 from slidectl.writing import reason, write_whole
-
-if TYPE_CHECKING:
-    pass
 
 _USAGE = """rosrun [--prefix cmd] [--debug] PACKAGE EXECUTABLE [ARGS]
   rosrun will locate PACKAGE and try to find an executable named EXECUTABLE in it,

@@ -333,7 +333,7 @@ def test_a_master_that_talks_nonsense_is_asked_again(joining: Runtime) -> None:
                 odd.answer = nonsense  # type: ignore[assignment]
                 seen = len(odd.calls)
                 eventually(lambda seen=seen: len(odd.calls) > seen + 1, "it is not asked any more")  # type: ignore[misc]
-        assert "invalid answer" in log(joining, "ros1")
+        assert "nonsense" in log(joining, "ros1")
         assert "Traceback" not in log(joining, "ros1")
 
 
@@ -379,9 +379,9 @@ def post(address: str, body: str) -> str:
         (CALL.format("getPid", "<param>" + "<value><array><data>" * 65), "nested deeper than 64"),
         (CALL.format("getPid", "<param><value><i4>x</i4></value></param>"), "invalid literal"),
         (CALL.format("getPid", "<param><value><int>99999999999999999999</int></value></param>"), "64 bits"),
-        (CALL.format("getPid", "<param><value><base64>a</base64></value></param>"), "invalid XML-RPC"),
-        (CALL.format("getPid", "<param><value><script/></value></param>"), "unknown tag 'script'"),
-        (CALL.format("getPid", "<param><value><data/></value></param>"), "unknown tag 'data'"),
+        (CALL.format("getPid", "<param><value><base64>a</base64></value></param>"), "this is not XML-RPC"),
+        (CALL.format("getPid", "<param><value><script/></value></param>"), "&lt;script&gt; is not expected"),
+        (CALL.format("getPid", "<param><value><data/></value></param>"), "&lt;data&gt; is not expected"),
         (CALL.format("fly", "<param><value>/x</value></param>"), "is not supported"),
         (CALL.format("getPid", ""), "missing required caller_id parameter"),
         (CALL.format("getPid", "<param><value><nil/></value></param>"), "caller_id must be a string"),

@@ -45,7 +45,7 @@ def test_numbers_that_json_does_not_have_keep_their_meaning() -> None:
 @pytest.mark.parametrize(
     ("name", "data", "reason"),
     [
-        ("std_msgs/Float64", b"1234567", "7 bytes that are no std_msgs/Float64"),
+        ("std_msgs/Float64", b"1234567", "7 bytes that are not std_msgs/Float64"),
         ("std_msgs/Float64", b"123456789", "1 bytes follow"),
         ("std_msgs/String", b"\xff\xff\xff\xff12", "4294967293 bytes are missing"),
         ("std_msgs/Float64MultiArray", bytes(8) + b"\xff\xff\xff\xff", "more than 100000 values"),

@@ -7,23 +7,34 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import count
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from slidectl import msgs
 from slidectl.extensions.gateways.foxglove.foxglove_frames import text_frame
 from slidectl.extensions.gateways.ros1.ros1_types import Ros1Type, ros1_type
+
+if TYPE_CHECKING:
+    from slidectl.extensions.gateways.foxglove.app_connection import AppConnection
 
 Message = dict[str, Any]
 Users = dict[str, list[str]]
 """Topic or service -> names of its nodes."""
 
 
-class AppChannel(NamedTuple):
-    """A topic as advertised to apps; `kind` is the name of its type."""
+class AppChannel:
+    """A topic as advertised to apps."""
 
-    id: int
-    topic: str
-    kind: str
+    def __init__(self, channel_id: int, topic: str, kind: str) -> None:
+        self.id = channel_id
+        self.topic = topic
+        self.kind = kind
+        """The name of the topic's type."""
+        self.apps: dict[AppConnection, int] = {}
+        """App -> the id that the app gave to its subscription of this channel."""
+        self.new: set[AppConnection] = set()
+        """The apps that have received no message yet."""
+        self.has_failed = False
+        """True after a message that ROS 1 cannot hold."""
 
     @property
     def type(self) -> Ros1Type:
@@ -66,11 +77,9 @@ def _schema(kind: str) -> Message:
 class AdvertisedGraph:
     """The channels and services that apps know. Empty until the first `update`, and after `update({})`."""
 
-    def __init__(self, own_nodes: str, is_offered: Callable[[Message], bool]) -> None:
-        """`own_nodes` is how the names of apps' nodes begin; `is_offered` takes a service of /slidectl/graph and
-        returns whether apps may call it.
-        """
-        self._own_nodes = own_nodes
+    def __init__(self, own_node: str, is_offered: Callable[[Message], bool]) -> None:
+        """`is_offered` takes a service of /slidectl/graph and returns whether apps may call it."""
+        self._own_node = own_node
         self._is_offered = is_offered
         self.channels: dict[int, AppChannel] = {}
         self.services: dict[int, AdvertisedService] = {}
@@ -91,12 +100,10 @@ class AdvertisedGraph:
         """Replace the graph by `state`. Returns frames for all apps, the removed channels, and a frame with the changed
         connections for the apps that subscribe to the graph, empty without a change.
 
-        A topic without publishers whose only subscribers are apps exists only for them: it counts as removed.
+        A topic without publishers whose only subscriber is the gateway exists only for apps: it counts as removed.
         """
         topics = [
-            each
-            for each in state.get("topics", ())
-            if each["publishers"] or not all(node.startswith(self._own_nodes) for node in each["subscribers"])
+            each for each in state.get("topics", ()) if each["publishers"] or each["subscribers"] != [self._own_node]
         ]
         types = {each["name"]: each["type"] for each in topics}
         provided = {each["name"]: each["type"] for each in state.get("services", ()) if self._is_offered(each)}

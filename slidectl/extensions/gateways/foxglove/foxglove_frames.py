@@ -68,9 +68,9 @@ def read_json(text: str) -> dict[str, Any]:
     try:
         message = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise BadFrame(f"this is no JSON: {error}") from None
+        raise BadFrame(f"this is not JSON: {error}") from None
     if not isinstance(message, dict):
-        raise BadFrame("this is no JSON object")
+        raise BadFrame("this is not a JSON object")
     return message
 
 
@@ -99,7 +99,7 @@ def fields(message: dict[str, Any], key: str, kind: type, most: int) -> list[Any
     """A field that is a list of at most `most` values of type `kind`. Raises BadFrame."""
     values = field(message, key, list)
     if len(values) > most:
-        raise BadFrame(f"{key}: {len(values)} values; the maximum is {most}")
+        raise BadFrame(f"{key}: {len(values)} values, more than {most}")
     if any(not isinstance(value, kind) or isinstance(value, bool) for value in values):
         raise BadFrame(f"{quoted(str(message.get('op', '')))}: each of {key} must be a {_KINDS[kind]}")
     return list(values)
@@ -169,7 +169,7 @@ def wanted_parameter(given: Parameter) -> tuple[str, Any]:
     """Name and value of a parameter that an app sets; None deletes it. Raises BadFrame."""
     name, value, kind = field(given, "name", str), given.get("value"), given.get("type")
     if kind == _BYTES:
-        raise BadFrame(f"{name}: a parameter of slidectl cannot hold bytes; give text or a list")
+        raise BadFrame(f"{name}: a parameter of slidectl holds no bytes; give text or a list")
     if kind == _FLOAT and _is_number(value):
         value = _float(value)
     elif kind == _FLOATS and isinstance(value, list):

@@ -42,26 +42,8 @@ class RobotAssets:
         """Names and serial numbers of the robots that `_files` was made from."""
         self._files: dict[str, Asset] = {}
         """Files by URI."""
-        self._lock = asyncio.Lock()
 
-    async def read(self, daemon: DaemonConnection, uri: str) -> bytes:
-        """The content of a file. Only one is read at a time, for all apps together.
-
-        Raises UnknownName: no robot names it. Refused: it is unreadable or too large. Else as `call`.
-        """
-        async with self._lock:
-            await self._update(daemon)
-            asset = self._files.get(uri)
-            if asset is None:
-                raise UnknownName("asset", uri, list(self._files), "of a robot in the world")
-            data = await asyncio.to_thread(_read, asset.path)
-            for name in _named_in(asset.path, data):
-                companion = _inside(join(dirname(asset.path), name), asset.folders)
-                if companion is not None:
-                    self._files.setdefault(_beside(uri, name), companion)
-            return data
-
-    async def _update(self, daemon: DaemonConnection) -> None:
+    async def update(self, daemon: DaemonConnection) -> None:
         """Read the descriptions again when the robots have changed. Raises as `call`."""
         scene = await daemon.call("/slidectl/scene")
         if self._robots != (robots := (scene["robots"], scene["serials"])):
@@ -69,6 +51,18 @@ class RobotAssets:
             own = zip(scene["descriptions"], scene["may_use_files"], strict=True)
             self._files = await asyncio.to_thread(_meshes_of_all, [xml for xml, may_use_files in own if may_use_files])
             self._robots = robots
+
+    def read(self, uri: str) -> bytes:
+        """The content of a file. Raises UnknownName: no robot names it. Refused: it is unreadable or too large."""
+        asset = self._files.get(uri)
+        if asset is None:
+            raise UnknownName("asset", uri, list(self._files), "of a robot in the world")
+        data = _read(asset.path)
+        for name in _named_in(asset.path, data):
+            companion = _inside(join(dirname(asset.path), name), asset.folders)
+            if companion is not None:
+                self._files.setdefault(_beside(uri, name), companion)
+        return data
 
 
 def _meshes_of_all(descriptions: list[str]) -> dict[str, Asset]:

@@ -15,11 +15,15 @@ from slidectl.extensions.gateways.ros1.xmlrpc import XmlRpcFault
 
 Answered = tuple[int, str, Any]
 Check = Callable[[Any, str], Any]
-"""Takes an argument and the caller's name; returns the converted argument. Raises Refused."""
+"""Takes an argument and the caller's name; returns the converted argument. Raises Invalid."""
 Method = Callable[..., Answered | Awaitable[Answered]]
 
 ANY_TYPE = "*"
 _LONGEST_URI = 2000
+
+
+class Invalid(Exception):
+    """An argument that is not allowed."""
 
 
 class Api:
@@ -51,6 +55,8 @@ class Api:
             checked = [check(value, caller) for check, value in zip(checks, rest, strict=True)]
             answered = method(*context, caller, *checked)
             return answered if isinstance(answered, tuple) else await answered
+        except Invalid as error:
+            return -1, str(error), on_failure
         except Refused as error:
             return -1, str(error), on_failure
         except SlidectlError as error:
@@ -64,7 +70,7 @@ def anything(value: Any, _: str) -> Any:
 def not_none(parameter: str) -> Check:
     def check(value: Any, _: str) -> Any:
         if value is None:
-            raise Refused(f"ERROR: parameter [{parameter}] must be specified")
+            raise Invalid(f"ERROR: parameter [{parameter}] must be specified")
         return value
 
     return check
@@ -73,9 +79,9 @@ def not_none(parameter: str) -> Check:
 def key(value: Any, caller: str) -> str:
     """Check the name of a parameter and resolve it."""
     if not value:
-        raise Refused("ERROR: parameter [key] must be specified and non-empty")
+        raise Invalid("ERROR: parameter [key] must be specified and non-empty")
     if not isinstance(value, str):
-        raise Refused("ERROR: parameter [key] must be a string")
+        raise Invalid("ERROR: parameter [key] must be a string")
     return resolve(_bounded("key", value), caller)
 
 
@@ -88,11 +94,11 @@ def search_key(value: Any, caller: str) -> str:
 def uri(parameter: str) -> Check:
     def check(value: Any, _: str) -> str:
         if not value or not isinstance(value, str):
-            raise Refused(f"ERROR: parameter [{parameter}] is not an XMLRPC URI")
+            raise Invalid(f"ERROR: parameter [{parameter}] is not an XMLRPC URI")
         if not value.startswith(("http://", "rosrpc://")):
-            raise Refused(f"ERROR: parameter [{parameter}] is not an RPC URI")
+            raise Invalid(f"ERROR: parameter [{parameter}] is not an RPC URI")
         if len(value) > _LONGEST_URI:
-            raise Refused(f"ERROR: parameter [{parameter}] is longer than {_LONGEST_URI} characters")
+            raise Invalid(f"ERROR: parameter [{parameter}] is longer than {_LONGEST_URI} characters")
         return value
 
     return check
@@ -103,11 +109,11 @@ def name(parameter: str, may_be_root: bool = False) -> Check:
 
     def check(value: Any, caller: str) -> str:
         if not value or not isinstance(value, str):
-            raise Refused(f"ERROR: parameter [{parameter}] must be a non-empty string")
+            raise Invalid(f"ERROR: parameter [{parameter}] must be a non-empty string")
         if ":" in value or " " in value:
-            raise Refused(f"ERROR: parameter [{parameter}] contains illegal chars")
+            raise Invalid(f"ERROR: parameter [{parameter}] contains illegal chars")
         if value == "/" and not may_be_root:
-            raise Refused(f"ERROR: parameter [{parameter}] cannot be the global namespace")
+            raise Invalid(f"ERROR: parameter [{parameter}] cannot be the global namespace")
         return resolve(_bounded(parameter, value), caller)
 
     return check
@@ -116,7 +122,7 @@ def name(parameter: str, may_be_root: bool = False) -> Check:
 def subgraph(value: Any, caller: str) -> str:
     """Check a namespace and resolve it; empty stays empty."""
     if not isinstance(value, str):
-        raise Refused("ERROR: parameter [subgraph] must be a string")
+        raise Invalid("ERROR: parameter [subgraph] must be a string")
     return resolve(_bounded("subgraph", value), caller) if value else ""
 
 
@@ -124,32 +130,32 @@ def type_name(value: Any, _: str) -> str:
     if value == ANY_TYPE:
         return ANY_TYPE
     if not value or not isinstance(value, str):
-        raise Refused("ERROR: parameter [topic_type] must be a non-empty string")
+        raise Invalid("ERROR: parameter [topic_type] must be a non-empty string")
     if len(value.split("/")) != 2:
-        raise Refused("ERROR: parameter [topic_type] is not a valid package resource name")
+        raise Invalid("ERROR: parameter [topic_type] is not a valid package resource name")
     return _bounded("topic_type", value)
 
 
 def publishers(value: Any, _: str) -> list[str]:
     if not isinstance(value, list):
-        raise Refused("ERROR: param [publishers] must be a list")
+        raise Invalid("ERROR: param [publishers] must be a list")
     for each in value:
         if not isinstance(each, str):
-            raise Refused("ERROR: param [publishers] must be a list of strings")
+            raise Invalid("ERROR: param [publishers] must be a list of strings")
         try:
             parts = urlsplit(each)
         except ValueError:
             parts = urlsplit("")
         if not parts.scheme or not parts.netloc:
-            raise Refused(f"ERROR: param [publishers] does not contain valid URLs [{cut(each, 120)}]")
+            raise Invalid(f"ERROR: param [publishers] does not contain valid URLs [{cut(each, 120)}]")
     return value
 
 
 def protocols(value: Any, _: str) -> list[Any]:
     if not value:
-        raise Refused("ERROR: parameter [protocols] must be specified and non-empty")
+        raise Invalid("ERROR: parameter [protocols] must be specified and non-empty")
     if not isinstance(value, list) or not all(isinstance(each, list) and each for each in value):
-        raise Refused("ERROR: parameter [protocols] must be a list of lists")
+        raise Invalid("ERROR: parameter [protocols] must be a list of lists")
     return value
 
 
@@ -166,5 +172,5 @@ def resolve(text: str, caller: str) -> str:
 
 def _bounded(parameter: str, text: str) -> str:
     if len(text) > names.LONGEST:
-        raise Refused(f"ERROR: parameter [{parameter}] is longer than {names.LONGEST} characters")
+        raise Invalid(f"ERROR: parameter [{parameter}] is longer than {names.LONGEST} characters")
     return text

@@ -10,20 +10,17 @@ import logging
 import resource
 from collections.abc import Awaitable, Callable, Iterable, Iterator
 from contextlib import contextmanager
-from functools import partial
 from typing import Any, NamedTuple
 
 from slidectl import msgs
 from slidectl.errors import NoDaemon, Refused, SlidectlError, TimedOut
 from slidectl.extensions.gateways.daemon_connection import DaemonConnection
-from slidectl.extensions.gateways.gateway import Tasks
-from slidectl.extensions.gateways.ros1.api_calls import ANY_TYPE
-from slidectl.extensions.gateways.ros1.counted_streams import CountedReader, listen
 from slidectl.extensions.gateways.ros1.ros1_types import ros1_type
 from slidectl.extensions.gateways.ros1.service_bridge import ServiceServer, call_service, service_type
-from slidectl.extensions.gateways.ros1.tcpros import HELD, TcprosConnection, encode_header
-from slidectl.extensions.gateways.ros1.topic_bridge import Follower, TopicServer
+from slidectl.extensions.gateways.ros1.tcpros import Fields, TcprosConnection
+from slidectl.extensions.gateways.ros1.topic_bridge import ANY_TYPE, Follower, TopicServer
 from slidectl.extensions.gateways.strangers import Strangers
+from slidectl.extensions.gateways.tasks import Tasks
 from slidectl.web_access import in_uri
 from slidectl.wire.messages import Message
 
@@ -31,8 +28,6 @@ _log = logging.getLogger(__name__)
 
 OpenConnection = Callable[[str], Awaitable[DaemonConnection]]
 
-OWN_NODE = "/ros1_gateway"
-"""The node name of the gateway's own connections."""
 MOST_CONNECTIONS = 1000
 _LISTED_ONLY_MS = 10**9
 """Throttle of a subscription that only makes a node appear in the graph: after the first message nothing arrives."""
@@ -41,47 +36,6 @@ _OF_ACTIONS = ("ActionFeedback", "ActionResult", "actionlib_msgs/GoalStatusArray
 _PROBES = 4
 _FIRST_PROBE_PAUSE_S = 0.5
 _ASK_AGAIN_S = 1.0
-
-
-class NativeGraph:
-    """The part of the daemon's graph that ROS sees: all nodes but the gateway and those of foreign nodes."""
-
-    def __init__(self, uri_of: Callable[[str], str]) -> None:
-        """`uri_of` gives the address of the slave API of a node."""
-        self.uri_of = uri_of
-        self.types: dict[str, str] = {}
-        self.publishers: dict[str, list[str]] = {}
-        self.subscribers: dict[str, list[str]] = {}
-        self.services: dict[str, str] = {}
-        """Service -> its node."""
-        self.nodes: set[str] = set()
-        self.service_uri = ""
-        """The rosrpc address of all services."""
-
-    def update(self, state: dict[str, Any], is_hidden: Callable[[str], bool]) -> dict[str, Any]:
-        """Store this state without the hidden nodes. Returns the remaining state."""
-        topics = []
-        for topic in state["topics"]:
-            publishers = [node for node in topic["publishers"] if not is_hidden(node)]
-            subscribers = [node for node in topic["subscribers"] if not is_hidden(node)]
-            if publishers or subscribers:
-                topics.append({**topic, "publishers": publishers, "subscribers": subscribers})
-        services = [service for service in state["services"] if not is_hidden(service["node"])]
-        self.types = {topic["name"]: topic["type"] for topic in topics}
-        self.publishers = {topic["name"]: topic["publishers"] for topic in topics if topic["publishers"]}
-        self.subscribers = {topic["name"]: topic["subscribers"] for topic in topics if topic["subscribers"]}
-        self.services = {service["name"]: service["node"] for service in services}
-        lists = (*self.publishers.values(), *self.subscribers.values(), self.services.values())
-        self.nodes = {node for nodes in lists for node in nodes}
-        return {"topics": topics, "services": services}
-
-    def published_by(self, node: str) -> list[list[str]]:
-        """Topics that a node publishes, with their types."""
-        return [[topic, self.types[topic]] for topic, nodes in self.publishers.items() if node in nodes]
-
-    def subscribed_by(self, node: str) -> list[list[str]]:
-        """Topics that a node subscribes, with their types."""
-        return [[topic, self.types[topic]] for topic, nodes in self.subscribers.items() if node in nodes]
 
 
 class ForeignTopic(NamedTuple):
@@ -152,9 +106,10 @@ class DataPlane:
 
     async def open(self) -> int:
         """Listen for TCPROS. Returns the port. Raises Refused."""
+        loop = asyncio.get_running_loop()
         self._most_connections = min(MOST_CONNECTIONS, resource.getrlimit(resource.RLIMIT_NOFILE)[0] // 2)
         try:
-            self._server = await listen(self._bind, 0, HELD, self._serve)
+            self._server = await loop.create_server(self._accepted, self._bind, 0, backlog=MOST_CONNECTIONS)
         except OSError as error:
             raise Refused(f"cannot listen on {self._bind}: {error.strerror or error}") from None
         self._port = self._server.sockets[0].getsockname()[1]
@@ -195,7 +150,7 @@ class DataPlane:
         for connection in list(self._connections):
             connection.close()
 
-    # --- setting ------------------------------------------------------------------------------------------------
+    # --- what is told -------------------------------------------------------------------------------------------
 
     def set_graph(self, state: Message) -> None:
         """Set the newest answer of /slidectl/graph, without this process and foreign nodes."""
@@ -228,7 +183,7 @@ class DataPlane:
             self._service_types[service, uri] = ""
             self._tasks.begin(self._find_type(service, uri))
 
-    def remove_node(self, node: str) -> None:
+    def node_gone(self, node: str) -> None:
         """Remove a foreign node that has unregistered or ended."""
         for topic, (kind, publishers, subscribers) in list(self._foreign_topics.items()):
             if node in publishers or node in subscribers:
@@ -236,7 +191,7 @@ class DataPlane:
                 self.set_foreign_topic(topic, kind, others, subscribers - {node})
         self.set_foreign_services({s: offer for s, offer in self._offers.items() if offer[0] != node})
 
-    # --- querying -----------------------------------------------------------------------------------------------
+    # --- what is asked ------------------------------------------------------------------------------------------
 
     def serves(self, topic: str) -> bool:
         """True for topics that foreign nodes may subscribe here: they have native publishers or foreign subscribers."""
@@ -278,45 +233,34 @@ class DataPlane:
 
     # --- TCPROS -------------------------------------------------------------------------------------------------
 
-    async def _serve(self, reader: CountedReader, writer: asyncio.StreamWriter) -> None:
-        """Serve a subscriber or a client of a service, until it disconnects."""
-        connection = TcprosConnection(reader, writer)
-        try:
-            why = self.strangers.check(connection, writer.transport)
-            if why or not self._has_room():
-                why = why or f"too many connections: {self._most_connections} are open"
-                writer.write(encode_header({"error": why}))
-                return
-            self._connections[connection] = None
-            task = asyncio.current_task()
-            assert task is not None
-            reader.on_end = lambda _: task.cancel()
-            try:
-                header = await connection.read_header()
-                if "topic" in header:
-                    await self._topics.serve(connection, header)
-                elif "service" in header:
-                    await self._services.serve(connection, header)
-                else:
-                    raise Refused("no topic or service name detected")
-            except SlidectlError as error:
-                await connection.refuse(str(error))
-        except (EOFError, OSError, asyncio.CancelledError):
-            pass  # it has disconnected (`on_end`), or is slow
-        finally:
-            self.strangers.remove(connection)
-            self._connections.pop(connection, None)
-            connection.close()
+    def _accepted(self) -> TcprosConnection:
+        connection = TcprosConnection(self._take_header)
+        connection.on_opened = self._opened
+        return connection
 
-    def _has_room(self) -> bool:
-        """True when another connection may come; the oldest without a header makes room."""
+    def _opened(self, connection: TcprosConnection) -> None:
+        if why := connection.stranger(self.strangers):
+            connection.refuse(why)
+            connection.close()
+            self.strangers.gone(connection)
+            return
         if len(self._connections) >= self._most_connections:
             unfinished = next((one for one in self._connections if not one.has_header), None)
             if unfinished is None:
-                return False
-            del self._connections[unfinished]
+                connection.refuse(f"too many connections: {self._most_connections} are open")
+                connection.close()
+                return
             unfinished.close()
-        return True
+        self._connections[connection] = None
+        connection.on_gone = lambda gone: self._connections.pop(gone, None)
+
+    def _take_header(self, connection: TcprosConnection, header: Fields) -> None:
+        if "topic" in header:
+            self._topics.accept(connection, header)
+        elif "service" in header:
+            self._services.accept(connection, header)
+        else:
+            connection.refuse("no topic or service name detected")
 
     # --- foreign nodes in the daemon's graph --------------------------------------------------------------------
 
@@ -387,15 +331,16 @@ class DataPlane:
                 node.connection.close()
                 return
         daemon = node.connection
-        for present, wanted, end in (
-            (node.published, published, daemon.unadvertise),
-            (node.subscribed, subscribed, daemon.unsubscribe),
-            (node.services, services, daemon.unadvertise_service),
-        ):
-            for key in [key for key, kind in present.items() if wanted.get(key) != kind]:
-                end(key)
-                del present[key]
-        node.latched = {topic: key for topic, key in node.latched.items() if topic in node.published}
+        for topic in [topic for topic, kind in node.published.items() if published.get(topic) != kind]:
+            daemon.unadvertise(topic)
+            node.latched.pop(topic, None)
+            del node.published[topic]
+        for topic in [topic for topic, kind in node.subscribed.items() if subscribed.get(topic) != kind]:
+            daemon.unsubscribe(topic)
+            del node.subscribed[topic]
+        for service in [service for service, kind in node.services.items() if services.get(service) != kind]:
+            daemon.unadvertise_service(service)
+            del node.services[service]
         for topic, kind in published.items():
             if topic not in node.published:
                 daemon.advertise(topic, kind)
@@ -403,12 +348,12 @@ class DataPlane:
                 self._update_followers(topic)
         for topic, kind in subscribed.items():
             if topic not in node.subscribed:
-                with self._warning_of_refusals(name):
+                with self._told(name):
                     await daemon.subscribe(topic, kind, throttle_rate=_LISTED_ONLY_MS, take=lambda _: None)
                     node.subscribed[topic] = kind
         for service, kind in services.items():
             if service not in node.services:
-                with self._warning_of_refusals(name):
+                with self._told(name):
                     await self._offer(daemon, service, kind)
                     node.services[service] = kind
         if not (node.published or node.subscribed or node.services):
@@ -416,7 +361,7 @@ class DataPlane:
             self._foreign.pop(name, None)
 
     @contextmanager
-    def _warning_of_refusals(self, name: str) -> Iterator[None]:
+    def _told(self, name: str) -> Iterator[None]:
         """Log a refusal of the daemon as a warning and continue."""
         try:
             yield
@@ -437,25 +382,27 @@ class DataPlane:
                 self._followers.pop((of, node)).close()
         for node, uri in publishers.items():
             if (topic, node) not in self._followers:
-                publish = partial(self._publish, topic, node)
+                take = self._taker(topic, node)
                 subscriber = subscribers[0] if subscribers else self._node
-                self._followers[topic, node] = Follower(topic, ros1_type(kind), node, uri, subscriber, publish)
+                self._followers[topic, node] = Follower(topic, ros1_type(kind), node, uri, subscriber, take)
 
-    def _publish(self, topic: str, node: str, message: Message, is_latched: bool) -> DaemonConnection | None:
-        """Publish a message of a foreign node under its name. Returns the node's connection."""
-        foreign = self._foreign.get(node)
-        if foreign is None or foreign.connection is None:
-            return None
-        stream = self._topics.stream(topic)
-        if stream is not None:
-            stream.expect_echo(message)
-        if is_latched:
-            kind = ros1_type(self._type_of(topic))
-            if topic not in foreign.latched:
-                foreign.connection.advertise(topic, kind.name, latch=True)
-            foreign.latched[topic] = kind.key(kind.pack(message))
-        foreign.connection.publish(topic, message)
-        return foreign.connection
+    def _taker(self, topic: str, node: str) -> Callable[[Message, bool], DaemonConnection | None]:
+        def take(message: Message, is_latched: bool) -> DaemonConnection | None:
+            foreign = self._foreign.get(node)
+            if foreign is None or foreign.connection is None:
+                return None
+            stream = self._topics.stream(topic)
+            if stream is not None:
+                stream.expect_echo(message)
+            if is_latched:
+                kind = ros1_type(self._type_of(topic))
+                if topic not in foreign.latched:
+                    foreign.connection.advertise(topic, kind.name, latch=True)
+                foreign.latched[topic] = kind.key(kind.pack(message))
+            foreign.connection.publish(topic, message)
+            return foreign.connection
+
+        return take
 
     # --- foreign services ---------------------------------------------------------------------------------------
 
@@ -483,7 +430,7 @@ class DataPlane:
     async def _offer(self, daemon: DaemonConnection, service: str, kind: str) -> None:
         async def handle(request: Message) -> Message:
             if service not in self._offers:
-                raise Refused(f"{service} is no longer provided")
+                raise Refused(f"{service} is provided no longer")
             return await call_service(service, self._offers[service][1], kind, request, self._node)
 
         await daemon.advertise_service(service, kind, handle)

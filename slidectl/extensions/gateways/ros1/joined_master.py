@@ -15,12 +15,13 @@ from typing import Any
 
 from slidectl import names
 from slidectl.errors import Refused, SlidectlError, cut
-from slidectl.extensions.gateways.gateway import Tasks
 from slidectl.extensions.gateways.ros1 import xmlrpc
 from slidectl.extensions.gateways.ros1.api_calls import ANY_TYPE
-from slidectl.extensions.gateways.ros1.data_plane import OWN_NODE, DataPlane, NativeGraph
+from slidectl.extensions.gateways.ros1.data_plane import DataPlane
 from slidectl.extensions.gateways.ros1.master import MOST_NODES
+from slidectl.extensions.gateways.ros1.native_graph import OWN_NODE, NativeGraph
 from slidectl.extensions.gateways.ros1.parameter_server import DaemonParameters
+from slidectl.extensions.gateways.tasks import Tasks
 
 _log = logging.getLogger(__name__)
 
@@ -55,13 +56,13 @@ class JoinedMaster:
         self._pid: Any = None
         self._addresses: dict[str, str] = {}
         self._providers: dict[str, tuple[str, str]] = {}
-        self._passed_on: dict[str, tuple[str, dict[str, str], set[str]]] = {}
+        self._told: dict[str, tuple[str, dict[str, str], set[str]]] = {}
         """Topic -> what was passed to the data plane last: type, publishers with their addresses, subscribers."""
         self._mirrored: set[str] = set()
         """Top-level parameter names that are subscribed at the master."""
         self._changed: dict[str, None] = {}
         """Parameters whose change has not been sent to the master."""
-        self._being_set: set[str] = set()
+        self._taken: set[str] = set()
         """Parameters being set in the daemon because of a change at the master; they are not sent back."""
         self._tasks = Tasks()
 
@@ -78,7 +79,7 @@ class JoinedMaster:
     def start(self, node: str, address: str, service_uri: str) -> None:
         """Begin or continue synchronizing, with this node name and the addresses of its slave API and its services."""
         self._node, self._address, self._service_uri = node, address, service_uri
-        self._passed_on.clear()
+        self._told.clear()
         self._pid = None  # a restarted daemon may have other parameters
         self._wake.set()
         if not self._is_synchronizing:
@@ -90,20 +91,20 @@ class JoinedMaster:
 
     def parameters_changed(self, changed: list[str]) -> None:
         """Queue parameters or namespaces of the daemon that were set or deleted, to be sent to the master."""
-        self._changed.update(dict.fromkeys(name for name in changed if name not in self._being_set))
+        self._changed.update(dict.fromkeys(name for name in changed if name not in self._taken))
         self._wake.set()
 
     async def leave(self) -> None:
         """Unregister everything."""
         self._tasks.cancel()
-        self._natives.update({"topics": [], "services": []}, lambda _: True)
+        self._natives.take({"topics": [], "services": []}, lambda _: True)
         try:
             async with asyncio.timeout(_LEAVE_LIMIT_S):
                 await self._register(_state(await self._call("getSystemState")))
         except (SlidectlError, TimeoutError) as error:
-            _log.info("cannot unregister at the master at %s: %s", self.uri, error)
+            _log.info("the master at %s was not told that we leave: %s", self.uri, error)
 
-    # --- calls of the master -------------------------------------------------------------------------------------
+    # --- what the master tells us -------------------------------------------------------------------------------
 
     def publisher_update(self, _topic: str, publishers: list[str]) -> None:
         if not set(publishers) <= set(self._addresses.values()):
@@ -111,7 +112,7 @@ class JoinedMaster:
         self._wake.set()
 
     def param_update(self, key: str, value: Any) -> None:
-        self._tasks.begin(self._set_here(key, value))
+        self._tasks.begin(self._take_parameter(key, value))
 
     def shut_down(self, reason: str) -> None:
         """End the gateway: another node has taken its name, and ROS nodes end in that case."""
@@ -145,7 +146,7 @@ class JoinedMaster:
         state = _state(await self._call("getSystemState"))
         await self._register(state)
         types = dict(_pairs(await self._call("getTopicTypes"), str))
-        await self._update_data_plane(state, types)
+        await self._tell(state, types)
         pid = await self._call("getPid")
         if pid != self._pid:
             self._mirrored.clear()
@@ -175,7 +176,7 @@ class JoinedMaster:
         for begin in range(0, len(calls), _CALLS_AT_ONCE):
             await asyncio.gather(*(self._call(*call) for call in calls[begin : begin + _CALLS_AT_ONCE]))
 
-    async def _update_data_plane(self, state: list[dict[str, list[str]]], types: dict[str, str]) -> None:
+    async def _tell(self, state: list[dict[str, list[str]]], types: dict[str, str]) -> None:
         """Pass the foreign nodes' topics and services to the data plane."""
         present = {node for kind in state for nodes in kind.values() for node in nodes} - {self._node}
         if len(present) > MOST_NODES:
@@ -194,17 +195,17 @@ class JoinedMaster:
                 self._addresses[node] = await self._lookup("lookupNode", node)
         for node in self._addresses.keys() - present:
             del self._addresses[node]
-            self._data.remove_node(node)
+            self._data.node_gone(node)
         for node in present - self._addresses.keys():
             self._addresses[node] = await self._lookup("lookupNode", node)
-        for topic in {*publishers, *subscribers, *self._passed_on}:
+        for topic in {*publishers, *subscribers, *self._told}:
             addresses = {node: uri for node in publishers.get(topic, ()) if (uri := self._addresses[node])}
-            now = (types.get(topic, ANY_TYPE), addresses, set(subscribers.get(topic, ())))
-            if now != self._passed_on.get(topic):
-                self._data.set_foreign_topic(topic, *now)
-            self._passed_on[topic] = now
+            told = (types.get(topic, ANY_TYPE), addresses, set(subscribers.get(topic, ())))
+            if told != self._told.get(topic):
+                self._data.set_foreign_topic(topic, *told)
+            self._told[topic] = told
             if topic not in publishers and topic not in subscribers:
-                del self._passed_on[topic]
+                del self._told[topic]
         self._providers = {service: known for service, known in self._providers.items() if service in services}
         for service in services.keys() - self._providers.keys():
             self._providers[service] = (services[service][0], await self._lookup("lookupService", service))
@@ -227,12 +228,12 @@ class JoinedMaster:
             self._mirrored.add(top)
             await self._call("subscribeParam", self._address, f"/{top}")
 
-    async def _set_here(self, key: str, value: Any) -> None:
+    async def _take_parameter(self, key: str, value: Any) -> None:
         """Set a parameter of the master in the daemon; an empty value deletes it. A refusal is undone at the master."""
         key = "/" + key.strip("/")
         if names.is_under("/use_sim_time", key):
             return
-        self._being_set.add(key)
+        self._taken.add(key)
         refused = False
         try:
             if value == {} and await self._parameters.has(key):
@@ -245,7 +246,7 @@ class JoinedMaster:
         except SlidectlError as error:
             _log.warning("parameter %s was set at the master: %s", key, error)
         finally:
-            self._being_set.discard(key)
+            self._taken.discard(key)
         if refused:
             self.parameters_changed([key])
 
@@ -255,7 +256,7 @@ class JoinedMaster:
         """Call the master and return its value. Raises _Denied: it refuses; Refused: no or invalid answer; TimedOut."""
         answer = await xmlrpc.call(self.uri, method, self._node, *arguments)
         if not isinstance(answer, list) or len(answer) != 3 or not isinstance(answer[0], int):
-            raise Refused(f"{self.uri} sent an invalid answer to {method}: {cut(repr(answer), 120)}")
+            raise Refused(f"{self.uri} answers {method} with nonsense: {cut(repr(answer), 120)}")
         if answer[0] != 1:
             raise _Denied(f"the master at {self.uri} answers {method}: {cut(str(answer[1]))}")
         return answer[2]
@@ -267,14 +268,14 @@ class JoinedMaster:
         except _Denied:
             return ""
         if not isinstance(address, str):
-            raise Refused(f"{self.uri} sent an invalid answer to {method}: {cut(repr(address), 120)}")
+            raise Refused(f"{self.uri} answers {method} with nonsense: {cut(repr(address), 120)}")
         return address
 
 
 def _state(answer: Any) -> list[dict[str, list[str]]]:
     """Parse getSystemState: publishers, subscribers and providers by name. Raises Refused."""
     if not isinstance(answer, list) or len(answer) != 3:
-        raise Refused("the master sent an invalid answer to getSystemState")
+        raise Refused("the master answers getSystemState with nonsense")
     return [
         {key: [node for node in nodes if isinstance(node, str)] for key, nodes in _pairs(kind, list)} for kind in answer
     ]
@@ -286,5 +287,5 @@ def _pairs(answer: Any, kind: type) -> list[tuple[str, Any]]:
         isinstance(each, list) and len(each) == 2 and isinstance(each[0], str) and isinstance(each[1], kind)
         for each in answer
     ):
-        raise Refused("the master sent an invalid answer", "is that a ROS 1 master?")
+        raise Refused("the master answers with nonsense", "is that a ROS 1 master?")
     return [(name, value) for name, value in answer]

@@ -13,10 +13,11 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from slidectl.errors import Refused, SlidectlError, cut
-from slidectl.extensions.gateways.gateway import Tasks
 from slidectl.extensions.gateways.ros1 import api_calls, xmlrpc
 from slidectl.extensions.gateways.ros1.api_calls import ANY_TYPE, Answered, Api
-from slidectl.extensions.gateways.ros1.data_plane import OWN_NODE, DataPlane, NativeGraph
+from slidectl.extensions.gateways.ros1.data_plane import DataPlane
+from slidectl.extensions.gateways.ros1.native_graph import OWN_NODE, NativeGraph
+from slidectl.extensions.gateways.tasks import Tasks
 
 _log = logging.getLogger(__name__)
 
@@ -52,7 +53,7 @@ class Registrations:
         is_too_many = len(self.addresses) >= MOST_NODES and node not in self.addresses
         if is_too_many or self._count >= MOST_REGISTRATIONS:
             what = f"{MOST_NODES} nodes are" if is_too_many else f"{MOST_REGISTRATIONS} registrations are"
-            raise Refused(f"{what} registered, which is the maximum", "rosnode cleanup removes dead nodes")
+            raise Refused(f"{what} registered, the maximum", "rosnode cleanup takes away those that are dead")
         self.addresses[node] = address
         self.kinds[kind].setdefault(key, {})[node] = uri or address
         held = self._held.setdefault(node, set())
@@ -89,8 +90,8 @@ class NodeCalls:
         self._tasks = Tasks()
         self._limit = asyncio.Semaphore(_MOST_AT_ONCE)
 
-    def send(self, uri: str, method: str, *arguments: Any, on_answer: Callable[[Any], None] | None = None) -> None:
-        """Call `method` of the node at this address, with the master as caller; `on_answer` gets the answer.
+    def send(self, uri: str, method: str, *arguments: Any, take: Callable[[Any], None] | None = None) -> None:
+        """Call `method` of the node at this address, with the master as caller; `take` gets the answer.
 
         Of waiting calls with the same method and first argument (a topic, a parameter) only the newest is sent.
         """
@@ -98,9 +99,9 @@ class NodeCalls:
         waiting = self._waiting.get(uri)
         if waiting is not None:
             waiting.pop(key, None)
-            waiting[key] = (arguments, on_answer)
+            waiting[key] = (arguments, take)
             return
-        self._waiting[uri] = {key: (arguments, on_answer)}
+        self._waiting[uri] = {key: (arguments, take)}
         self._tasks.begin(self._send_all(uri))
 
     def close(self) -> None:
@@ -112,15 +113,15 @@ class NodeCalls:
         try:
             while waiting:
                 key = next(iter(waiting))
-                arguments, on_answer = waiting.pop(key)
+                arguments, take = waiting.pop(key)
                 async with self._limit:
                     try:
                         answer = await xmlrpc.call(uri, key[0], "/master", *arguments)
                     except SlidectlError as error:
                         _log.info("%s", error)
                         continue
-                if on_answer is not None:
-                    on_answer(answer)
+                if take is not None:
+                    take(answer)
         finally:
             del self._waiting[uri]
 
@@ -168,7 +169,7 @@ class Master:
             if node != caller:
                 self.registrations.remove(_SERVICES, service, node)
         self.registrations.add(_SERVICES, service, caller, caller_api, service_api)
-        self.update_services()
+        self.tell_services()
         return 1, f"Registered [{caller}] as provider of [{service}]", 1
 
     def unregisterService(self, caller: str, service: str, service_api: str) -> Answered:  # noqa: N802
@@ -177,8 +178,8 @@ class Master:
         if self._services.get(service, {}).get(caller) != service_api:
             return 1, f"[{service_api}] is no longer the current service api handle for [{service}]", 0
         self.registrations.remove(_SERVICES, service, caller)
-        self.update_services()
-        self._remove_if_unregistered(caller)
+        self.tell_services()
+        self._tell_if_gone(caller)
         return 1, f"Unregistered [{caller}] as provider of [{service}]", 1
 
     def registerSubscriber(self, caller: str, topic: str, topic_type: str, caller_api: str) -> Answered:  # noqa: N802
@@ -186,7 +187,7 @@ class Master:
         self.registrations.add(_SUBSCRIBERS, topic, caller, caller_api)
         if topic not in self._types and topic_type != ANY_TYPE:
             self._set_type(topic, topic_type)
-        self.update_topic(topic)
+        self.tell_topic(topic)
         if len(self._subscribers[topic]) == 1:
             self._shown.pop(topic, None)
         return 1, f"Subscribed to [{topic}]", self._publisher_uris(topic)
@@ -199,7 +200,7 @@ class Master:
         self.registrations.add(_PUBLISHERS, topic, caller, caller_api)
         if topic not in self._types or topic_type != ANY_TYPE:
             self._set_type(topic, topic_type)
-        self.update_topic(topic)
+        self.tell_topic(topic)
         self.notify_subscribers(topic)
         natives = map(self._natives.uri_of, self._natives.subscribers.get(topic, ()))
         subscribers = [*self._subscribers.get(topic, {}).values(), *natives]
@@ -217,8 +218,8 @@ class Master:
         if self.registrations.kinds[kind].get(topic, {}).get(caller) != caller_api:
             return 1, f"[{caller}] is not a known provider of [{topic}]", 0
         self.registrations.remove(kind, topic, caller)
-        self.update_topic(topic)
-        self._remove_if_unregistered(caller)
+        self.tell_topic(topic)
+        self._tell_if_gone(caller)
         return 1, f"Unregistered [{caller}] as provider of [{topic}]", 1
 
     def admit(self, node: str, address: str) -> None:
@@ -237,32 +238,32 @@ class Master:
 
     def _forget(self, node: str) -> None:
         taken = self.registrations.remove_node(node)
-        self._data.remove_node(node)
+        self._data.node_gone(node)
         for kind, key in taken:
             if kind in (_PUBLISHERS, _SUBSCRIBERS):
-                self.update_topic(key)
+                self.tell_topic(key)
             if kind == _PUBLISHERS:
                 self.notify_subscribers(key)
-        self.update_services()
+        self.tell_services()
 
-    def _remove_if_unregistered(self, node: str) -> None:
+    def _tell_if_gone(self, node: str) -> None:
         if node not in self.registrations.addresses:
-            self._data.remove_node(node)
+            self._data.node_gone(node)
 
     def _set_type(self, topic: str, topic_type: str) -> None:
         self._types[topic] = topic_type
         if len(self._types) > _MOST_TYPES:
             del self._types[next(iter(self._types))]
 
-    # --- notifying ------------------------------------------------------------------------------------------------
+    # --- telling ------------------------------------------------------------------------------------------------
 
-    def update_topic(self, topic: str) -> None:
+    def tell_topic(self, topic: str) -> None:
         """Pass the foreign publishers and subscribers of a topic to the data plane."""
         kind = self._types.get(topic, ANY_TYPE)
         publishers, subscribers = dict(self._publishers.get(topic, {})), set(self._subscribers.get(topic, {}))
         self._data.set_foreign_topic(topic, kind, publishers, subscribers)
 
-    def update_services(self) -> None:
+    def tell_services(self) -> None:
         """Pass the foreign services to the data plane."""
         provided = {service: next(iter(nodes.items())) for service, nodes in self._services.items()}
         self._data.set_foreign_services(provided)
@@ -301,7 +302,7 @@ class Master:
         natives = [self._natives.uri_of(native)] if native else []
         return [*natives, *self._publishers.get(topic, {}).values()]
 
-    # --- querying -----------------------------------------------------------------------------------------------
+    # --- asking -------------------------------------------------------------------------------------------------
 
     def lookupNode(self, _: str, node: str) -> Answered:  # noqa: N802
         if (address := self.registrations.addresses.get(node)) is not None:

@@ -55,9 +55,8 @@ class DaemonParameters:
         try:
             text = json.dumps(value)
         except TypeError:  # bytes; a dateTime is a str
-            raise Refused(
-                f"parameter {key}: binary data is not a value", "slidectl's parameters hold no bytes"
-            ) from None
+            hint = "slidectl's parameters hold no bytes"
+            raise Refused(f"parameter {key}: binary data is not a value", hint) from None
         await self._call("set_param", {"name": key, "value": text})
 
     async def has(self, key: str) -> bool:
@@ -93,7 +92,7 @@ class ParameterServer:
         """Parameter -> node that sets it right now: a node is not notified of its own change."""
         self._changed: dict[str, str | None] = {}
         """Changed parameters whose subscribers are not notified yet -> node that set them."""
-        self._notifying: asyncio.Task[None] | None = None
+        self._telling: asyncio.Task[None] | None = None
 
     def add_methods(self, api: Api) -> None:
         api.add(self.deleteParam, 0, api_calls.key)
@@ -169,34 +168,33 @@ class ParameterServer:
     def changed(self, changed: list[str]) -> None:
         """Notify the subscribers of changed parameters, of namespaces above them and of names below them."""
         self._changed.update({name: self._being_set.get(name) for name in changed})
-        if self._notifying is None or self._notifying.done():
-            self._notifying = asyncio.get_running_loop().create_task(self._notify())
+        if self._telling is None or self._telling.done():
+            self._telling = asyncio.get_running_loop().create_task(self._tell())
 
-    async def _notify(self) -> None:
+    async def _tell(self) -> None:
         while self._changed:
             name = next(iter(self._changed))
             setter = self._changed.pop(name)
             near = [key for key in self._subscribers if names.is_under(name, key) or names.is_under(key, name)]
-            for changed in {name if names.is_under(name, key) else key: None for key in near}:
+            for told in {name if names.is_under(name, key) else key: None for key in near}:
                 try:
-                    value = await self._parameters.get(changed)
+                    value = await self._parameters.get(told)
                 except KeyError:
                     value = {}
                 except SlidectlError as error:
                     _log.warning("%s", error)
                     continue
                 for key in near:
-                    if names.is_under(changed, key):
-                        self._send(changed, key, value, setter)
+                    if names.is_under(told, key):
+                        self._send(told, key, value, setter)
 
-    def _send(self, changed: str, key: str, value: Any, setter: str | None) -> None:
+    def _send(self, told: str, key: str, value: Any, setter: str | None) -> None:
         for node, address in list(self._subscribers.get(key, {}).items()):
             if node == setter:
                 continue
 
-            def check(answer: Any, node: str = node) -> None:
+            def take(answer: Any, node: str = node) -> None:
                 if isinstance(answer, list) and answer[:1] == [-1]:  # the node no longer subscribes it
                     self._registrations.remove(PARAMETERS, key, node)
 
-            name = changed if changed == "/" else f"{changed}/"
-            self._calls.send(address, "paramUpdate", name, value, on_answer=check)
+            self._calls.send(address, "paramUpdate", told if told == "/" else f"{told}/", value, take=take)

@@ -17,9 +17,10 @@ from slidectl.extensions.gateways.daemon_connection import GRAPH_CHANGES, PARAME
 from slidectl.extensions.gateways.gateway import Gateway, GatewayOptions, is_offered
 from slidectl.extensions.gateways.ros1 import xmlrpc
 from slidectl.extensions.gateways.ros1.api_calls import Answered, Api
-from slidectl.extensions.gateways.ros1.data_plane import OWN_NODE, DataPlane, NativeGraph
+from slidectl.extensions.gateways.ros1.data_plane import DataPlane
 from slidectl.extensions.gateways.ros1.joined_master import JoinedMaster
 from slidectl.extensions.gateways.ros1.master import Master, NodeCalls
+from slidectl.extensions.gateways.ros1.native_graph import OWN_NODE, NativeGraph
 from slidectl.extensions.gateways.ros1.parameter_server import DaemonParameters, ParameterServer
 from slidectl.extensions.gateways.ros1.slave import Slave
 from slidectl.paths import InstancePaths
@@ -102,12 +103,12 @@ class Ros1Gateway(Gateway):
         self._main = main = await self._connect(OWN_NODE)
         self._parameters.attach(main)
         await main.subscribe(GRAPH_CHANGES, "std_msgs/Empty", take=lambda _: self._graph_changed.set())
-        await main.subscribe(PARAMETER_CHANGES, "slidectl/ParameterChanges", take=self._receive_changes)
+        await main.subscribe(PARAMETER_CHANGES, "slidectl/ParameterChanges", take=self._take_changes)
         await self._data.attach(self._connect_proxy, main)
         if self._master is not None:
             await self._set_own_parameters()
             await self._open_rosout()
-        await self._read_graph()
+        await self._take_graph()
         if self._joined is not None:
             self._joined.start(_joined_node(paths), self._node_uri("/"), self._data.service_uri())
         loop = asyncio.get_running_loop()
@@ -151,7 +152,7 @@ class Ros1Gateway(Gateway):
 
         async def answer(path: str, method: str, arguments: list[Any]) -> Answered:
             if path not in ("/", "/RPC2"):
-                raise xmlrpc.XmlRpcFault(1, f"the master is at /, not at {path!r}")
+                raise xmlrpc.XmlRpcFault(1, f"the master is at /, nobody is at {path!r}")
             return await api.answer(method, arguments)
 
         port = await self._listen(answer, bound, self._options.port)
@@ -205,7 +206,7 @@ class Ros1Gateway(Gateway):
         if override:
             if "/" in override:
                 raise Refused(
-                    f"ROS_HOSTNAME or ROS_IP is {override!r}, which is not a host name", "write it without http://"
+                    f"ROS_HOSTNAME or ROS_IP is {override!r}, which is not a host", "write it without http://"
                 )
             await _check_host(override)
             is_loopback = override in ("localhost", "::1") or override.startswith("127.")
@@ -262,10 +263,10 @@ class Ros1Gateway(Gateway):
         async def set_level(_: dict[str, Any]) -> dict[str, Any]:
             return {}
 
-        def republish(published: dict[str, Any]) -> None:
+        def take(published: dict[str, Any]) -> None:
             connection.publish("/rosout_agg", published["msg"])
 
-        await connection.subscribe("/rosout", "rosgraph_msgs/Log", take=republish)
+        await connection.subscribe("/rosout", "rosgraph_msgs/Log", take=take)
         await connection.advertise_service(f"{_ROSOUT}/get_loggers", "roscpp/GetLoggers", loggers, Effect.READS)
         await connection.advertise_service(f"{_ROSOUT}/set_logger_level", "roscpp/SetLoggerLevel", set_level)
 
@@ -274,7 +275,7 @@ class Ros1Gateway(Gateway):
             await self._graph_changed.wait()
             await asyncio.sleep(_GATHER_S)
             try:
-                await self._read_graph()
+                await self._take_graph()
             except NoDaemon:
                 return
             except SlidectlError as error:  # the daemon did not respond for a while
@@ -284,7 +285,7 @@ class Ros1Gateway(Gateway):
             except Exception:  # an internal error with one graph must not stop the next
                 _log.exception("the graph")
 
-    async def _read_graph(self) -> None:
+    async def _take_graph(self) -> None:
         assert self._main is not None
         self._graph_changed.clear()
         closed = [node for node, connection in self._proxies.items() if connection and not connection.is_open]
@@ -296,7 +297,7 @@ class Ros1Gateway(Gateway):
     def _set_graph(self, state: dict[str, Any]) -> None:
         natives = self._natives
         offered = [each for each in state["services"] if is_offered(each, self._permitted)]
-        self._data.set_graph(natives.update({**state, "services": offered}, self._is_hidden))
+        self._data.set_graph(natives.take({**state, "services": offered}, self._is_hidden))
         if self._master is not None:
             self._master.natives_changed()
         if self._joined is not None:
@@ -306,7 +307,7 @@ class Ros1Gateway(Gateway):
         """True for nodes hidden from ROS: the gateway's own, and those that represent foreign nodes."""
         return node == OWN_NODE or node in self._proxies or node.startswith(f"/slidectl_{os.getpid()}_")
 
-    def _receive_changes(self, published: dict[str, Any]) -> None:
+    def _take_changes(self, published: dict[str, Any]) -> None:
         if self._joined is not None:
             self._joined.parameters_changed(published["msg"]["names"])
         else:

@@ -32,7 +32,7 @@ class Ros1Type:
         try:
             return self._unpack(data)
         except (struct.error, ValueError) as error:
-            raise BadMessage(f"{len(data)} bytes that are no {self.name}: {error}") from None
+            raise BadMessage(f"{len(data)} bytes that are not {self.name}: {error}") from None
 
     def key(self, data: bytes) -> int:
         """A key that is equal for messages that differ only in `header.seq`."""

@@ -12,8 +12,9 @@ from typing import Any
 from slidectl.errors import cut
 from slidectl.extensions.gateways.ros1 import api_calls
 from slidectl.extensions.gateways.ros1.api_calls import Answered, Api
-from slidectl.extensions.gateways.ros1.data_plane import OWN_NODE, DataPlane, NativeGraph
+from slidectl.extensions.gateways.ros1.data_plane import DataPlane
 from slidectl.extensions.gateways.ros1.joined_master import JoinedMaster
+from slidectl.extensions.gateways.ros1.native_graph import OWN_NODE, NativeGraph
 
 _log = logging.getLogger(__name__)
 

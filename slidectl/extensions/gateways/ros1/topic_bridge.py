@@ -16,15 +16,8 @@ from slidectl.errors import BadMessage, Refused, SlidectlError, listing
 from slidectl.extensions.gateways.daemon_connection import DaemonConnection
 from slidectl.extensions.gateways.ros1 import xmlrpc
 from slidectl.extensions.gateways.ros1.ros1_types import Ros1Type, ros1_type
-from slidectl.extensions.gateways.ros1.tcpros import (
-    ANY_MD5,
-    Fields,
-    MessageTooLong,
-    TcprosConnection,
-    check_has,
-    connect,
-    frame,
-)
+from slidectl.extensions.gateways.ros1.tcpros import Fields, OutgoingConnection, TcprosConnection, frame
+from slidectl.extensions.gateways.tasks import Tasks
 from slidectl.wire.messages import Message
 
 _log = logging.getLogger(__name__)
@@ -32,6 +25,7 @@ _log = logging.getLogger(__name__)
 Row = tuple[int, str, str, str, str, bool, str]
 """A row of getBusInfo: id, destination or source, direction, transport, topic, connected, text."""
 
+ANY_TYPE = "*"
 _TRANSPORT = "TCPROS"
 _MOST_ECHOES = 1000
 _READ_AHEAD = 10_000
@@ -73,15 +67,15 @@ class TopicStream:
         self.type = kind
         self.links: dict[SubscriberLink, None] = {}
         self.dropped = 0
-        self.wants_latched = False
+        self.takes_latched = False
         """True while subscribers from before a daemon restart still need the latched messages."""
         self._active: tuple[SubscriberLink, ...] = ()
         self._echoes: deque[int] = deque(maxlen=_MOST_ECHOES)
         """Keys of messages that came from foreign publishers: foreign subscribers receive these directly."""
 
-    def receive(self, publish: Message) -> None:
+    def take(self, publish: Message) -> None:
         """Send a message of the daemon to all links. Latched ones are skipped: each link requests these itself."""
-        if not self._active or (publish.get("latch") and not self.wants_latched):
+        if not self._active or (publish.get("latch") and not self.takes_latched):
             return
         body = self.type.pack(publish["msg"])
         if self._echoes and (key := self.type.key(body)) in self._echoes:
@@ -103,11 +97,6 @@ class TopicStream:
         self.links.pop(link, None)
         self._update()
 
-    def close(self) -> None:
-        """Disconnect all subscribers."""
-        for link in self.links:
-            link.connection.close()
-
     def _update(self) -> None:
         """Send to one link per node: a node may connect to another publisher before it leaves the last one."""
         self._active = tuple({link.caller: link for link in self.links}.values())
@@ -124,26 +113,28 @@ class TopicServer:
         """Returns the keys of a topic's messages latched by foreign publishers, which send these themselves."""
         self._streams: dict[str, TopicStream] = {}
         self._connection: DaemonConnection | None = None
-        self._latched_reader: DaemonConnection | None = None
+        self._asker: DaemonConnection | None = None
         """The connection that reads latched messages, one topic at a time."""
-        self._reading_latched = asyncio.Lock()
+        self._asking = asyncio.Lock()
+        self._tasks = Tasks()
         self._lost = 0
 
-    async def attach(self, connection: DaemonConnection, reader: DaemonConnection) -> None:
+    async def attach(self, connection: DaemonConnection, asker: DaemonConnection) -> None:
         """Subscribe all streams at a new daemon. Raises NoDaemon."""
-        self._connection, self._latched_reader = connection, reader
+        self._connection, self._asker = connection, asker
         for stream in list(self._streams.values()):
-            stream.wants_latched = True
+            stream.takes_latched = True
             try:
-                await connection.subscribe(stream.name, stream.type.name, _READ_AHEAD, take=stream.receive)
+                await connection.subscribe(stream.name, stream.type.name, _READ_AHEAD, take=stream.take)
             except Refused as error:  # the topic has another type now
-                stream.close()
+                for link in list(stream.links):
+                    link.connection.close()
                 _log.warning("%s: %s", stream.name, error)
-            stream.wants_latched = False
+            stream.takes_latched = False
 
     def detach(self) -> None:
         """Handle the end of the daemon. Subscribers of topics that are still served stay connected."""
-        self._connection = self._latched_reader = None
+        self._connection = self._asker = None
 
     @property
     def dropped(self) -> int:
@@ -155,57 +146,69 @@ class TopicServer:
         self.topics = topics
         for stream in list(self._streams.values()):
             if stream.name not in topics or topics[stream.name][0] != stream.type.name:
-                stream.close()
+                for link in list(stream.links):
+                    link.connection.close()
 
     def stream(self, topic: str) -> TopicStream | None:
         """The stream to foreign subscribers; None without any."""
         return self._streams.get(topic)
 
-    async def serve(self, connection: TcprosConnection, header: Fields) -> None:
-        """Serve a subscriber until it disconnects. Raises Refused, with rospy's texts; EOFError at the end."""
-        check_has(header, "topic", "md5sum", "callerid")
+    def accept(self, connection: TcprosConnection, header: Fields) -> None:
+        """Process a subscriber's header. The refusal texts are rospy's."""
+        for required in ("topic", "md5sum", "callerid"):
+            if required not in header:
+                connection.refuse(f"Missing required '{required}' field")
+                return
         name, caller = header["topic"], header["callerid"]
         if name not in self.topics:
             listed = listing(f"{topic} [{kind}]" for topic, (kind, _) in self.topics.items())
-            raise Refused(f"[{self._node}] is not a publisher of [{name}]. Topics are {listed}")
+            connection.refuse(f"[{self._node}] is not a publisher of [{name}]. Topics are {listed}")
+            return
         type_name, publishers = self.topics[name]
         kind = ros1_type(type_name)
-        if header["md5sum"] not in (ANY_MD5, kind.md5):
-            theirs = header.get("type", kind.name)
-            if theirs != kind.name:
-                raise Refused(f"topic types do not match: [{theirs}] vs. [{kind.name}]")
-            raise Refused(
-                f"Client [{caller}] wants topic [{name}] to have datatype/md5sum [{theirs}/{header['md5sum']}], "
-                f"but our version has [{kind.name}/{kind.md5}] Dropping connection."
-            )
+        if header["md5sum"] not in (ANY_TYPE, kind.md5):
+            asked = header.get("type", kind.name)
+            if asked != kind.name:
+                connection.refuse(f"topic types do not match: [{asked}] vs. [{kind.name}]")
+            else:
+                connection.refuse(
+                    f"Client [{caller}] wants topic [{name}] to have datatype/md5sum [{asked}/{header['md5sum']}], "
+                    f"but our version has [{kind.name}/{kind.md5}] Dropping connection."
+                )
+            return
+        connection.ignore()
+        self._tasks.begin(self._begin(connection, name, kind, caller, publishers))
+
+    async def _begin(
+        self, connection: TcprosConnection, name: str, kind: Ros1Type, caller: str, publishers: list[str]
+    ) -> None:
         link = SubscriberLink(connection, caller)
         stream = self._streams.get(name)
         is_new = stream is None
         if stream is None:
             stream = self._streams[name] = TopicStream(name, kind)
         stream.add(link)
+        connection.on_closed = lambda: self._leave(stream, link)
         try:
             if is_new and self._connection is not None:
-                await self._connection.subscribe(name, kind.name, _READ_AHEAD, take=stream.receive)
+                await self._connection.subscribe(name, kind.name, _READ_AHEAD, take=stream.take)
             latched = await self._latched(name, kind)
-            connection.send_header(
-                {
-                    "callerid": publishers[0] if publishers else self._node,
-                    "latching": "1" if latched else "0",
-                    "md5sum": kind.md5,
-                    "message_definition": kind.definition,
-                    "topic": name,
-                    "type": kind.name,
-                }
-            )
-            link.begin(latched)
-            await connection.discard()
-        except SlidectlError:
-            if is_new:  # nothing will come for those who have joined since
-                stream.close()
-            raise
-        finally:
-            self._leave(stream, link)
+        except SlidectlError as error:
+            for one in list(stream.links) if is_new else [link]:
+                self._leave(stream, one)
+                one.connection.refuse(str(error).replace("\n", "; "))
+            return
+        connection.send_header(
+            {
+                "callerid": publishers[0] if publishers else self._node,
+                "latching": "1" if latched else "0",
+                "md5sum": kind.md5,
+                "message_definition": kind.definition,
+                "topic": name,
+                "type": kind.name,
+            }
+        )
+        link.begin(latched)
 
     def _leave(self, stream: TopicStream, link: SubscriberLink) -> None:
         stream.remove(link)
@@ -219,16 +222,16 @@ class TopicServer:
         """The framed latched messages for a new subscriber, one of each publisher that latches."""
         found: list[bytes] = []
 
-        def receive(publish: Message) -> None:
+        def take(publish: Message) -> None:
             if publish.get("latch"):
                 body = kind.pack(publish["msg"])
                 if kind.key(body) not in self.foreign_latched(name):
                     found.append(frame(body))
 
-        async with self._reading_latched:
-            if (reader := self._latched_reader) is not None:
-                await reader.subscribe(name, kind.name, take=receive)
-                reader.unsubscribe(name)
+        async with self._asking:
+            if (asker := self._asker) is not None:
+                await asker.subscribe(name, kind.name, take=take)
+                asker.unsubscribe(name)
         return found
 
     def rows(self, node: str) -> list[Row]:
@@ -263,9 +266,9 @@ class Follower:
         node: str,
         uri: str,
         subscriber: str,
-        publish: Callable[[Message, bool], DaemonConnection | None],
+        take: Callable[[Message, bool], DaemonConnection | None],
     ) -> None:
-        """`publish` publishes a message (the flag: it is latched) and returns the daemon connection that it used."""
+        """`take` publishes a message (the flag: it is latched) and returns the daemon connection that it used."""
         self.topic = topic
         self.type = kind
         self.node = node
@@ -273,66 +276,93 @@ class Follower:
         self.subscriber = subscriber
         """The native node whose name the publisher sees."""
         self.connection: TcprosConnection | None = None
-        self._publish = publish
-        self._pause_s = _FIRST_PAUSE_S
+        self._take = take
+        self._is_latched = False
+        self._unsettled = 0
+        self._settling: asyncio.Task[None] | None = None
         self._warned = ""
         self._task = asyncio.get_running_loop().create_task(self._follow())
 
     def close(self) -> None:
         """End the subscription."""
         self._task.cancel()
+        if self._settling is not None:
+            self._settling.cancel()
+        if self.connection is not None:
+            self.connection.close()
 
     async def _follow(self) -> None:
+        pause_s = _FIRST_PAUSE_S
         while True:
             try:
-                await self._read()
+                outgoing = await self._connected()
+                pause_s, self._warned = _FIRST_PAUSE_S, ""
+                await outgoing.closed.wait()
             except SlidectlError as error:
-                self._warn(str(error))
-            except (EOFError, OSError):
-                pass  # the publisher has disconnected
-            await asyncio.sleep(self._pause_s)
-            self._pause_s = min(_LONGEST_PAUSE_S, 2 * self._pause_s)
+                self._tell(str(error))
+            self.connection = None
+            await asyncio.sleep(pause_s)
+            pause_s = min(_LONGEST_PAUSE_S, 2 * pause_s)
 
-    def _warn(self, problem: str) -> None:
+    def _tell(self, problem: str) -> None:
         if problem != self._warned:
             self._warned = problem
             _log.warning("%s of %s (%s): %s", self.topic, self.node, self.uri, problem)
 
-    async def _read(self) -> None:
-        """Publish the messages of one connection. Raises SlidectlError: not possible now; EOFError, OSError."""
+    async def _connected(self) -> OutgoingConnection:
+        """Connect to the publisher. Raises SlidectlError: not possible now."""
         answer = await xmlrpc.call(self.uri, "requestTopic", self.subscriber, self.topic, [[_TRANSPORT]])
+        host, port = _address(answer)
         kind = self.type
-        fields = {
-            "callerid": self.subscriber,
-            "md5sum": kind.md5,
-            "message_definition": kind.definition,
-            "tcp_nodelay": "1",
-            "topic": self.topic,
-            "type": kind.name,
-        }
-        connection, header = await connect(*_address(answer), fields)
+        outgoing = await OutgoingConnection.connect(
+            host,
+            port,
+            {
+                "callerid": self.subscriber,
+                "md5sum": kind.md5,
+                "message_definition": kind.definition,
+                "tcp_nodelay": "1",
+                "topic": self.topic,
+                "type": kind.name,
+            },
+            check=self._take_header,
+        )
+        self.connection = outgoing.connection
+        outgoing.connection.on_message = self._take_message
+        outgoing.connection.on_too_long = self._tell
+        await outgoing.header()
+        return outgoing
+
+    def _take_header(self, header: Fields) -> None:
+        kind = self.type
+        if header.get("md5sum", ANY_TYPE) not in (ANY_TYPE, kind.md5):
+            theirs = f"[{header.get('type', '')}/{header['md5sum']}]"
+            raise Refused(f"it has the datatype/md5sum {theirs}, but our version has [{kind.name}/{kind.md5}]")
+        self._is_latched = header.get("latching") == "1"
+
+    def _take_message(self, body: bytes, _: bool) -> None:
         try:
-            if header.get("md5sum", ANY_MD5) not in (ANY_MD5, kind.md5):
-                theirs = f"[{header.get('type', '')}/{header['md5sum']}]"
-                raise Refused(f"it has the datatype/md5sum {theirs}, but our version has [{kind.name}/{kind.md5}]")
-            self.connection = connection
-            self._pause_s, self._warned = _FIRST_PAUSE_S, ""
-            unsettled = 0
-            while True:
-                try:
-                    message = kind.unpack(body := await connection.read_message())
-                except (BadMessage, MessageTooLong) as error:
-                    self._warn(str(error))
-                    continue
-                daemon = self._publish(message, header.get("latching") == "1")
-                connection.reader.handled()
-                unsettled += len(body)
-                if daemon is not None and unsettled > _SETTLE_EVERY:
-                    await daemon.drain()
-                    unsettled = 0
+            message = self.type.unpack(body)
+        except BadMessage as error:
+            self._tell(str(error))
+            return
+        daemon = self._take(message, self._is_latched)
+        self._unsettled += len(body)
+        if daemon is not None and self._unsettled > _SETTLE_EVERY and self._settling is None:
+            self._settling = asyncio.get_running_loop().create_task(self._settle(daemon))
+
+    async def _settle(self, daemon: DaemonConnection) -> None:
+        """Stop reading until the daemon has taken the messages."""
+        connection = self.connection
+        try:
+            if connection is not None:
+                connection.pause_reading()
+                await daemon.drain()
+                connection.resume_reading()
+        except SlidectlError:
+            pass  # the daemon has ended; this follower will be closed
         finally:
-            self.connection = None
-            connection.close()
+            self._settling, self._unsettled = None, 0
 
     def row(self) -> Row | None:
         """getBusInfo of the native subscribers."""
@@ -342,7 +372,7 @@ class Follower:
     def statistics(self) -> list[Any]:
         """One connection of getBusStats."""
         end = self.connection
-        return [[end.id, end.reader.received, end.received, -1, True]] if end is not None else []
+        return [[end.id, end.received_bytes, end.received, -1, True]] if end is not None else []
 
 
 def _address(answer: Any) -> tuple[str, int]:
@@ -352,4 +382,4 @@ def _address(answer: Any) -> tuple[str, int]:
             return host, port
         case [int(), str(reason), *_]:
             raise Refused(f"requestTopic was refused: {reason[:500]}")
-    raise Refused("requestTopic has an invalid answer")
+    raise Refused("requestTopic was answered with nonsense")

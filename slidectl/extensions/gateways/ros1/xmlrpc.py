@@ -1,4 +1,4 @@
-"""XML-RPC over HTTP/1.1 on asyncio: a server, and a client call, with the values as Python's `xmlrpc.client` has them.
+"""XML-RPC over HTTP/1.1 on asyncio: values as XML, a server, and a client call.
 
 Received data is limited in bytes, depth, count and time. What has come of all requests and answers is limited together;
 a length that is only claimed costs nothing. Document types and entities are refused.
@@ -7,18 +7,18 @@ a length that is only claimed costs nothing. Document types and entities are ref
 from __future__ import annotations
 
 import asyncio
+import base64
+import binascii
 import re
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from typing import Any
 from urllib.parse import urlsplit
 from xml.parsers import expat
-from xmlrpc.client import Fault, Marshaller, ResponseError, Unmarshaller
 
 from slidectl.errors import Refused, SlidectlError, TimedOut, cut
-from slidectl.extensions.gateways.ros1.counted_streams import CountedReader, GivenUp, connect, listen
 from slidectl.extensions.gateways.strangers import Strangers, forbid
-from slidectl.wire.bounds import HeldBytes
+from slidectl.wire.bounds import HeldBytes, HeldShare
 
 LONGEST_BODY = 16 * 1024 * 1024
 DEEPEST = 64
@@ -30,21 +30,39 @@ CALL_LIMIT_S = 10.0
 _LONGEST_HEAD = 16 * 1024
 _MOST_DIGITS = 12
 """The maximum number of digits of a Content-Length."""
+_MOST_HELD = 4 * LONGEST_BODY
+"""Limit of the bytes that have come of all requests and answers in progress."""
+_PIECE = 64 * 1024
 _IDLE_LIMIT_S = 600.0
 _REQUEST_LIMIT_S = 20.0
 """How long a request may take from its first byte to its last, and its answer to be read."""
 _SPARE_S = 1.0
 """A connection that waits for its client for this long may be closed in favour of a new one."""
-_HELD = HeldBytes(4 * LONGEST_BODY)
-"""The bytes that have come of all requests and answers in progress."""
+_HELD = HeldBytes(_MOST_HELD)
 
 _INTEGERS = ("i4", "int", "i8")
+_SCALARS = (*_INTEGERS, "boolean", "double", "string", "dateTime.iso8601", "base64", "nil")
+_PARENTS: dict[str, tuple[str, ...]] = {
+    "methodCall": ("",),
+    "methodResponse": ("",),
+    "methodName": ("methodCall",),
+    "params": ("methodCall", "methodResponse"),
+    "fault": ("methodResponse",),
+    "param": ("params",),
+    "value": ("param", "data", "member", "fault"),
+    "member": ("struct",),
+    "name": ("member",),
+    "data": ("array",),
+    "struct": ("value",),
+    "array": ("value",),
+    **dict.fromkeys(_SCALARS, ("value",)),
+}
 _NO_CHARACTER = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 """Characters that XML cannot represent."""
 
 
 class BadXmlRpc(SlidectlError):
-    """Bytes that are no XML-RPC, or exceed a limit."""
+    """Bytes that are not XML-RPC, or exceed a limit."""
 
 
 class XmlRpcFault(SlidectlError):
@@ -55,26 +73,58 @@ class XmlRpcFault(SlidectlError):
         self.code = code
 
 
+class DateTime(str):
+    """A dateTime.iso8601 as its original text."""
+
+    __slots__ = ()
+
+
 # --- values as XML --------------------------------------------------------------------------------------------------
 
 
 def call_xml(method: str, arguments: tuple[Any, ...]) -> bytes:
     """Encode a methodCall."""
-    return _document(f"<methodCall><methodName>{_escaped(method)}</methodName>", arguments, "</methodCall>")
+    name, params = _escaped(method), _params(arguments)
+    return f"<?xml version='1.0'?>\n<methodCall><methodName>{name}</methodName>{params}</methodCall>\n".encode()
 
 
 def response_xml(value: Any) -> bytes:
     """Encode a methodResponse with one value."""
-    return _document("<methodResponse>", (value,), "</methodResponse>")
+    return f"<?xml version='1.0'?>\n<methodResponse>{_params((value,))}</methodResponse>\n".encode()
 
 
 def fault_xml(fault: XmlRpcFault) -> bytes:
     """Encode a fault."""
-    return _document("<methodResponse>", Fault(fault.code, fault.message), "</methodResponse>")
+    value = _value({"faultCode": fault.code, "faultString": fault.message})
+    return f"<?xml version='1.0'?>\n<methodResponse><fault>{value}</fault></methodResponse>\n".encode()
 
 
-def _document(begin: str, values: Any, end: str) -> bytes:
-    return f"<?xml version='1.0'?>\n{begin}{_Writer(allow_none=True).dumps(values)}{end}\n".encode()
+def _params(values: tuple[Any, ...]) -> str:
+    return f"<params>{''.join(f'<param>{_value(value)}</param>' for value in values)}</params>"
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, bool):
+        content = f"<boolean>{value:d}</boolean>"
+    elif isinstance(value, int):
+        kind = "int" if -(2**31) <= value < 2**31 else "i8"  # Python's clients support i8; roscpp has no such integers
+        content = f"<{kind}>{value}</{kind}>"
+    elif isinstance(value, float):
+        content = f"<double>{value!r}</double>"
+    elif isinstance(value, DateTime):
+        content = f"<dateTime.iso8601>{_escaped(value)}</dateTime.iso8601>"
+    elif isinstance(value, str):
+        content = f"<string>{_escaped(value)}</string>"
+    elif isinstance(value, bytes):
+        content = f"<base64>{base64.b64encode(value).decode()}</base64>"
+    elif isinstance(value, dict):
+        members = (f"<member><name>{_escaped(str(k))}</name>{_value(v)}</member>" for k, v in value.items())
+        content = f"<struct>{''.join(members)}</struct>"
+    elif isinstance(value, list | tuple):
+        content = f"<array><data>{''.join(map(_value, value))}</data></array>"
+    else:
+        content = "<nil/>"
+    return f"<value>{content}</value>"
 
 
 def _escaped(text: str) -> str:
@@ -83,77 +133,61 @@ def _escaped(text: str) -> str:
     return _NO_CHARACTER.sub("\N{REPLACEMENT CHARACTER}", text)
 
 
-class _Writer(Marshaller):
-    """Python's writer, with all integers and all texts. It has no method for an extension: `dispatch` is its table."""
-
-    def dump_integer(self, value: int, write: Callable[[str], object]) -> None:
-        kind = "int" if -(2**31) <= value < 2**31 else "i8"  # Python's clients support i8; roscpp has no such integers
-        write(f"<value><{kind}>{value}</{kind}></value>")
-
-    dispatch: Any = {
-        **Marshaller.dispatch,
-        int: dump_integer,
-        str: lambda self, value, write: self.dump_unicode(value, write, _escaped),
-        dict: lambda self, value, write: self.dump_struct(value, write, _escaped),
-    }
-
-
 def read_call(body: bytes) -> tuple[str, list[Any]]:
     """Decode a methodCall: method and arguments. Raises BadXmlRpc."""
-    reader = _Reader()
-    try:
-        arguments = reader.read(body)
-    except Fault:
-        raise BadXmlRpc("expected a methodCall, got a fault") from None
-    method = reader.getmethodname()
-    if method is None:
-        raise BadXmlRpc("expected a methodCall with a methodName")
-    return method.strip(), list(arguments)
+    kind, content = _Reader().read(body)
+    if kind != "methodCall":
+        raise BadXmlRpc(f"expected a methodCall, got a {kind}")
+    method = [value for tag, value in content if tag == "methodName"]
+    params = [value for tag, value in content if tag == "params"]
+    if len(method) != 1 or len(params) > 1:
+        raise BadXmlRpc("a methodCall has one methodName, and params once at most")
+    return method[0], params[0] if params else []
 
 
 def read_response(body: bytes) -> Any:
     """Decode a methodResponse. Raises XmlRpcFault for a fault, BadXmlRpc."""
-    try:
-        values = _Reader().read(body)
-    except Fault as fault:
-        code: Any = fault.faultCode
-        raise XmlRpcFault(code if isinstance(code, int) else 0, cut(str(fault.faultString))) from None
-    if len(values) != 1:
-        raise BadXmlRpc(f"a response has one value, this one has {len(values)}")
-    return values[0]
+    kind, content = _Reader().read(body)
+    if kind != "methodResponse" or len(content) != 1:
+        raise BadXmlRpc(f"expected a methodResponse with one value, got a {kind}")
+    tag, value = content[0]
+    if tag == "fault":
+        known = value if isinstance(value, dict) else {}
+        code = known.get("faultCode")
+        raise XmlRpcFault(code if isinstance(code, int) else 0, cut(str(known.get("faultString", value))))
+    if len(value) != 1:
+        raise BadXmlRpc(f"a response has one value, this one has {len(value)}")
+    return value[0]
 
 
-class _Reader(Unmarshaller):
-    """Python's reader, with bounds, and without the types that ROS does not have. Dates become their text."""
+class _Reader:
+    """Parses one document. A stack frame is an open element: its tag, the elements that ended in it, and its text."""
 
     def __init__(self) -> None:
-        super().__init__(use_builtin_types=True)
+        self._stack: list[tuple[str, list[tuple[str, Any]], list[str]]] = [("", [], [])]
         self._values = 0
         self._depth = 0
 
-    def read(self, body: bytes) -> tuple[Any, ...]:
-        """The values of a document. Raises Fault, BadXmlRpc."""
+    def read(self, body: bytes) -> tuple[str, Any]:
         parser = expat.ParserCreate()
         parser.buffer_text = True
-        parser.StartElementHandler = self.start
-        parser.EndElementHandler = self.end
-        parser.CharacterDataHandler = self.data
+        parser.StartElementHandler = self._start
+        parser.EndElementHandler = self._end
+        parser.CharacterDataHandler = self._text
         parser.StartDoctypeDeclHandler = self._refuse_document_type
-        self.xml("", None)  # texts come decoded
         try:
             parser.Parse(body, True)
-            return self.close()
-        except (Fault, BadXmlRpc):
-            raise
-        except (expat.ExpatError, ResponseError, ValueError, TypeError, LookupError, AttributeError) as error:
-            # Python's reader checks no structure: it fails in one of these ways.
-            raise BadXmlRpc(f"invalid XML-RPC: {str(error) or type(error).__name__}") from None
+        except (expat.ExpatError, ValueError, LookupError) as error:  # also: numbers, base64, encodings
+            raise BadXmlRpc(f"this is not XML-RPC: {error}") from None
+        return self._stack[0][1][0]
 
     def _refuse_document_type(self, *_: Any) -> None:
         raise BadXmlRpc("a document type (and its entities) has no place in XML-RPC")
 
-    def start(self, tag: str, attrs: dict[str, str]) -> None:
-        super().start(tag, attrs)
+    def _start(self, tag: str, _: dict[str, str]) -> None:
+        parent = self._stack[-1][0]
+        if parent not in _PARENTS.get(tag, ()):
+            raise BadXmlRpc(f"<{cut(tag, 80)}> is not expected in <{parent}>")
         if tag == "value":
             self._values += 1
             if self._values > MOST_VALUES:
@@ -162,26 +196,59 @@ class _Reader(Unmarshaller):
             self._depth += 1
             if self._depth > DEEPEST:
                 raise BadXmlRpc(f"values are nested deeper than {DEEPEST} levels")
+        self._stack.append((tag, [], []))
 
-    def end(self, tag: str, *_: Any) -> None:
+    def _text(self, text: str) -> None:
+        self._stack[-1][2].append(text)
+
+    def _end(self, tag: str) -> None:
+        _, content, pieces = self._stack.pop()
+        text = "".join(pieces)
         if tag in ("struct", "array"):
             self._depth -= 1
-        super().end(tag)
+        if tag in ("methodCall", "methodResponse"):
+            value: Any = content
+        elif tag in ("params", "data"):
+            value = [below for _, below in content]
+        elif tag == "value":
+            value = _only(tag, content) if content else text
+        elif tag in ("param", "fault", "array"):
+            value = _only(tag, content)
+        elif tag == "struct":
+            value = dict(below for _, below in content)
+        elif tag == "member":
+            if [kind for kind, _ in content] != ["name", "value"]:
+                raise BadXmlRpc("a member has a name and a value")
+            value = (content[0][1], content[1][1])
+        else:
+            value = _scalar(tag, text)
+        self._stack[-1][1].append((tag, value))
 
-    def end_integer(self, data: str) -> None:
-        number = int(data[:40])
+
+def _only(tag: str, content: list[tuple[str, Any]]) -> Any:
+    if len(content) != 1:
+        raise BadXmlRpc(f"<{tag}> has one element in it, this one has {len(content)}")
+    return content[0][1]
+
+
+def _scalar(tag: str, text: str) -> Any:
+    """Convert the text of a scalar element. Raises ValueError."""
+    if tag in _INTEGERS:
+        number = int(text[:40])
         if not -(2**63) <= number < 2**63:
             raise ValueError(f"the integer {number} does not fit 64 bits")
-        self.end_int(data)
-
-    dispatch: Any = {
-        **{tag: Unmarshaller.dispatch[tag] for tag in (
-            "array", "base64", "boolean", "double", "fault", "methodName", "name", "nil", "params", "string", "struct",
-            "value",
-        )},
-        **dict.fromkeys(_INTEGERS, end_integer),
-        "dateTime.iso8601": Unmarshaller.dispatch["string"],
-    }  # fmt: skip
+        return number
+    if tag == "boolean":
+        if text.strip() not in ("0", "1"):
+            raise ValueError(f"no boolean: {cut(text, 80)!r}")
+        return text.strip() == "1"
+    if tag == "double":
+        return float(text)
+    if tag == "base64":
+        return binascii.a2b_base64(text.encode())
+    if tag == "dateTime.iso8601":
+        return DateTime(text.strip())
+    return None if tag == "nil" else text.strip() if tag == "methodName" else text
 
 
 # --- the server -----------------------------------------------------------------------------------------------------
@@ -193,11 +260,22 @@ Answer = Callable[[str, str, list[Any]], Awaitable[Any]]
 class _Client:
     """A connection to the server, and whom it waits for."""
 
-    def __init__(self, now: float) -> None:
+    def __init__(self, task: asyncio.Task[Any], now: float) -> None:
+        self.share = _HELD.share(lambda _: self.refuse())
+        self.is_refused = False
         self.is_sending = False
         """True from the first byte of a request to its last."""
         self.waits_since: float | None = now
         """The time since which the client is waited for; None while its request is carried out."""
+        self._task = task
+
+    def refuse(self) -> None:
+        """End the connection, to make room."""
+        self.is_refused = True
+        self._task.cancel()
+
+    def is_spare(self, now: float) -> bool:
+        return self.waits_since is not None and now - self.waits_since > _SPARE_S
 
     def waits(self, now: float | None, is_sending: bool = False) -> None:
         self.waits_since, self.is_sending = now, is_sending
@@ -215,7 +293,9 @@ class XmlRpcServer:
 
     async def open(self, host: str, port: int) -> int:
         """Listen and return the port (a free one for 0). Raises OSError."""
-        self._server = await listen(host, port, _HELD, self._serve)
+        self._server = await asyncio.start_server(
+            self._connected, host, port, limit=_LONGEST_HEAD, reuse_address=True, backlog=MOST_CONNECTIONS
+        )
         return int(self._server.sockets[0].getsockname()[1])
 
     @property
@@ -237,65 +317,59 @@ class XmlRpcServer:
 
     def _make_room(self, now: float) -> bool:
         """End the connection whose client is slowest. A slow sender goes before one that is idle. False: none is."""
-        spare = [
-            (not client.is_sending, since, task)
-            for task, client in self._clients.items()
-            if (since := client.waits_since) is not None and now - since > _SPARE_S
-        ]
-        if spare:
-            _, _, slowest = min(spare, key=lambda one: one[:2])
-            del self._clients[slowest]
-            slowest.cancel()
-        return bool(spare)
+        spare = [(task, client) for task, client in self._clients.items() if client.is_spare(now)]
+        if not spare:
+            return False
+        task, slowest = min(spare, key=lambda one: (not one[1].is_sending, one[1].waits_since))
+        del self._clients[task]
+        slowest.refuse()
+        return True
 
-    async def _serve(self, reader: CountedReader, writer: asyncio.StreamWriter) -> None:
+    async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         task = asyncio.current_task()
         assert task is not None
-        try:
-            if why := self.strangers.check(task, writer.transport):
+        if why := self.strangers.seen(task, writer.transport):
+            try:
                 if not self.strangers.are_many:
                     await forbid(why, reader, writer)
-                return
-            now = asyncio.get_running_loop().time()
-            if len(self._clients) >= MOST_CONNECTIONS and not self._make_room(now):
-                return
-            client = self._clients[task] = _Client(now)
-            reader.on_end = lambda error: task.cancel() if isinstance(error, GivenUp) else None
-            try:
-                while await self._serve_request(client, reader, writer):
-                    pass
-            except (asyncio.CancelledError, GivenUp):  # the gateway ends, or others need the room
-                if client.is_sending:
-                    writer.write(_response("503 Service Unavailable", b"", is_last=True))
-            except (OSError, EOFError, asyncio.LimitOverrunError, TimeoutError):
-                pass  # the client disconnected, sends no HTTP or is slow
-        finally:
-            self.strangers.remove(task)
-            self._clients.pop(task, None)
-            reader.close()
-            writer.close()
-
-    async def _serve_request(self, client: _Client, reader: CountedReader, writer: asyncio.StreamWriter) -> bool:
-        """Answer the next request. Returns False when the connection ends with it."""
+            finally:
+                self.strangers.gone(task)
+                writer.close()
+            return
         now = asyncio.get_running_loop().time
-        client.waits(now())
-        async with asyncio.timeout(_IDLE_LIMIT_S):
-            first = await reader.readexactly(1)
-        client.waits(now(), is_sending=True)
-        async with asyncio.timeout(_REQUEST_LIMIT_S):
-            line, fields = await _read_head(reader, first)
-            refusal, length = _judged(line, fields)
-            body = b"" if refusal else await reader.readexactly(length)
-        client.waits(None)
-        path, _, version = line.partition(" ")[2].partition(" ")
-        answer = b"" if refusal else await self._carried_out(path, body)
-        reader.handled()
-        client.waits(now())
-        goes_on = not refusal and version == "HTTP/1.1" and fields.get("connection", "").lower() != "close"
-        writer.write(_response(refusal or "200 OK", answer, is_last=not goes_on))
-        async with asyncio.timeout(_REQUEST_LIMIT_S):
-            await writer.drain()
-        return goes_on
+        if len(self._clients) >= MOST_CONNECTIONS and not self._make_room(now()):
+            writer.close()
+            return
+        client = self._clients[task] = _Client(task, now())
+        try:
+            goes_on = True
+            while goes_on:
+                client.waits(now())
+                async with asyncio.timeout(_IDLE_LIMIT_S):
+                    first = await reader.readexactly(1)
+                client.waits(now(), is_sending=True)
+                async with asyncio.timeout(_REQUEST_LIMIT_S):
+                    line, fields = _head(first + await reader.readuntil(b"\r\n\r\n"))
+                    refusal, length = _judged(line, fields)
+                    body = b"" if refusal else await _read_body(reader, length, client.share)
+                client.waits(None)
+                client.share.set(len(body), len(body))
+                client.share.handled()
+                path, _, version = line.partition(" ")[2].partition(" ")
+                answer = b"" if refusal else await self._carried_out(path, body)
+                client.share.set(0)
+                client.waits(now())
+                goes_on = not refusal and version == "HTTP/1.1" and fields.get("connection", "").lower() != "close"
+                await _reply(writer, refusal or "200 OK", answer, is_last=not goes_on)
+        except asyncio.CancelledError:  # the gateway ends, or others need the room
+            if client.is_refused and client.is_sending:
+                writer.write(_response("503 Service Unavailable", b"", is_last=True))
+        except (OSError, EOFError, asyncio.LimitOverrunError, TimeoutError):
+            pass  # the client disconnected, sends no HTTP or is slow
+        finally:
+            client.share.close()
+            self._clients.pop(task, None)
+            writer.close()
 
     async def _carried_out(self, path: str, body: bytes) -> bytes:
         try:
@@ -335,11 +409,8 @@ def _calls(arguments: list[Any]) -> list[Any]:
     return arguments[0]
 
 
-async def _read_head(reader: CountedReader, first: bytes = b"") -> tuple[str, dict[str, str]]:
-    """Read the first line, and the header fields with lower-case names. Raises as `readuntil`."""
-    head = first + await reader.readuntil(b"\r\n\r\n")
-    if len(head) > _LONGEST_HEAD:
-        raise asyncio.LimitOverrunError("the head is too long", len(head))
+def _head(head: bytes) -> tuple[str, dict[str, str]]:
+    """The first line, and the header fields with lower-case names."""
     line, *rest = head.decode("latin-1").strip().split("\r\n")
     fields = (field.partition(":") for field in rest)
     return line, {name.strip().lower(): value.strip() for name, _, value in fields}
@@ -347,7 +418,8 @@ async def _read_head(reader: CountedReader, first: bytes = b"") -> tuple[str, di
 
 def _judged(line: str, fields: dict[str, str]) -> tuple[str, int]:
     """The refusal of a request, empty without one, and the length of its body."""
-    length = _length(fields)
+    text = fields.get("content-length", "")
+    length = int(text) if text.isdecimal() and text.isascii() and len(text) <= _MOST_DIGITS else -1
     refusal = (
         "501 Unsupported method" if line.partition(" ")[0] != "POST"
         else "403 Forbidden" if "origin" in fields  # the page of some site in a browser; no node of ROS sends this
@@ -358,16 +430,28 @@ def _judged(line: str, fields: dict[str, str]) -> tuple[str, int]:
     return refusal, length
 
 
-def _length(fields: dict[str, str]) -> int:
-    """The length of a body; -1 without a valid one."""
-    text = fields.get("content-length", "")
-    return int(text) if text.isdecimal() and text.isascii() and len(text) <= _MOST_DIGITS else -1
+async def _read_body(reader: asyncio.StreamReader, length: int, share: HeldShare) -> bytes:
+    """Read so many bytes, and count them as they come. Raises EOFError: the other side disconnected."""
+    body = bytearray()
+    while len(body) < length:
+        piece = await reader.read(min(_PIECE, length - len(body)))
+        if not piece:
+            raise EOFError(f"it disconnected after {len(body)} of {length} bytes")
+        body += piece
+        share.set(len(body))
+    return bytes(body)
 
 
 def _response(status: str, body: bytes, is_last: bool) -> bytes:
     fields = f"Server: slidectl\r\nContent-type: text/xml\r\nContent-length: {len(body)}\r\n"
     last = "Connection: close\r\n" if is_last else ""
     return f"HTTP/1.1 {status}\r\n{fields}{last}\r\n".encode() + body
+
+
+async def _reply(writer: asyncio.StreamWriter, status: str, body: bytes, is_last: bool) -> None:
+    writer.write(_response(status, body, is_last))
+    async with asyncio.timeout(_REQUEST_LIMIT_S):
+        await writer.drain()
 
 
 # --- the client -----------------------------------------------------------------------------------------------------
@@ -389,7 +473,7 @@ async def call(uri: str, method: str, *arguments: Any, timeout_s: float = CALL_L
         reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
         raise Refused(f"{uri} does not answer {method}: {reason}") from None
     except BadXmlRpc as error:
-        raise Refused(f"{uri} sent an invalid answer to {method}: {error.message}") from None
+        raise Refused(f"{uri} answers {method} with nonsense: {error.message}") from None
 
 
 def host_port_path(uri: str) -> tuple[str, int, str]:
@@ -404,27 +488,35 @@ def host_port_path(uri: str) -> tuple[str, int, str]:
 
 
 async def _exchange(host: str, port: int, path: str, body: bytes) -> Any:
-    reader, writer = await connect(host, port, _HELD)
+    reader, writer = await asyncio.open_connection(host, port, limit=_LONGEST_HEAD)
+    share = _HELD.share(lambda reason: reader.set_exception(OSError(reason)))
     try:
         fields = f"Host: {host}:{port}\r\nUser-Agent: slidectl\r\nContent-Type: text/xml\r\nConnection: close\r\n"
         writer.write(f"POST {path} HTTP/1.1\r\n{fields}Content-Length: {len(body)}\r\n\r\n".encode() + body)
-        line, answered = await _read_head(reader)
+        line, answered = _head(await reader.readuntil(b"\r\n\r\n"))
         if not re.match(r"HTTP/1\.[01] 200\b", line):
             raise BadXmlRpc(cut(line, 120))
-        length = _length(answered)
-        if length > LONGEST_BODY:
+        text = answered.get("content-length", "")
+        if text.isdecimal() and len(text) <= _MOST_DIGITS:
+            length = int(text)
+            answer = await _read_body(reader, length, share) if length <= LONGEST_BODY else None
+        else:
+            answer = await _until_end(reader, share)
+        if answer is None:
             raise BadXmlRpc(f"an answer of more than {LONGEST_BODY} bytes")
-        return read_response(await (reader.readexactly(length) if length >= 0 else _until_end(reader)))
+        return read_response(answer)
     finally:
-        reader.close()
+        share.close()
         writer.close()
         with suppress(OSError):
             await writer.wait_closed()
 
 
-async def _until_end(reader: CountedReader) -> bytes:
-    try:
-        await reader.readexactly(LONGEST_BODY + 1)
-    except asyncio.IncompleteReadError as error:
-        return error.partial
-    raise BadXmlRpc(f"an answer of more than {LONGEST_BODY} bytes")
+async def _until_end(reader: asyncio.StreamReader, share: HeldShare) -> bytes | None:
+    body = bytearray()
+    while piece := await reader.read(_PIECE):
+        body += piece
+        share.set(len(body))
+        if len(body) > LONGEST_BODY:
+            return None
+    return bytes(body)

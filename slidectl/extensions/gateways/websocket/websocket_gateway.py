@@ -13,6 +13,8 @@ from functools import partial
 from itertools import count
 from typing import Any, ClassVar
 
+from websockets.asyncio.server import ServerConnection, broadcast
+
 from slidectl.effects import Effect
 from slidectl.errors import NoDaemon, SlidectlError
 from slidectl.extensions.gateways.bounded_websocket import TRY_LATER, cut_reason
@@ -26,6 +28,9 @@ from slidectl.web_access import check_effects
 from slidectl.wire.json_lines import LONGEST_LINE
 
 _NODE = "/rosbridge_websocket"
+_UNREAD = 256 * 1024
+"""Unsent bytes to a browser at which sending stops."""
+_PING_EVERY_S, _PONG_WITHIN_S = 20.0, 60.0
 _GOING, _RESTARTS, _FAILED = 1001, 1012, 1011
 
 
@@ -59,7 +64,7 @@ class WebSocketGateway(Gateway):
         self._daemon: DaemonConnection | None = None
         self._goals: ActionGoals | None = None
         self._paths: InstancePaths | None = None
-        self._browsers: dict[ListenerConnection, RosbridgeSession] = {}
+        self._browsers: dict[BrowserConnection, RosbridgeSession] = {}
         self._serial = count(1)
         self._dropped = 0
         """Messages dropped for browsers that have disconnected."""
@@ -71,8 +76,12 @@ class WebSocketGateway(Gateway):
         is_packed = not self._listener.is_local() if options.compress is None else options.compress
         return await self._listener.open(
             self._serve,
+            BrowserConnection,
             compression="deflate" if is_packed else None,
+            ping_interval=_PING_EVERY_S,
+            ping_timeout=_PONG_WITHIN_S,
             max_size=min(options.max_size, LONGEST_LINE),
+            write_limit=_UNREAD,
         )
 
     async def attach(self, paths: InstancePaths) -> None:
@@ -86,7 +95,7 @@ class WebSocketGateway(Gateway):
         self._paths = None
         if self._daemon is not None:
             self._daemon.close()
-        await self._let_go(_RESTARTS, "the daemon has ended")
+        await self._let_go(_RESTARTS, "the daemon has gone")
 
     async def close(self) -> None:
         self._paths = None
@@ -105,8 +114,9 @@ class WebSocketGateway(Gateway):
         if self._browsers:
             await asyncio.wait([asyncio.ensure_future(browser.close(code, reason)) for browser in self._browsers])
 
-    async def _serve(self, browser: ListenerConnection) -> None:
+    async def _serve(self, browser: ServerConnection) -> None:
         """Serve one browser from its handshake to its end."""
+        assert isinstance(browser, BrowserConnection)
         try:
             await self._serve_open(browser)
         except NoDaemon as error:
@@ -114,11 +124,11 @@ class WebSocketGateway(Gateway):
         except SlidectlError as error:
             await browser.close(_FAILED, cut_reason(error.message))
 
-    async def _serve_open(self, browser: ListenerConnection) -> None:
+    async def _serve_open(self, browser: BrowserConnection) -> None:
         if self._paths is None or self._goals is None:
             raise NoDaemon("there is no daemon at the moment")
         node = f"{_NODE}_{os.getpid()}_{next(self._serial)}"
-        lost = partial(browser.end_soon, _RESTARTS, "the daemon has ended")
+        lost = partial(browser.end_soon, _RESTARTS, "the daemon has gone")
         daemon = await DaemonConnection.open(self._paths, self._permitted, node, lost)
         options = self._options
         fragments = self._listener.bounds.held.share(partial(browser.end_at_once, TRY_LATER))
@@ -129,29 +139,68 @@ class WebSocketGateway(Gateway):
         daemon.on_line = session.pass_on
         browser.daemon = daemon
         try:
-            await self._read(browser, session, daemon)
+            await browser.read(session, daemon, options.max_rate)
         finally:
             fragments.close()
             session.close()
             del self._browsers[browser]
             self._dropped += session.dropped
 
-    async def _read(self, browser: ListenerConnection, session: RosbridgeSession, daemon: DaemonConnection) -> None:
-        """Process the browser's frames until it disconnects. Raises ConnectionClosed, NoDaemon."""
-        second_ends, received, now = 0.0, 0, asyncio.get_running_loop().time
-        while True:
-            await browser.writable()
-            frame = await browser.recv(decode=False)
-            if received >= self._options.max_rate:
-                await asyncio.sleep(second_ends - now())
-            if now() >= second_ends:
-                second_ends, received = now() + 1.0, 0
-            received += 1
-            await session.take(frame)
-            del frame  # it may be long, and the next one may come late
-            await daemon.drain()
-
     async def _type_of(self, topic: str) -> str:
         if self._daemon is None:
             raise NoDaemon("there is no daemon at the moment")
         return str((await self._daemon.call("/rosapi/topic_type", {"topic": topic}))["type"])
+
+
+class BrowserConnection(ListenerConnection):
+    """A browser's connection. While it does not read, neither it nor its daemon connection is read."""
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self.daemon: DaemonConnection | None = None
+        self._may_write = asyncio.Event()
+        self._may_write.set()
+        self._ending: asyncio.Future[None] | None = None
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        super().connection_lost(exc)
+        self._may_write.set()
+        if self.daemon is not None:  # `read` may be waiting in `drain`
+            self.daemon.close()
+
+    def pause_writing(self) -> None:
+        super().pause_writing()
+        self._may_write.clear()
+        self.stop_reading("unread")  # stops pings too: answers to them would add to the unsent data
+        if self.daemon is not None:
+            self.daemon.pause()
+
+    def resume_writing(self) -> None:
+        super().resume_writing()
+        self._may_write.set()
+        self.go_on_reading("unread")
+        if self.daemon is not None:
+            self.daemon.resume()
+
+    def write(self, frame: bytes, is_text: bool) -> None:
+        """Send a frame without waiting: `pause_writing` is called when too much is unsent."""
+        broadcast((self,), frame, text=is_text)
+
+    async def read(self, session: RosbridgeSession, daemon: DaemonConnection, most_a_second: int) -> None:
+        """Process the browser's frames until it disconnects. Raises ConnectionClosed, NoDaemon."""
+        second_ends, taken = 0.0, 0
+        while True:
+            await self._may_write.wait()
+            frame = await self.recv(decode=False)
+            if taken >= most_a_second:
+                await asyncio.sleep(second_ends - self.loop.time())
+            if self.loop.time() >= second_ends:
+                second_ends, taken = self.loop.time() + 1.0, 0
+            taken += 1
+            await session.take(frame)
+            del frame  # it may be long, and the next one may come late
+            await daemon.drain()
+
+    def end_soon(self, code: int, reason: str) -> None:
+        """Start closing the connection, from code that cannot await."""
+        self._ending = asyncio.ensure_future(self.close(code, reason))
