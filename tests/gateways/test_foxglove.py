@@ -170,7 +170,7 @@ def test_a_failing_call_tells_the_reason(app: FoxgloveApp) -> None:
     with pytest.raises(AssertionError, match="no robot 'nobody'"):
         app.call("/slidectl/trace", {"robot": "nobody", "joint": "", "last": 1.0, "duration": 0.0})
     call = app.begin_call("/slidectl/status", b"[1", "json")
-    assert "no JSON" in app.wait("serviceCallFailure", callId=call)["message"]
+    assert "not JSON" in app.wait("serviceCallFailure", callId=call)["message"]
 
 
 def test_parameters_are_read_set_and_refused(app: FoxgloveApp, client: Client) -> None:

@@ -238,7 +238,7 @@ class WebSocketListener:
 def _token(options: ListenerOptions) -> str:
     """The token of the options. Raises UsageError, BadFile."""
     if options.token and options.token_file:
-        raise UsageError("--token and --token-file are two ways to say one thing", "give one of them")
+        raise UsageError("--token and --token-file exclude each other", "give one of them")
     token = options.token
     if options.token_file:
         try:
