@@ -626,7 +626,10 @@ class Faults(Feature):
         self.remove()
 
     def make_parts(self, parts: list[Any]) -> None:
-        """Replace all faults by new ones for these requests. Raises Refused, UsageError: no such part, or options."""
+        """Replace all faults by new ones for these requests.
+
+        Raises Refused: there is no such part. UsageError: the options are wrong.
+        """
         wanted = [FaultRequest(*one) for one in parts]
         for request in wanted:
             checked_options(request.kind, request.options)  # the request may come from a file
