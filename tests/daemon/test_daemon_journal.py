@@ -686,6 +686,17 @@ STRANGE: dict[str, tuple[dict[str, Any] | bytes, str]] = {
         {"cycle": 4000, "meshes": [{"path": "a", "scale": [1, 1, 1], "name": "a.stl", "hull": "eJwDAAAAAAE="}]},
         "the hull of a is cut off",
     ),
+    "only a cycle": ({"cycle": 4000}, "the world did not ask for the next entry of the journal"),
+    "a client without a node": ({"cycle": 4000, "client": 9}, "invalid entry: KeyError('node')"),
+    "a node without a name": ({"cycle": 4000, "client": 9, "node": "not//legal"}, "is not the name of a node"),
+    "a node that is a number": ({"cycle": 4000, "client": 9, "node": 5}, "invalid entry: TypeError"),
+    "a read of something else": ({"cycle": 4000, "read": "the mind", "found": 1}, "the world did not ask for"),
+    "meshes that are a number": ({"cycle": 4000, "meshes": 5}, "invalid entry: TypeError"),
+    "a hull of words": (
+        {"cycle": 4000, "meshes": [{"path": "a", "scale": [1, 1, 1], "name": "a.stl", "hull": "?"}]},
+        "the hull of a is cut off",
+    ),
+    "a picture": ({"cycle": 4000, "picture": None}, "no camera waits for a picture now"),
     "nested without end": (b'{"cycle":1,"limit":' + b"[" * 200_000, "invalid entry: maximum recursion depth"),
     "no JSON": (b'{"cycle":1,"limit":', "invalid entry: Expecting value"),
 }
