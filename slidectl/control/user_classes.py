@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import reprlib
+import signal
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
@@ -41,6 +42,7 @@ _HOOKS: dict[str, tuple[str, ...]] = {
     "__init__": (),
 }
 """The arguments of each hook, besides `self`."""
+_RAISES_INTERRUPT = signal.default_int_handler
 
 
 class CodeTimeout(BaseException):
@@ -52,9 +54,14 @@ def is_of_a_user(cls: type) -> bool:
     return not cls.__module__.startswith("slidectl.")
 
 
+def is_fault(failure: BaseException) -> bool:
+    """True for a fault of users' code, also for `sys.exit()` in it. False for Ctrl-C when it ends the process."""
+    return not issubclass(type(failure), KeyboardInterrupt) or signal.getsignal(signal.SIGINT) is not _RAISES_INTERRUPT
+
+
 class WatchedHandles:
     """The joint handles that a user's controller has got. Other code relies on floats in them, and on finite commands,
-    which the hardware does not check."""
+    which the hardware does not check. A state that is not finite may come from the hardware alone."""
 
     def __init__(
         self, handles: Sequence[JointStateHandle], commands: Sequence[tuple[JointHandle, str]], file: str | None
@@ -62,7 +69,6 @@ class WatchedHandles:
         """`commands`: each a handle and the name of an attribute that is a command. `file`: the file of the class."""
         states = [(handle, name) for handle in handles for name in ("position", "velocity", "effort")]
         self._attributes: list[tuple[JointStateHandle, str]] = [*states, *commands]
-        self._states = len(states)
         self._file = file
         self._kept: list[float] = []
 
@@ -71,7 +77,7 @@ class WatchedHandles:
         self._kept = [getattr(handle, name) for handle, name in self._attributes]
 
     def repair(self) -> str:
-        """Convert numbers to float, and replace other values and commands that are not finite by what was saved.
+        """Convert new numbers to float, and replace what is not a finite number by what was saved.
 
         Returns the error text, empty for none. Infinity is allowed when a limit of the joint clips it. Call it inside
         the limit: a value may be an object with code of the user's.
@@ -79,7 +85,7 @@ class WatchedHandles:
         wrong = ""
         for position, (handle, name) in enumerate(self._attributes):
             value: Any = getattr(handle, name, None)
-            if type(value) is float and (isfinite(value) or position < self._states):
+            if value is self._kept[position] or (type(value) is float and isfinite(value)):
                 continue
             lowest, highest = -inf, inf
             if name == "command" and isinstance(handle, JointHandle):
@@ -88,12 +94,14 @@ class WatchedHandles:
                 is_number = isfinite(min(max(value, lowest), highest))
                 if is_number:
                     setattr(handle, name, float(value))
-            except Exception:  # a value may be of any class
+            except BaseException as failure:  # a value may be of any class
+                if not is_fault(failure):
+                    raise
                 is_number = False
             if not is_number:
                 setattr(handle, name, self._kept[position])
                 what = f"the {name.replace('_', ' ')} of joint {handle.name!r}"
-                wrong = f"it set {what} to {reprlib.repr(value)}, which is not a finite number ({self._file})"
+                wrong = f"it set {what} to {_shown(value)}, which is not a finite number ({self._file})"
         return wrong
 
 
@@ -129,14 +137,30 @@ class HookGuard(AbstractContextManager[None]):
                 wrong = self.handles.repair()
         finally:
             self._code.limit.__exit__(kind, failure, *trace)
-        if isinstance(failure, CodeTimeout):
+        if failure is None:
+            if wrong:
+                raise Refused(wrong)
+            return
+        if issubclass(type(failure), CodeTimeout):
             refusal = _too_long(failure)
             self._code.cut_off[self._cls] = refusal.message
             raise refusal from None
-        if isinstance(failure, SystemExit):
-            raise Refused(raised(failure)) from None
-        if wrong and failure is None:
-            raise Refused(wrong)
+        if not issubclass(type(failure), Exception) or _is_users_own(failure):
+            _raise_refused(failure)
+
+
+def _is_users_own(failure: BaseException) -> bool:
+    """True for a SlidectlError of a user's class: its text may be anything."""
+    if not issubclass(type(failure), SlidectlError):
+        return False
+    module = type.__dict__["__module__"].__get__(type(failure))  # a metaclass cannot hide it
+    return type(module) is not str or not module.startswith("slidectl.")
+
+
+def _raise_refused(failure: BaseException) -> None:
+    """Raise Refused for a fault of users' code. Return when it is a Ctrl-C that ends the process."""
+    if is_fault(failure):
+        raise Refused(raised(failure)) from None
 
 
 class CallbackGuard(HookGuard):
@@ -149,8 +173,8 @@ class CallbackGuard(HookGuard):
     def __exit__(self, kind: type[BaseException] | None, failure: BaseException | None, *trace: Any) -> None:
         try:
             super().__exit__(kind, failure, *trace)
-            if isinstance(failure, Exception) and not isinstance(failure, SlidectlError):
-                raise Refused(raised(failure)) from None
+            if failure is not None and not issubclass(type(failure), SlidectlError):
+                _raise_refused(failure)
         except Refused as refusal:  # the sender of a message gets no answer, so log it
             self._node.log("error", f"{self._node.namespace}: {described(refusal)}")
             raise
@@ -172,9 +196,10 @@ def watched_for(what: str, name: str, code: UserCode) -> Iterator[None]:
             yield
     except CodeTimeout as failure:
         raise _too_long(failure) from None
-    except SlidectlError:
-        raise
-    except (Exception, SystemExit) as failure:
+    except BaseException as failure:
+        is_ours = issubclass(type(failure), SlidectlError) and not _is_users_own(failure)
+        if is_ours or not is_fault(failure):
+            raise
         raise Refused(f"{what} {name}: {raised(failure)}") from failure
 
 
@@ -185,19 +210,51 @@ def watched_hardware(hardware: object, code: UserCode) -> AbstractContextManager
 
 
 def raised(failure: BaseException) -> str:
-    """The exception of users' code as one line: class, text, file and line."""
-    return f"{type(failure).__name__}: {failure}{_at(failure)}".replace("\n", " ")
+    """The exception of users' code as one line: class, text, file and line.
+
+    Its class may be the user's too, so what its `__str__` and attributes do is not relied upon.
+    """
+    return f"{_type_name(failure)}: {_text_of(failure)}{_at(failure)}".replace("\n", " ")
 
 
 def described(failure: Exception) -> str:
     """An error as one line: a SlidectlError as its text, others with their class, file and line."""
-    if isinstance(failure, SlidectlError):
-        return "; ".join(line.rstrip(".") for line in str(failure).splitlines())
+    if issubclass(type(failure), SlidectlError):
+        return "; ".join(line.rstrip(".") for line in _text_of(failure).splitlines())
     return raised(failure)
 
 
-def _too_long(failure: CodeTimeout) -> Refused:
-    return Refused(f"{failure}{_at(failure)}", "look for a loop without an end there")
+def _text_of(failure: BaseException) -> str:
+    """The text of an exception, also of one whose `__str__` fails or does not end."""
+    try:
+        with user_modules.active.limit:
+            text = str(failure)
+    except BaseException as another:
+        if not is_fault(another):
+            raise
+        return f"(no text: its __str__ raised {_type_name(another)})"
+    return str.__str__(text)  # an instance of a user's class of strings becomes a plain one
+
+
+def _shown(value: object) -> str:
+    """A value as text; its class when its `__repr__` fails."""
+    try:
+        with user_modules.active.limit:
+            return str.__str__(reprlib.repr(value))
+    except BaseException as failure:
+        if not is_fault(failure):
+            raise
+        return f"an object of class {_type_name(value)}"
+
+
+def _type_name(value: object) -> str:
+    """The name of an object's class, which a metaclass cannot hide."""
+    name: str = type.__dict__["__name__"].__get__(type(value))
+    return name
+
+
+def _too_long(failure: BaseException) -> Refused:
+    return Refused(f"{_text_of(failure)}{_at(failure)}", "look for a loop without an end there")
 
 
 def _at(failure: BaseException) -> str:
@@ -207,7 +264,8 @@ def _at(failure: BaseException) -> str:
 
 def place_of(failure: BaseException) -> tuple[str, int] | None:
     """File and line of the innermost frame of users' code, else of the innermost frame; None: unknown."""
-    frames = [(frame.f_code.co_filename, line or 0) for frame, line in walk_tb(failure.__traceback__)]
+    trace = BaseException.__dict__["__traceback__"].__get__(failure)  # a user's class cannot hide it
+    frames = [(frame.f_code.co_filename, line or 0) for frame, line in walk_tb(trace)]
     outside = [place for place in frames if not _is_library(place[0])]
     return next(reversed(outside or frames), None)
 
@@ -288,18 +346,23 @@ def import_named(users: UserCode, name: str) -> ModuleType:
 
 @contextmanager
 def _importing(what: str) -> Iterator[None]:
-    """Turn exceptions of an import of users' code, SystemExit too, into errors with file and line."""
+    """Turn whatever an import of users' code raises into errors with file and line."""
     try:
         yield
     except CodeTimeout as failure:
         raise _too_long(failure) from None
-    except (Exception, SystemExit) as failure:
+    except SyntaxError as failure:
         file, line = place_of(failure) or (what, 0)
-        if isinstance(failure, SyntaxError) and failure.filename:
+        if failure.filename:
             file, line = failure.filename, failure.lineno or 0
-        elif isinstance(failure, ModuleNotFoundError) and failure.name == what:
+        raise BadFile(f"{_type_name(failure)}: {_text_of(failure)}", file, line or None) from None
+    except BaseException as failure:
+        if not is_fault(failure):
+            raise
+        if issubclass(type(failure), ModuleNotFoundError) and getattr(failure, "name", "") == what:
             raise BadFile(f"no module {what!r} is installed, nor is there a file {what}.py here") from None
-        raise BadFile(f"{type(failure).__name__}: {failure}", file, line or None) from None
+        file, line = place_of(failure) or (what, 0)
+        raise BadFile(f"{_type_name(failure)}: {_text_of(failure)}", file, line or None) from None
 
 
 # -- classes -----------------------------------------------------------------------------------------------------------

@@ -626,10 +626,13 @@ class Faults(Feature):
         self.remove()
 
     def make_parts(self, parts: list[Any]) -> None:
-        """Replace all faults by new ones for these requests. Raises Refused, UsageError: no such part, or options."""
+        """Replace all faults by new ones for these requests.
+
+        Raises Refused: there is no such part. UsageError: the options, the name, a time or the seed is wrong.
+        """
         wanted = [FaultRequest(*one) for one in parts]
         for request in wanted:
-            checked_options(request.kind, request.options)  # the request may come from a file
+            _check(request)
             kind = KINDS[request.kind].target
             if kind not in ("topic", "controller"):  # these may have been removed since
                 robot, part = self._targets(kind).get(request.target, (None, ""))
@@ -756,6 +759,14 @@ class Faults(Feature):
         checked_options(request["kind"], options)  # before they are used as keywords
         named = request["name"], request["namespace"] or "/"
         return {"fault": self.add(request["target"], request["kind"], start, end, request["seed"], *named, **options)}
+
+
+def _check(request: FaultRequest) -> None:
+    """Raise UsageError for a request, which may come from a file, that no client can make."""
+    numbers = request.start_ns, request.end_ns, abs(request.seed)
+    if not names.is_component(request.name) or not all(type(one) is int and 0 <= one <= NEVER for one in numbers):
+        raise UsageError(f"the name, a time or the seed of the fault {request.name!r} is not valid")
+    checked_options(request.kind, request.options)
 
 
 def _serve_kinds(_: Message) -> Message:

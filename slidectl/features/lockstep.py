@@ -105,7 +105,7 @@ class LockStepService(Feature):
         if node not in self.members:
             why = self._removed.pop(node, "")
             text = f"{node} is not in lock-step" + (f": {why}" if why else "")
-            raise Refused(text, "join with a period above 0, also after a removal")
+            raise Refused(text, "join again with a period above 0; a member that was removed must join again, too")
         return self.members[node]
 
     def _join(self, node: str, period_s: float, timeout_s: float) -> None:

@@ -88,7 +88,7 @@ def read(path: str, host: Host) -> Snapshot:
     for name, here in (("slidectl", slidectl.__version__), ("mujoco", mujoco_library.VERSION)):
         if versions[name] != here:
             text = f"the snapshot was saved with {name} {versions[name]}, and this is {name} {here}"
-            raise BadFile(text, path, hint="save it anew with this version")
+            raise BadFile(text, path, hint="save it again with this version")
     if len(content) < size:
         raise BadFile(f"the snapshot is cut off: {len(content)} bytes of {size} are there", path)
     if hashlib.sha256(content).hexdigest() != digest:

@@ -92,7 +92,7 @@ class AppliedForces:
         """False while all efforts are 0."""
         self._robots: Mapping[str, AttachedRobot] = {}
         self._acted: tuple[float, Array | None] = (-1.0, None)
-        """MuJoCo's time after the last step with external forces, and their wrenches on robots."""
+        """MuJoCo's time after the last step with external forces, and their wrenches on MuJoCo's bodies."""
 
     @property
     def has_forces(self) -> bool:
@@ -158,7 +158,7 @@ class AppliedForces:
         self.has_efforts = not self.motors.is_empty
 
     def wrenches_of_step(self, data: Any) -> Array | None:
-        """The external wrenches on robots in the last step, as xfrc_applied; None: there were none."""
+        """The external wrenches in the last step, one row for each of MuJoCo's bodies, as xfrc_applied; None: none."""
         time, forces = self._acted
         return forces if time == data.time else None
 

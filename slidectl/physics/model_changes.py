@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 class _JointChange:
     """A change of a joint's dry friction and of another property of its dof in the model."""
 
-    other: ClassVar[str]
+    second_array: ClassVar[str]
     """The name of the other property's array in MjModel."""
 
     def __init__(self, world: World, robot: AttachedRobot, joint: str) -> None:
@@ -41,7 +41,7 @@ class _JointChange:
 
     @property
     def _arrays(self) -> tuple[Any, Any]:
-        return self._world.model.dof_frictionloss, getattr(self._world.model, self.other)
+        return self._world.model.dof_frictionloss, getattr(self._world.model, self.second_array)
 
     def _set(self, values: Sequence[Any]) -> None:
         """Set dry friction and the other property; None: unchanged."""
@@ -54,7 +54,7 @@ class _JointChange:
 class StuckJoint(_JointChange):
     """Holds a joint at its position by a motor without bound, which overrides its drive."""
 
-    other = "dof_solimp"
+    second_array = "dof_solimp"
 
     saved_attributes: ClassVar[tuple[str, ...]] = ("_dynamics",)
     saved_or_none: ClassVar[tuple[str, ...]] = ("_position", "_lasting")
@@ -108,7 +108,7 @@ class JointFriction(_JointChange):
     """Replaces the dry friction (N or N·m), the damping (N·s/m or N·m·s/rad), or both, of a joint; None: unchanged."""
 
     saved_or_none: ClassVar[tuple[str, ...]] = ("_before",)
-    other = "dof_damping"
+    second_array = "dof_damping"
 
     def __init__(
         self, world: World, robot: AttachedRobot, joint: str, friction: float | None, damping: float | None

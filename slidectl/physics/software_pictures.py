@@ -31,7 +31,7 @@ class SoftwareDrawer:
         self._model = model
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
-        self._sun = _Spotlight(model, data)
+        self._light_of_world = _Spotlight(model, data)
         solid = [geom for geom in range(model.ngeom) if model.geom_rgba[geom, 3] > 0.0]
         self._planes = [geom for geom in solid if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE]
         shapes = {geom: _triangles(model, geom) for geom in solid if geom not in self._planes}
@@ -61,7 +61,7 @@ class SoftwareDrawer:
     def _light(self, ahead: Array, points: Array, normals: Array) -> Array:
         head = self._model.vis.headlight
         light: Array = head.ambient + (-normals @ ahead).clip(0.0)[:, None] * head.diffuse
-        return light + self._sun.on(points, normals)
+        return light + self._light_of_world.on(points, normals)
 
 
 class _Spotlight:

@@ -528,7 +528,7 @@ class World:
         self._observer.invalidate()
 
     def compute_body_forces(self) -> None:
-        """Compute the accelerations of robots and the forces between them in the last step, in `data`."""
+        """Compute the accelerations of MuJoCo's bodies and the forces between them in the last step, in `data`."""
         if self._forces_at != self.data.time:
             mujoco.mj_rnePostConstraint(self.model, self.data)  # writes nothing else
 

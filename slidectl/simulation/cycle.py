@@ -77,7 +77,7 @@ def guarded(hook: Callable[..., None], what: str, cls: type, code: UserCode) -> 
             with guard:
                 hook(*arguments)
         except Exception as failure:
-            text = failure.message if isinstance(failure, SlidectlError) else raised(failure)
+            text = failure.message if issubclass(type(failure), SlidectlError) else raised(failure)  # type: ignore[attr-defined]
             raise CycleFailed(f"{what}: {text}") from failure
 
     return call

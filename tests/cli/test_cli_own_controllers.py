@@ -176,11 +176,20 @@ def test_a_law_that_raises_is_aborted_with_file_and_line_and_runs_again_when_it_
     assert effort(pushing) == 2.0
 
 
+@pytest.mark.parametrize(
+    "exit_",
+    [
+        "__import__('sys').exit(3)",
+        "raise KeyboardInterrupt",
+        "raise GeneratorExit",
+        "raise __import__('asyncio').CancelledError",
+    ],
+)
 @pytest.mark.parametrize("hook", ["starting(self, time_ns)", "update(self, time_ns, period_s)"])
 def test_an_exit_in_a_hook_aborts_its_controller_and_the_daemon_goes_on(
-    pushing: CommandLine, law: Path, hook: str
+    pushing: CommandLine, law: Path, hook: str, exit_: str
 ) -> None:
-    written(law, f"{LAW}\n    def {hook}:\n        __import__('sys').exit(3)\n")
+    written(law, f"{LAW}\n    def {hook}:\n        {exit_}\n")
     pushing("controller", "reload", "my_law")
     pushing.ok("sim", "step", "2")
     assert state(pushing) == "aborted"
@@ -282,13 +291,16 @@ def test_a_callback_that_fails_is_an_error_of_its_caller_and_one_that_does_not_e
     assert effort(pushing) == 2.0
 
 
-@pytest.mark.parametrize("fault", ["del self.joint.command", "self.joint.velocity = 'x'"], ids=["del", "state"])
+@pytest.mark.parametrize(
+    "fault", ["raise Silent", "del self.joint.command", "self.joint.velocity = 'x'"], ids=["text", "del", "state"]
+)
 def test_a_fault_of_a_law_aborts_it_alone_and_the_world_goes_on(pushing: CommandLine, law: Path, fault: str) -> None:
     pushing.ok(
         "param", "set", "/slider/states", "{type: joint_state_controller/JointStateController, publish_rate: 50}"
     )
     pushing.ok("controller", "spawn", "states")
-    written(law, LAW + f"        {fault}\n")
+    silent = "class Silent(Exception):\n    def __str__(self): raise ValueError\n"
+    written(law, silent + LAW + f"        {fault}\n")
     pushing("controller", "reload", "my_law")
     pushing.ok("sim", "step", "200")
     assert (state(pushing), state(pushing, "states")) == ("aborted", "running")

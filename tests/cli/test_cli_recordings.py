@@ -26,6 +26,7 @@ from rosbags.typesys import Stores, get_typestore
 from waiting import eventually
 
 from slidectl import msgs
+from slidectl.errors import BadFile
 from slidectl.extensions.recording import codec, recording_files
 from slidectl.extensions.recording.recording_files import BadRecording, create, opened
 
@@ -674,3 +675,19 @@ def test_a_message_goes_through_the_recorder_and_the_format_to_the_library(
     recorder.write("/x", 0, {"data": 1.0})
     recorder.close()
     assert layers == [f"_{kind[1:].capitalize()}Writer.write", "Recorder.write"]
+
+
+@pytest.mark.parametrize("kind", [".bag", ".mcap"])
+def test_a_file_that_cannot_be_read_is_replaced_with_force(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    def refuse(path: Path, *_: Any, **__: Any) -> Any:
+        raise BadFile("cannot be read: Permission denied", path)
+
+    path = tmp_path / f"run{kind}"
+    path.write_bytes(b"of another program")
+    with monkeypatch.context() as patch:  # not by the mode of the file, which does not bind root
+        patch.setattr(recording_files.input_files, "opened", refuse)
+        create(path, force=True).close()
+    with opened(path) as recording:
+        assert not recording.damage

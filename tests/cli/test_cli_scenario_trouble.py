@@ -6,14 +6,19 @@ import json
 import os
 import re
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 from command_line import ROOT, CommandLine
 from lxml import etree
 from waiting import eventually
+
+from slidectl.errors import BadFile
+from slidectl.extensions.scenarios import scenario_file
+from slidectl.extensions.scenarios.commands.step_runner import StepRunner
 
 Write = Callable[[str, str], Path]
 
@@ -142,6 +147,60 @@ def test_wrong_files_are_named_with_their_lines_and_never_tracebacks(slidectl: C
     assert results(slidectl, str(nothing), "--sim-timeout", "1e300")["nothing"]["verdict"] == "passed"
 
 
+def test_a_file_of_too_many_steps_is_refused_before_they_are_read(
+    slidectl: CommandLine, write: Write, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files = {
+        "steps": ("steps:\n" + "- sim step: 1\n" * 100_000, "10002: more than 10000 items in a list"),
+        "deep": ("steps:\n" + "- " * 900 + "robots", "nested too deep"),
+        "aliases": (
+            "vars:\n  a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1]\n"
+            + "".join(f"  a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 8)}]\n" for n in range(1, 20))
+            + "steps: [robots]",
+            "is too large, or nested too deeply",
+        ),
+        "values": (
+            "vars:\n" + "".join(f"  a{n}: [{'1, ' * 999}]\n" for n in range(101)) + "steps: [robots]",
+            "101: more than 100000 values",
+        ),
+        "cases": (
+            "cases:\n" + "".join(f"- {{x: {n}}}\n" for n in range(1000)) + "steps:\n" + "- robots\n" * 200,
+            "1: 200000 steps in 1000 cases: a file may have 100000 in all",
+        ),
+    }
+    for name, (text, said) in files.items():
+        file = write(f"{name}.yaml", text)
+        done = slidectl("test", "--list", str(file))
+        assert (done.returncode, "fault of slidectl" in done.stderr) == (2, False)
+        assert f"{file}:" in done.stderr
+        assert said in done.stderr
+    monkeypatch.setattr(scenario_file.yaml_tree, "documents", lambda *_: pytest.fail("it is read"))
+    monkeypatch.setattr(yaml, "parse", counted := Counted(yaml.parse))
+    mistakes: list[BadFile] = []
+    assert scenario_file.read(str(write("steps.yaml", files["steps"][0])), StepRunner(False), mistakes) == []
+    assert len(mistakes) == 1
+    assert counted.events < 50_000  # of 400 000
+
+
+class Counted:
+    """PyYAML's function, which tells of how many events it was asked."""
+
+    def __init__(self, parse: Callable[..., Iterator[yaml.Event]]) -> None:
+        self.events = 0
+        self._parse = parse
+
+    def __call__(self, *arguments: Any) -> Iterator[yaml.Event]:
+        for event in self._parse(*arguments):
+            self.events += 1
+            yield event
+
+
+def test_a_file_with_many_mistakes_is_not_checked_to_its_end(slidectl: CommandLine, write: Write) -> None:
+    file = write("wrong.yaml", "steps:\n" + "".join(f"- wiat{n}: 1\n" for n in range(5000)))
+    done = slidectl("test", "--check", str(file), "--json")
+    assert (done.returncode, len(done.stdout.splitlines())) == (2, 100)
+
+
 def test_only_a_failure_of_the_command_is_one_that_was_to_come(slidectl: CommandLine, write: Write) -> None:
     cases = {
         "past": "[sim step: 3s, {at: 1.0, robots: , fails: true}]",
@@ -207,7 +266,7 @@ def test_keywords_are_words_with_and_or_not_and_brackets_alone(slidectl: Command
     assert slidectl.ok("test", str(file), "--list", "-k", "not (one or three) and True or k.yaml::two").split() == [
         f"{file}::two"
     ]
-    for text in ("one(two)", "one two", "()"):
+    for text in ("one(two)", "one two", "()", "not " * 3000 + "one", "(" * 500 + "one" + ")" * 500):
         done = slidectl("test", str(file), "--list", "-k", text)
         assert (done.returncode, done.stdout) == (2, "")
         assert "-k takes words with and, or, not and ( )" in done.stderr
@@ -241,6 +300,23 @@ def test_nothing_that_a_user_has_for_pytest_changes_a_run(slidectl: CommandLine,
         done = slidectl("test", "two.yaml", "-n", count, cwd=two.parent, **variables)
         assert (done.returncode, done.stdout.splitlines()[-1], done.stderr) == (0, "2 passed", "")
     assert not (two.parent / ".pytest_cache").exists()
+
+
+def test_file_names_may_have_colons_and_bytes_that_are_not_utf_8(slidectl: CommandLine, tmp_path: Path) -> None:
+    folder = tmp_path / "scenarios"
+    folder.mkdir()
+    text = f"{PLAIN}cases: [{{name: one}}, {{name: 'two::three[4]'}}]\nsteps: [delete nobody]"
+    for name in (b"a::b.yaml", b"caf\xe9.yaml"):
+        (folder / os.fsdecode(name)).write_text(text)
+    xml = tmp_path / "out.xml"
+    for count in ("1", "2"):
+        done = slidectl("test", str(folder), "-n", count, "--junitxml", str(xml))
+        assert (done.returncode, done.stderr) == (1, "")
+        assert done.stdout.splitlines()[-1] == "4 failed"
+        assert etree.parse(xml).find("testsuite").get("failures") == "4"
+    one = slidectl("test", f"{folder}/a::b.yaml::two::three[4]", "--list")
+    assert one.stdout == f"{folder}/a::b.yaml::two::three[4]\n"
+    assert slidectl.ok("test", f"{folder}/a::b.yaml", "--list").splitlines()[0] == f"{folder}/a::b.yaml::one"
 
 
 def test_a_worker_that_dies_is_named_with_its_scenario_and_the_others_run(slidectl: CommandLine, write: Write) -> None:

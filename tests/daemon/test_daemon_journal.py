@@ -686,6 +686,17 @@ STRANGE: dict[str, tuple[dict[str, Any] | bytes, str]] = {
         {"cycle": 4000, "meshes": [{"path": "a", "scale": [1, 1, 1], "name": "a.stl", "hull": "eJwDAAAAAAE="}]},
         "the hull of a is cut off",
     ),
+    "only a cycle": ({"cycle": 4000}, "the world did not ask for the next entry of the journal"),
+    "a client without a node": ({"cycle": 4000, "client": 9}, "invalid entry: KeyError('node')"),
+    "a node without a name": ({"cycle": 4000, "client": 9, "node": "not//legal"}, "is not the name of a node"),
+    "a node that is a number": ({"cycle": 4000, "client": 9, "node": 5}, "invalid entry: TypeError"),
+    "a read of something else": ({"cycle": 4000, "read": "the mind", "found": 1}, "the world did not ask for"),
+    "meshes that are a number": ({"cycle": 4000, "meshes": 5}, "invalid entry: TypeError"),
+    "a hull of words": (
+        {"cycle": 4000, "meshes": [{"path": "a", "scale": [1, 1, 1], "name": "a.stl", "hull": "?"}]},
+        "the hull of a is cut off",
+    ),
+    "a picture": ({"cycle": 4000, "picture": None}, "no camera waits for a picture now"),
     "nested without end": (b'{"cycle":1,"limit":' + b"[" * 200_000, "invalid entry: maximum recursion depth"),
     "no JSON": (b'{"cycle":1,"limit":', "invalid entry: Expecting value"),
 }
@@ -716,7 +727,20 @@ def test_the_command_says_file_line_and_what_is_wrong_with_an_entry(short: Path,
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("timestep", "x"), ("gravity", [1, 2]), ("rtf", None), ("wind", 3), ("journal", "/tmp/other")],
+    [
+        ("timestep", "x"),
+        ("timestep", 10**400),
+        ("gravity", [1, 2]),
+        ("gravity", 5),
+        ("imports", 5),
+        ("imports", [5]),
+        ("chosen", "all"),
+        ("engine", []),
+        ("paused", "yes"),
+        ("rtf", None),
+        ("wind", 3),
+        ("journal", "/tmp/other"),
+    ],
 )
 def test_odd_options_of_the_world_are_refused_in_the_first_line(short: Path, name: str, value: Any) -> None:
     first, _, rest = short.read_bytes().partition(b"\n")
@@ -724,7 +748,9 @@ def test_odd_options_of_the_world_are_refused_in_the_first_line(short: Path, nam
     del header["crc"]
     header["options"][name] = value
     short.write_bytes(sealed(header) + b"\n" + rest)
-    with pytest.raises(BadFile, match=r":1: slidectl .* wrote it with options that"):
+    unknown = "wrote it with options that .* does not know"
+    said = f"{unknown}: {name}" if name in ("wind", "journal") else f"its options are not valid: .*{name[-4:]}"
+    with pytest.raises(BadFile, match=f":1: .*{said}"):
         journal.read(str(short))
 
 

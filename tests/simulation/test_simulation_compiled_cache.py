@@ -133,6 +133,34 @@ def test_a_compiler_whose_folder_is_gone_leaves_nothing_behind(monkeypatch: pyte
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_file_that_is_not_what_was_written_is_thrown_away(folder: Path) -> None:
+    for damaged in (b"", b"short", b"\0" * 9000):
+        file = put(folder, "cycle-now.o")
+        file.write_bytes(damaged)
+        with pytest.raises(FileNotFoundError):
+            object_file._read(object_file.place())
+        assert not file.exists()
+
+
+@needs_numba
+@BEHIND_OTHERS
+def test_damaged_code_is_compiled_again_and_ends_no_process(tmp_path: Path) -> None:
+    program = (
+        "from slidectl.simulation import Simulation\n"
+        "from slidectl.simulation.compiled import object_file\n"
+        "object_file.prepare()\n"
+        "object_file.place().write_bytes(b'half of what was ' * 100)\n"
+        "object_file.place().chmod(0o600)\n"
+        "simulation = Simulation(engine='compiled')\n"
+        "simulation.engine.complete()\n"
+        "simulation.step(10)\n"
+        "print(simulation.engine, simulation.cycles)\n"
+    )
+    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
+    done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True)
+    assert (done.stdout, done.stderr, done.returncode) == ("compiled 10\n", "", 0)
+
+
 def run_in(folder: Path, program: str, **environment: str) -> str:
     """What a program prints that is started in this folder, with code of its own."""
     changed = {**os.environ, "XDG_CACHE_HOME": str(folder / "cache"), **environment}

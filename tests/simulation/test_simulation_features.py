@@ -325,11 +325,11 @@ def test_a_fault_of_a_file_that_no_client_can_add_is_refused_and_nothing_has_cha
     simulation.save("here")
     before = simulation.faults.messages()
     [noise] = simulation.snapshots.get("here").parts["faults"]
-    wrong = noise._replace(options={"sd": "much"})
-    changed = replace(simulation.snapshots.get("here"), parts={"faults": [wrong]}, is_from_file=True)
-    with pytest.raises(SlidectlError):
-        restore(simulation, changed)
-    assert simulation.faults.messages() == before
+    for wrong in (noise._replace(seed=1.5), noise._replace(name="no name"), noise._replace(options={"sd": "much"})):
+        changed = replace(simulation.snapshots.get("here"), parts={"faults": [wrong]}, is_from_file=True)
+        with pytest.raises(SlidectlError):
+            restore(simulation, changed)
+        assert simulation.faults.messages() == before
 
 
 def test_a_snapshot_with_the_state_of_a_feature_that_is_not_there_is_refused(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from scipy.linalg import solve_continuous_are
 from sim_robots import STATES, cart, command, configure, drive_up, logged, state, states_of, switch
 
 from slidectl import description
+from slidectl.control import user_classes
 from slidectl.errors import SlidectlError
 from slidectl.simulation import Simulation
 from slidectl.simulation.compiled.object_file import is_possible
@@ -254,25 +255,76 @@ def test_a_law_that_commands_no_number_is_aborted_and_the_last_command_stays(
 
 
 ODD = """
-class Mine(Exception):
+class NoText(Exception):
+    def __str__(self): raise ValueError("no text")
+
+class NoTextNorEnd(Exception):
+    def __str__(self): raise SystemExit(3)
+
+class NoName(type):
+    @property
+    def __name__(cls): raise ValueError("no name")
+    @property
+    def __module__(cls): raise ValueError("no module")
+
+class Nameless(Exception, metaclass=NoName):
     pass
+
+class Untraced(Exception):
+    __traceback__ = property(lambda self: 1 / 0)
+    __cause__ = property(lambda self: 1 / 0)
+    __class__ = property(lambda self: 1 / 0)
+
+class OwnText(str):
+    def replace(self, *_): raise ValueError("no such text")
+    def __format__(self, _): raise ValueError("no such text")
+
+class Told(Exception):
+    def __str__(self): return OwnText("told")
+
+from slidectl.errors import SlidectlError
+
+class Mine(SlidectlError):
+    def __init__(self): pass
+    def __str__(self): raise ValueError("no text")
+
+class Odd:
+    def __repr__(self): raise SystemExit(5)
+    def __float__(self): raise SystemExit(5)
+    def __lt__(self, other): raise SystemExit(5)
+    def __add__(self, other): return 0.0
 
 def deep(): deep()
 
 """
-"""The text in front of the law."""
+"""The text in front of the law: classes of exceptions and values whose own methods fail."""
 ODD_FAULTS = [
-    ("raise Mine('why')", "Mine: why"),
+    ("raise NoText", "NoText: (no text: its __str__ raised ValueError)"),
+    ("raise NoTextNorEnd", "NoTextNorEnd: (no text: its __str__ raised SystemExit)"),
+    ("raise Nameless('why')", "Nameless: why"),
+    ("raise Untraced('why')", "Untraced: why"),
+    ("raise Told", "Told: told"),
+    ("raise Mine", "Mine: (no text: its __str__ raised ValueError)"),
+    ("raise KeyboardInterrupt", "KeyboardInterrupt: "),
+    ("raise GeneratorExit", "GeneratorExit: "),
     ("raise SystemExit(3)", "SystemExit: 3"),
+    ("raise __import__('asyncio').CancelledError", "CancelledError: "),
+    ("__import__('pytest').fail('why')", "Failed: why"),
     ("raise MemoryError", "MemoryError: "),
+    ("raise BaseExceptionGroup('both', [SystemExit(1), NoText()])", "BaseExceptionGroup: both"),
     ("deep()", "RecursionError: maximum recursion depth exceeded"),
     ("del self.joint.command", "it set the command of joint 'joint1' to None"),
+    ("del self.joint.position", "it set the position of joint 'joint1' to None"),
     ("self.joint.velocity = 'x'", "it set the velocity of joint 'joint1' to 'x', which is not a finite number"),
     ("self.joint.effort = None", "it set the effort of joint 'joint1' to None"),
     ("self.joint.position = [1.0]", "it set the position of joint 'joint1' to [1.0]"),
     ("self.joint.position = 10**400", "it set the position of joint 'joint1' to 1000"),
+    ("self.joint.position = 10**9999", "it set the position of joint 'joint1' to an object of class int"),
+    ("self.joint.position = float('nan')", "it set the position of joint 'joint1' to nan"),
     ("self.joint.velocity = __import__('numpy').ones(3)", "it set the velocity of joint 'joint1' to array([1., 1."),
+    ("self.joint.velocity = Odd()", "it set the velocity of joint 'joint1' to an object of class Odd"),
     ("self.joint.command = object()", "it set the command of joint 'joint1' to <object"),
+    ("self.joint.command = Odd()", "it set the command of joint 'joint1' to an object of class Odd"),
 ]
 """Statements, and the error text of each."""
 ENGINES = [
@@ -282,8 +334,9 @@ ENGINES = [
 
 
 @pytest.fixture(params=ENGINES)
-def shared(bench: Bench, request: pytest.FixtureRequest) -> Bench:
-    """A robot of two joints whose other controllers run, and a second robot."""
+def shared(bench: Bench, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Bench:
+    """A robot of two joints whose other controllers run, and a second robot. A Ctrl-C would not end the process."""
+    monkeypatch.setattr(user_classes, "_RAISES_INTERRUPT", object())
     bench.simulation = Simulation(engine=request.param)
     if request.param == "compiled":
         bench.simulation.engine.complete()
@@ -328,7 +381,7 @@ def test_a_law_that_does_something_odd_is_aborted_alone(shared: Bench, fault: st
     assert shared.effort() == 1.0
 
 
-@pytest.mark.parametrize("fault", ["raise Mine", "del self.joint.command", "self.joint.velocity = 'x'"])
+@pytest.mark.parametrize("fault", ["raise NoText", "del self.joint.command", "self.joint.velocity = 'x'"])
 @pytest.mark.parametrize("hook", ["init", "starting", "stopping", "aborting", "hear", "tick", "serve", "note"])
 def test_every_hook_may_do_something_odd(shared: Bench, hook: str, fault: str) -> None:
     asked = """
@@ -357,10 +410,10 @@ def test_every_hook_may_do_something_odd(shared: Bench, hook: str, fault: str) -
     assert switch(shared.simulation, start=["my_law", *others])
     shared.simulation.step(20)
     if hook == "hear":
-        with pytest.raises(SlidectlError, match=r"Mine|it set"):
+        with pytest.raises(SlidectlError, match=r"NoText|it set"):
             shared.simulation.publish("/cart/my_law/hear", {"data": "x"})
     if hook == "serve":
-        with pytest.raises(SlidectlError, match=r"Mine|it set"):
+        with pytest.raises(SlidectlError, match=r"NoText|it set"):
             shared.simulation.call("/cart/my_law/serve")
     if hook == "note":
         with suppress(SlidectlError):

@@ -16,7 +16,7 @@ import re
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -53,6 +53,37 @@ _LIBRARIES = ("mujoco", "numpy", "numba")
 PICTURE = "sensor_msgs/Image"
 _PROCESS_OPTIONS = ("child", "journal", "replay", "until")
 """Options of a daemon that do not describe its world."""
+_LARGEST_WHOLE = 2**63
+
+
+def _is_number(value: Any) -> bool:
+    return type(value) is float or (type(value) is int and abs(value) < _LARGEST_WHOLE)
+
+
+def _is_flag(value: Any) -> bool:
+    return isinstance(value, bool)
+
+
+def _is_text(value: Any) -> bool:
+    return isinstance(value, str)
+
+
+def _is_list(fits: Callable[[Any], bool]) -> Callable[[Any], bool]:
+    return lambda value: isinstance(value, list) and all(map(fits, value))
+
+
+_OPTIONS: dict[str, tuple[Callable[[Any], bool], str]] = {
+    "rtf": (_is_number, "a number"),
+    "paused": (_is_flag, "true or false"),
+    "timestep": (_is_number, "a number"),
+    "gravity": (_is_list(_is_number), "a list of numbers"),
+    "ground": (_is_flag, "true or false"),
+    "strict": (_is_flag, "true or false"),
+    "engine": (_is_text, "a text"),
+    "chosen": (_is_list(_is_text), "a list of texts"),
+    "imports": (_is_list(_is_text), "a list of texts"),
+}
+"""For each option of a world: a check of its type, and the type in words."""
 _SHUTDOWN = "/slidectl/shutdown"
 _LINE = re.compile(rb'\{"cycle":(\d{1,20}),"client":(\d{1,20}),"line":(.*)\Z', re.DOTALL)
 _CHECKSUM = re.compile(rb'(.*),"crc":"([0-9a-f]{8})"\}\Z', re.DOTALL)
@@ -336,21 +367,25 @@ def _json(body: bytes, path: str, number: int) -> dict[str, Any]:
 
 
 def invalid_entry(why: str, path: str, number: int) -> BadFile:
-    """The error for an entry that is as it was written, by its checksum, but by no daemon."""
+    """The error for an entry whose checksum is right, but whose content is not valid."""
     return BadFile(f"invalid entry: {why}", path, number)
 
 
 def _options(path: str, header: dict[str, Any]) -> DaemonOptions:
-    text = f"slidectl {_version(header)} wrote it with options that {slidectl.__version__} does not know"
     options = header.get("options")
     if not isinstance(options, dict):
         raise BadFile("it has no options of the world", path, 1)
-    if unknown := options.keys() - {field.name for field in fields(DaemonOptions)}.difference(_PROCESS_OPTIONS):
+    if unknown := options.keys() - _OPTIONS.keys():
+        text = f"slidectl {_version(header)} wrote it with options that {slidectl.__version__} does not know"
         raise BadFile(f"{text}: {listing(unknown)}", path, 1)
+    for name, value in options.items():
+        fits, expected = _OPTIONS[name]
+        if not fits(value):
+            raise BadFile(f"its options are not valid: {name} must be {expected}", path, 1)
     try:
         return DaemonOptions.read(options)
-    except (TypeError, ValueError, UsageError) as error:
-        raise BadFile(f"{text}: {error}", path, 1) from None
+    except UsageError as error:
+        raise BadFile(f"its options are not valid: {error}", path, 1) from None
 
 
 def _version(header: dict[str, Any]) -> str:

@@ -13,6 +13,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NoReturn
 
+from slidectl import names
 from slidectl.control.duration import from_seconds
 from slidectl.control.user_modules import UserModule
 from slidectl.daemon import time_limit
@@ -203,6 +204,8 @@ class Replay(HostWrapper):
         elif "client" in entry:
             if entry["client"] <= self._last_client:
                 self._fail(f"there was a client {entry['client']} before")
+            if not names.is_legal(entry["node"]):
+                raise ValueError(f"{entry['node']!r} is not the name of a node")
             self._last_client = entry["client"]
             self._sessions[entry["client"]] = Session(
                 _DiscardingReader(self._publications),

@@ -194,7 +194,11 @@ def refuse_unreplaceable(path: Path) -> None:
         return
     if not path.is_file():
         raise Refused(f"{path} is not a regular file", "give another name")
-    with input_files.opened(path) as file:
+    try:
+        file = input_files.opened(path)
+    except BadFile:  # it cannot be read, but perhaps replaced
+        return
+    with file:
         if not _lock(file):
             raise Refused(f"{path} is being recorded", "end that first, or give another name")
 

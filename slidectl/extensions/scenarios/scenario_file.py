@@ -40,6 +40,14 @@ TEMPORARY = "${tmp}"
 """Placeholder in words for the folder of the running case, which is known only when it runs."""
 _VARIABLE = re.compile(r"\$(\$)?\{([^}]*)\}")
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
+_MOST_VALUES = 100_000
+"""The most values of a file, counting what aliases repeat."""
+_MOST_ITEMS = 10_000
+"""The most steps of a section, cases, or items of another list."""
+_MOST_MISTAKES = 100
+"""After so many mistakes the rest of a file is not checked: its author has enough to do, and each takes a search."""
+_MOST_STEPS = 100_000
+"""The most steps of all cases of a file."""
 _UNREADABLE = (yaml.YAMLError, ValueError, OverflowError, LookupError, AttributeError)
 """The exceptions of PyYAML for values that do not fit their tags."""
 _GIVEN = ("dir", "tmp")
@@ -142,7 +150,7 @@ def find(words: Sequence[str]) -> list[tuple[str, str]]:
     """Find files for FILE, FOLDER and FILE::CASE. Returns each with the case name (empty: all). Raises BadFile."""
     found: list[tuple[str, str]] = []
     for word in words:
-        path, _, case = word.partition("::")
+        path, case = _file_and_case(word)
         if os.path.isdir(path):
             if case:
                 raise BadFile(f"is a folder, and ::{case} is a case of a file", path)
@@ -156,11 +164,20 @@ def find(words: Sequence[str]) -> list[tuple[str, str]]:
     return list(dict.fromkeys(found))
 
 
+def _file_and_case(word: str) -> tuple[str, str]:
+    """The file and the case of FILE::CASE. The name of a file may contain `::` too."""
+    parts = word.split("::")
+    ends = (end for end in range(len(parts), 0, -1) if os.path.exists("::".join(parts[:end])))
+    end = next(ends, 1)
+    return "::".join(parts[:end]), "::".join(parts[end:])
+
+
 def read(file: str, commands: Commands, mistakes: list[BadFile]) -> list[Case]:
     """Read the cases of a file; its mistakes are added to `mistakes`."""
     reader = _Reader(file, commands, mistakes)
     try:
         text = read_file(Path(file), pipes=True)
+        _check_size(text, file)
         documents = yaml_tree.documents(text, file, yaml.SafeLoader)
     except BadFile as error:
         mistakes.append(error)
@@ -171,6 +188,35 @@ def read(file: str, commands: Commands, mistakes: list[BadFile]) -> list[Case]:
         mistakes.append(BadFile(what, file, line))
         return []
     return reader.cases(documents[0])
+
+
+def _check_size(text: bytes, file: str) -> None:
+    """Raise BadFile for a file with too many values, before all of them are read, which takes a minute for a MiB.
+
+    libyaml reads one after the other quickly. Other mistakes are left to the reader, which is exact.
+    """
+    counts: list[int] = []
+    """How many values the open lists and mappings have so far."""
+    nodes = 0
+    try:
+        for event in yaml.parse(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader)):
+            if isinstance(event, yaml.CollectionEndEvent):
+                counts.pop()
+            if not isinstance(event, yaml.NodeEvent):
+                continue
+            nodes += 1
+            what = "values" if nodes > _MOST_VALUES else ""
+            if counts:
+                counts[-1] += 1
+                what = "items in a list" if counts[-1] > _MOST_ITEMS else what
+            if what:
+                most = _MOST_VALUES if what == "values" else _MOST_ITEMS
+                line = event.start_mark.line + 1 if event.start_mark is not None else None
+                raise BadFile(f"more than {most} {what}: no scenario may have so many", file, line)
+            if isinstance(event, yaml.CollectionStartEvent):
+                counts.append(0)
+    except (yaml.YAMLError, ValueError, RecursionError):
+        return
 
 
 KeyPath = tuple[str | int, ...]
@@ -186,6 +232,8 @@ class _Reader:
         self._lines: dict[KeyPath, int] = {}
         self._loader = yaml.SafeLoader("")
         self._pairs = yaml_tree.MergedPairs(file).of
+        self._values = 0
+        """The number of values read, counting what aliases repeat."""
         self._texts: set[str] = set()
         """The mistakes found."""
         self._mistakes_found = 0
@@ -204,8 +252,9 @@ class _Reader:
     def _value(self, node: yaml.Node, path: KeyPath) -> Any:
         """The value of a node. Raises BadFile."""
         line = self._lines[path] = node.start_mark.line + 1
-        if len(path) > yaml_tree.DEEPEST:
-            raise BadFile("is nested too deeply", self._file, line)
+        self._values += 1
+        if self._values > _MOST_VALUES or len(path) > yaml_tree.DEEPEST:
+            raise BadFile("is too large, or nested too deeply", self._file, line)
         if isinstance(node, yaml.MappingNode):
             found: dict[str, Any] = {}
             for key, value in self._pairs(node):
@@ -256,7 +305,12 @@ class _Reader:
         )  # fmt: skip
         variables = dict(tree.get("vars") or {})
         self._check_names(variables, ("vars",))
-        rows = self._rows(base, tree.get("cases"), variables)
+        rows = list(self._rows(base, tree.get("cases"), variables))
+        count = len(rows) * sum(len(tree.get(section) or ()) for section in SECTIONS)
+        if count > _MOST_STEPS:
+            text = f"{count} steps in {len(rows)} cases: a file may have {_MOST_STEPS} in all"
+            self._add_mistake(("cases",), text, "make several files of it")
+            return []
         return [replace(case, steps=tuple(self._steps(tree, row))) for case, row in rows]
 
     def _rows(self, base: Case, table: Any, variables: dict[str, Any]) -> Iterator[tuple[Case, dict[str, Any]]]:
@@ -308,6 +362,8 @@ class _Reader:
         earlier = _EarlierSteps(is_alone=not (tree.get("world") or {}).get("imports"))
         for section in SECTIONS:
             for index, content in enumerate(tree.get(section) or ()):
+                if len(self._texts) >= _MOST_MISTAKES:
+                    return
                 path: KeyPath = (section, index)
                 step = None
                 try:

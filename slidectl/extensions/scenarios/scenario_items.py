@@ -27,6 +27,7 @@ from slidectl.extensions.scenarios.case_run import BAD, ERROR, XFAILED, CaseResu
 from slidectl.extensions.scenarios.scenario_file import Case
 from slidectl.extensions.scenarios.stages import CaseRuns
 from slidectl.operating_system import end_with
+from slidectl.paths import shown
 
 NOT_RUN = "not run"
 
@@ -85,7 +86,7 @@ class ScenarioItem(pytest.Item):
 
     def _report(self) -> str:
         assert self.result is not None
-        return "\n".join(report_lines(self.case, self.result))
+        return shown("\n".join(report_lines(self.case, self.result)))
 
     def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> Any:
         """The report of a case that failed, without a traceback."""

@@ -1,7 +1,8 @@
 """The stored machine code of the cycle, and its loading into this process: by LLVM, without numba.
 
 A file is valid for one version of all its sources; a digest of them is in its name. It is machine code, so it is only
-loaded when only the user could have written it. Against: a second user of the machine.
+loaded when it is complete and only the user could have written it. Against: a second user of the machine, and a file
+damaged by a crash, which would end the process without a message.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from slidectl.writing import replace
 KEPT, KEPT_LAWS = 8, 64
 """The number of stored files of cycles and of users' laws: the last used ones. Each version of any source has its own
 file."""
+_CHECKSUM_BYTES = 32
 _SOURCES = ("control", "physics", "simulation/cycle.py", "simulation/compiled")
 
 
@@ -115,7 +117,7 @@ def is_there() -> bool:
 
 def write(path: Path, content: bytes) -> None:
     """Write code to its file, whole or not at all. Raises OSError, also when the folder was removed meanwhile."""
-    replace(path, content, 0o600)
+    replace(path, hashlib.sha256(content).digest() + content, 0o600)
 
 
 def tidy() -> None:
@@ -132,13 +134,17 @@ def tidy() -> None:
 
 
 def _read(path: Path) -> bytes:
-    """The code; its time of use is updated. Raises OSError: missing; UnsafeFile."""
+    """The code; its time of use is updated. Raises OSError: missing, or damaged and then removed; UnsafeFile."""
     with open(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC), "rb") as file:
         _check_ours(path, os.fstat(file.fileno()))
         _check_ours(path.parent, path.parent.stat())
         with suppress(OSError):  # a read-only file system
             os.utime(path)
-        return file.read()
+        checksum, content = file.read(_CHECKSUM_BYTES), file.read()
+    if checksum != hashlib.sha256(content).digest():
+        path.unlink(missing_ok=True)
+        raise FileNotFoundError(path)
+    return content
 
 
 def _check_ours(path: Path, found: os.stat_result) -> None:

@@ -34,6 +34,7 @@ from slidectl.extensions.scenarios.scenario_file import Case
 from slidectl.extensions.scenarios.scenario_items import NOT_RUN, ScenarioItem
 from slidectl.extensions.scenarios.stages import CaseRuns, InProcess
 from slidectl.operating_system import end_with
+from slidectl.paths import shown
 
 if TYPE_CHECKING:
     from slidectl.extensions.scenarios.live import Live
@@ -92,6 +93,9 @@ class _Selection:
         except pytest.UsageError as error:
             self.mistake = str(error)
             items.clear()
+        except RecursionError:
+            self.mistake = "the expression of -k is nested too deeply"
+            items.clear()
         self.cases = [item.case for item in items if isinstance(item, ScenarioItem)]
 
 
@@ -119,7 +123,7 @@ class CaseRunner:
         self.junit = b""
         """The results as JUnit XML."""
         self._options = options
-        self._workers = min(workers, len(cases))
+        self._workers = min(workers, len(cases)) if _goes_to_workers([tempfile.gettempdir(), *sys.path]) else 1
         self._maxfail = maxfail
         self._more = more
         self._ids = {_node_id(case): case.id for case in cases}
@@ -200,7 +204,7 @@ class CaseRunner:
         for case, result in [] if self.interrupted else self._more:
             self.cases.append(case)
             self.results[case.id] = result
-            _log(session, _node_id(case), "failed", "\n".join(report_lines(case, result)))
+            _log(session, _node_id(case), "failed", shown("\n".join(report_lines(case, result))))
 
 
 def _log(session: pytest.Session, node_id: str, outcome: Any, text: Any) -> None:
@@ -208,9 +212,14 @@ def _log(session: pytest.Session, node_id: str, outcome: Any, text: Any) -> None
     session.config.hook.pytest_runtest_logreport(report=report)
 
 
+def _goes_to_workers(texts: Sequence[str]) -> bool:
+    """True when pytest-xdist can send these to its workers, which it does in UTF-8."""
+    return all(text == shown(text) for text in texts)
+
+
 def _node_id(case: Case) -> str:
-    """The name of the item in pytest."""
-    return f"{case.file}::{case.name or case.scenario}"
+    """The name of the item in pytest, which goes through pipes as UTF-8."""
+    return shown(f"{case.file}::{case.name or case.scenario}")
 
 
 # --- pytest ---------------------------------------------------------------------------------------------------------
@@ -282,7 +291,7 @@ class _Cases(pytest.File):
         for case in cases:
             yield ScenarioItem.from_parent(
                 self,
-                name=case.name or case.scenario,
+                name=shown(case.name or case.scenario),
                 nodeid=_node_id(case),
                 case=case,
                 runs=runs,
