@@ -203,7 +203,7 @@ def _leave_out_interfaces(root: Element, missing: Missing) -> None:
     if left_out:
         first = left_out[0]
         text = f"{first.title} has no interface of the default hardware"
-        others = f", nor have {len(left_out) - 1} others" if left_out[1:] else ""
+        others = f", and {len(left_out) - 1} others have none either" if left_out[1:] else ""
         error = NotThere(f"{text}{others}", first.file, first.line, thing="transmissions of robotSimType")
         missing.note(error, "left out")
 

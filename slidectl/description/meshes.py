@@ -90,6 +90,8 @@ def load(path: str | Path, scale: Vector = (1.0, 1.0, 1.0)) -> Triangles:
                 vertices, faces = _obj(content, path) if kind == ".obj" else _dae(content, path)
     except (ValueError, IndexError, ArithmeticError) as error:
         raise BadMesh(f"cannot read the mesh: {error}", path) from None
+    except RecursionError:
+        raise BadMesh("cannot read the mesh: it is nested too deep", path) from None
     except MemoryError:
         raise BadMesh("cannot read the mesh: it needs more memory than there is for it", path) from None
     if not len(faces):
@@ -332,7 +334,11 @@ class _Scene:
                     self.points_read += len(vertices[-1])
                     if self.points_read > 3 * _MOST_FACES:
                         raise BadMesh(f"the mesh has more than {3 * _MOST_FACES} vertices", self.path)
-                stride = 1 + max(int(entry.get("offset") or 0) for entry in inputs)
+                offsets = [int(entry.get("offset") or 0) for entry in inputs]
+                if min(offsets) < 0:
+                    text = f"line {primitive.line} has an input of offset {min(offsets)}"
+                    raise BadMesh(f"cannot read the mesh: {text}", self.path)
+                stride = 1 + max(offsets)
                 corners = _corners(primitive, offset, stride)
                 if len(corners) and not 0 <= corners.min() <= corners.max() < total - starts[id(source)]:
                     text = f"line {primitive.line} uses vertices that do not exist"
@@ -362,8 +368,12 @@ class _Scene:
             raise BadMesh(f"cannot read the mesh: line {source.line} has no <float_array>", self.path)
         numbers = _floats(array)
         layout = accessor.attributes if accessor is not None else {}
-        stride = int(layout.get("stride") or 3)
-        numbers = numbers[int(layout.get("offset") or 0) :]
+        stride, offset = int(layout.get("stride") or 3), int(layout.get("offset") or 0)
+        if stride < 3:
+            raise BadMesh(f"cannot read the mesh: line {source.line} has points of {stride} numbers", self.path)
+        if offset < 0:
+            raise BadMesh(f"cannot read the mesh: line {source.line} has points of offset {offset}", self.path)
+        numbers = numbers[offset:]
         return numbers[: len(numbers) // stride * stride].reshape(-1, stride)[:, :3]
 
 

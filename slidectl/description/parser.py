@@ -223,7 +223,7 @@ class _LinkReader:
         origin = _origin(self.report, element, owner)
         tensor = self.report.only(element, "inertia")
         if tensor is None and not self.strict:
-            text = "lacks <inertia>: zeros are used, and corrected"
+            text = "lacks <inertia>: it is read as zeros, which are then corrected"
             self.report.wrong(element, text, f"{owner}/<inertial>")
             return Inertial(origin, mass, (0.0,) * 6, element.line)
         tensor = self._child(element, "inertia", owner)

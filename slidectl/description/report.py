@@ -18,6 +18,8 @@ from slidectl.errors import BadFile, closest
 
 MOST_NOTICES = 1000
 """Of one robot. Against: a description that was sent, whose every tag makes a notice."""
+MOST_OF_ONE = 100
+"""The most unknown attributes of one element that are named; the rest is counted. Against: the same."""
 MOST_ALIKE = 100
 """The most notices of one file in `bounded` that say the same of different things."""
 _MOST_COMPARED = 100
@@ -84,12 +86,17 @@ class Report:
     def unknown(
         self, element: Element, attributes: Collection[str], children: Collection[str], owner: str | None = None
     ) -> None:
-        """Report every attribute and child of `element` that is not among the known ones."""
+        """Report every attribute and child of `element` that is not among the known ones.
+
+        Of the attributes MOST_OF_ONE are named, and one more notice has the number of the others.
+        """
         place = owner or element.title
-        for name in element.attributes:
-            if name not in attributes and not is_namespace(name):
-                hint = self.meant(name, attributes)
-                self.ignored(element, f"attribute {name!r} is unknown here and has no effect{hint}", place, name)
+        names = [name for name in element.attributes if name not in attributes and not is_namespace(name)]
+        for name in names[:MOST_OF_ONE]:
+            hint = self.meant(name, attributes)
+            self.ignored(element, f"attribute {name!r} is unknown here and has no effect{hint}", place, name)
+        if len(names) > MOST_OF_ONE:
+            self.ignored(element, f"and {len(names) - MOST_OF_ONE} more unknown attributes have no effect", place)
         for child in element.children:
             if child.tag not in children:
                 hint = f"; {_FOREIGN[child.tag]}" if child.tag in _FOREIGN else self.meant(child.tag, children, "<{}>")

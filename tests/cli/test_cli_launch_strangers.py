@@ -219,7 +219,7 @@ def test_a_link_without_an_inertia_gets_one(ends: CommandLine, tmp_path: Path) -
     launch = written(tmp_path, WORLD, MODEL, SPAWN.format("-model arm"), model=ARM[:begin] + ARM[end:])
     done = ends("launch", launch, "--detach")
     assert done.returncode == 0, done.stderr
-    assert "lacks <inertia>: zeros are used, and corrected" in done.stderr
+    assert "lacks <inertia>: it is read as zeros, which are then corrected" in done.stderr
 
 
 def test_a_path_may_hold_a_plus(ends: CommandLine, tmp_path: Path) -> None:

@@ -12,11 +12,14 @@ from launch_runs import processes
 SCRIPTS = {
     "plain": "#!/usr/bin/env python3\nimport rospy\nprint('ran')\n",
     "of_python_2": "#!/usr/bin/env python\nimport rospy\nprint 'ran'\n",
+    "after_another": "#!/usr/bin/env python3\nimport os; import rospy\nprint('ran')\n",
+    "of_python_2_in_a_list": "#!/usr/bin/env python\nimport os, rospy\nprint 'ran'\n",
     "from": "#!/usr/bin/env python3\n'''A node.'''\nfrom rospy import Publisher\n",
 }
 HARMLESS = {
     "that_can_do_without": "#!/usr/bin/env python3\ntry:\n    import rospy\nexcept ImportError:\n    print('ran')\n",
     "that_speaks_of_it": "#!/usr/bin/env python3\n# import rospy\nprint('ran, no rospy')\n",
+    "that_quotes_it": "#!/usr/bin/env python3\n'''\nimport rospy\n'''\nprint('ran, no rospy')\n",
 }
 
 

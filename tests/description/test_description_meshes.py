@@ -234,3 +234,24 @@ def test_long_lists_that_many_geometries_share_are_counted(tmp_path: Path, monke
     path.write_text(text.replace("</library_geometries>", f"{more}</library_geometries>"), "utf-8")
     with pytest.raises(meshes.BadMesh, match="more than 30 vertices"):
         meshes.load(path)
+
+
+ACCESSOR = "<technique_common><accessor {}/></technique_common></source>"
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "reason"),
+    [
+        ('offset="0"', 'offset="-1"', "line 3 has an input of offset -1"),
+        ("</source>", ACCESSOR.format('stride="2"'), "line 1 has points of 2 numbers"),
+        ("</source>", ACCESSOR.format('stride="-1"'), "line 1 has points of -1 numbers"),
+        ("</source>", ACCESSOR.format('stride="3" offset="-3"'), "line 1 has points of offset -3"),
+    ],
+)
+def test_what_would_be_counted_backwards_or_too_short_is_refused(
+    tmp_path: Path, before: str, after: str, reason: str
+) -> None:
+    path = tmp_path / "a.dae"
+    path.write_text(scene('<node><instance_geometry url="#g"/></node>').replace(before, after), "utf-8")
+    with pytest.raises(meshes.BadMesh, match=reason):
+        meshes.load(path)

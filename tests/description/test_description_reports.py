@@ -114,6 +114,14 @@ def test_a_material_defined_twice_keeps_its_first_colour(notices: Notices) -> No
     assert "defined twice; the first one counts" in line
 
 
+def test_of_many_unknown_attributes_the_first_are_named_and_the_rest_is_counted(notices: Notices) -> None:
+    attributes = " ".join(f'a{number}="1"' for number in range(1500))
+    lines = notices(robot(f'<link name="world" {attributes}/>'))
+    assert len(lines) == 101
+    assert "'a99'" in lines[99]
+    assert "and 1400 more unknown attributes have no effect" in lines[100]
+
+
 def test_a_report_of_a_hopeless_file_ends_with_how_many_more_there_are(notices: Notices) -> None:
     lines = notices(cart('<gazebo reference="nothing"/>' * 1500))
     assert len(lines) == 1001

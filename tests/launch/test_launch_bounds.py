@@ -9,12 +9,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from launch_files import Workspace
+from launch_files import Workspace, notices
 
 from slidectl import description
 from slidectl.description import controllers_file, xacro_adapter
 from slidectl.errors import BadFile
-from slidectl.extensions.launch import tag
+from slidectl.extensions.launch import substitution, tag
 
 XACRO = '<robot name="a" xmlns:xacro="http://www.ros.org/wiki/xacro">{}</robot>'
 
@@ -43,17 +43,50 @@ def test_macros_that_unfold_without_end_are_refused(workspace: Workspace, monkey
 
 
 def test_arguments_that_unfold_without_end_are_refused(workspace: Workspace) -> None:
-    with pytest.raises(
-        BadFile, match=r"test.launch:\d: <arg>: value: the launch expands to more than 65536 KiB of text"
-    ):
+    with pytest.raises(BadFile, match=r"test.launch:\d: <arg>: value: comes to more than 4096 KiB of text"):
         workspace.plan(arguments(12))
     assert len(workspace.plan(arguments(5)).files) == 1
 
 
-def test_the_bounds_of_a_launch_are_those_of_text_and_of_time(
+@pytest.mark.parametrize(("value", "place"), [("{}$(arg n)", "part.launch:1: <param>: value: "), ("{}", "<include>: ")])
+def test_long_texts_are_counted_with_what_is_not_substituted(workspace: Workspace, value: str, place: str) -> None:
+    text = f'<arg name="n"/><param name="p$(arg n)" value="{value.format("x" * 2**22)}"/>'
+    workspace.write("launch/part.launch", f"<launch>{text}</launch>")
+    part = '<include file="$(dirname)/part.launch"><arg name="n" value="{}"/></include>'
+    with pytest.raises(BadFile, match=f"{place}the launch expands to more than 65536 KiB of text"):
+        workspace.plan("".join(map(part.format, range(40))))
+
+
+def test_of_many_unknown_attributes_the_first_are_named_and_the_rest_is_counted(workspace: Workspace) -> None:
+    attributes = " ".join(f'a{number}="1"' for number in range(1500))
+    lines = notices(workspace.plan(f'<arg name="x" value="1" {attributes}/>'))
+    assert len(lines) == 101
+    assert "and 1400 more unknown attributes have no effect" in lines[100]
+
+
+def test_a_text_with_many_missing_packages_is_refused_soon(workspace: Workspace) -> None:
+    with pytest.raises(BadFile, match=r"test.launch:1: <param>: value: comes to more than 10000 substitutions"):
+        workspace.plan(f'<param name="x" value="{"$(find nosuchpkg)" * 200_000}"/>')
+
+
+@pytest.mark.parametrize("start", ['<node name="n" pkg="p" type="t" args=', '<param name="x" command='])
+def test_a_text_that_is_split_into_words_is_short(workspace: Workspace, start: str) -> None:
+    with pytest.raises(BadFile, match=r"test.launch:1: <\w+>: \w+: comes to more than 64 KiB of text"):
+        workspace.plan(f'{start}"{"x" * 2**20}"/>')
+
+
+def test_the_bounds_of_a_launch_are_those_of_text_of_substitutions_and_of_time(
     workspace: Workspace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     workspace.plan(arguments(3))
+    monkeypatch.setattr(substitution, "MOST_TEXT", 900)
+    with pytest.raises(BadFile, match=r"test.launch:3: <arg>: value: comes to more than 0 KiB"):
+        workspace.plan(arguments(3))
+    monkeypatch.undo()
+    monkeypatch.setattr(substitution, "MOST_SUBSTITUTIONS", 9)
+    with pytest.raises(BadFile, match=r"test.launch:2: <arg>: value: comes to more than 9 substitutions"):
+        workspace.plan(arguments(3))
+    monkeypatch.undo()
     monkeypatch.setattr(tag, "MOST_TEXT", 1000)
     with pytest.raises(BadFile, match=r"test.launch:3: <arg>: value: the launch expands to more than 0 KiB of text"):
         workspace.plan(arguments(3))

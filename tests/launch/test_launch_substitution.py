@@ -200,6 +200,7 @@ def test_eval_finds_packages_and_folders_too(workspace: Workspace) -> None:
         ("'a' * 10 ** 9", MEMORY),
         ("'%999999999d' % 1", MEMORY),
         ("''.join(['a' * 99999] * 99999)", MEMORY),
+        ("'a' * 5000000", "its result exceeds 4 MiB"),
         ("1 / 0", "cannot be computed: division by zero"),
         ("unknown", "there is no name 'unknown'"),
         ("1()", "is not callable"),

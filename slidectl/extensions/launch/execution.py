@@ -97,7 +97,7 @@ class Execution:
             self._began_daemon = self.daemon.begin(replace(settings, paused=True) if holds else settings)
         run.parameters = find_missing(run.plan, self.tasks, run.packages)  # done while the daemon starts
         if lines := run.plan.missing.lines():
-            run.console.warn("\n".join(["missing and left out (--strict refuses this):", *lines]))
+            run.console.warn("\n".join(["left out because missing (--strict refuses them):", *lines]))
         client, run.owns_daemon = self.daemon.connect()
         run.connect(client)
         run.watch.listen(client, lambda: None)

@@ -224,6 +224,7 @@ def _include(tag: Tag) -> None:
             if value is not None or name not in given:
                 given[name] = str(default if value is None else value)
     source = _included(tag.required("file"), tag)
+    tag.scope.launch.count_text(tag, source.text)
     _clear(tag, tag.namespace())
     scope = inner.including(source.path, tag, given, lenient)
     _read(source, scope)

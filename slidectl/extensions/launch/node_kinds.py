@@ -10,6 +10,7 @@ import os
 import re
 import shutil
 import sys
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from importlib import import_module
@@ -164,9 +165,11 @@ def _meaning(node: Node) -> str:
 # --- programs --------------------------------------------------------------------------------------------------------
 
 _FILES = {"rospy": ("rospy/__init__.py", "rospy.py"), "roscpp": ("libroscpp.so",)}
-_IMPORTS_ROSPY = re.compile(rb"^(import\s+([\w., ]+,\s*)?|from\s+)rospy\b", re.MULTILINE)
-"""An import in a `try` does not count, as it is optional."""
+_IMPORTS_ROSPY = re.compile(rb"^(import\s+(\w[\w., ]*,\s*)?|from\s+)rospy\b", re.MULTILINE)
+"""For scripts that cannot be parsed. The time is linear: no blank fits two parts of it."""
 _MOST_BYTES = 1 << 26
+_MOST_PARSED = 1 << 20
+"""The largest script that is parsed, bytes; parsing takes hundreds of times its size in memory."""
 _LIKELY = ("scripts", "nodes", "bin", "src", "")
 
 
@@ -261,7 +264,27 @@ def _ros_library(program: Path) -> str:
     if content.startswith(b"\x7fELF"):
         return "roscpp" if b"libroscpp.so" in content else ""
     is_script = program.suffix == ".py" or b"python" in content.partition(b"\n")[0]
-    return "rospy" if is_script and _IMPORTS_ROSPY.search(content) else ""
+    return "rospy" if is_script and b"rospy" in content and _imports_rospy(content) else ""
+
+
+def _imports_rospy(script: bytes) -> bool:
+    """True when a script imports rospy at its start. An import in a `try` does not count, as it is optional."""
+    import ast
+
+    try:
+        if len(script) > _MOST_PARSED:
+            raise ValueError
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the user cannot act on Python's warnings about this code
+            statements = ast.parse(script).body
+    except (SyntaxError, ValueError, RecursionError, MemoryError):  # usually a script for Python 2
+        return _IMPORTS_ROSPY.search(script) is not None
+    for statement in statements:
+        names = [alias.name for alias in statement.names] if isinstance(statement, ast.Import) else []
+        names += [statement.module or ""] if isinstance(statement, ast.ImportFrom) and not statement.level else []
+        if any(name.partition(".")[0] == "rospy" for name in names):
+            return True
+    return False
 
 
 def _library_folders(program: Path, environment: Mapping[str, str]) -> Iterator[Path]:

@@ -29,8 +29,13 @@ from slidectl.description.packages import Packages, UnknownPackage, is_file
 from slidectl.errors import SlidectlError, closest, listing
 
 COMMANDS = ("find", "env", "optenv", "dirname", "anon", "arg")
-_MOST_RESULT = 4 * 2**20
-"""The most bytes of the result of an `$(eval ...)`."""
+MOST_TEXT = 4 * 2**20
+"""The most characters that all substitutions of one text may insert, and the most bytes of the result of an
+`$(eval ...)`.
+
+Against: arguments that repeat each other, in a launch file that was sent."""
+MOST_SUBSTITUTIONS = 10_000
+"""The most substitutions in one text. Against: the same; each may search the packages."""
 LIMITS = Limits(cpu_s=5, wall_s=20, new_bytes=256 << 20)
 """Of an `$(eval ...)`, which runs in a process of its own.
 
@@ -110,8 +115,6 @@ class Substitution:
     """The names that `anon` has made in this file so far."""
     absent: dict[str, UnknownPackage]
     """Collects the missing packages."""
-    count: Callable[[str], None]
-    """Called with each text that is inserted; raises SubstitutionError when all texts are too long."""
 
     def resolve(self, text: str) -> str:
         """The text with all substitutions made. Raises SubstitutionError."""
@@ -123,16 +126,23 @@ class Substitution:
 
     def _pass(self, text: str, finds: bool) -> str:
         """Substitute only `find`, or everything but `find`."""
+        count = size = 0
 
         def replacement(match: re.Match[str]) -> str:
+            nonlocal count, size
             command, words = _split(match, text)
             if finds is not (command == "find"):
                 return match[0]
+            count += 1
+            if count > MOST_SUBSTITUTIONS:
+                raise _too_much(f"{MOST_SUBSTITUTIONS} substitutions")
             if finds:
                 inserted = self._package_path(_one(command, words), match[3])
             else:
                 inserted = self._command(command, words) + match[3]
-            self.count(inserted)
+            size += len(inserted)
+            if size > MOST_TEXT:
+                raise _too_much(f"{MOST_TEXT >> 10} KiB of text")
             return inserted
 
         return _SUBSTITUTION.sub(replacement, text)
@@ -216,7 +226,6 @@ class Substitution:
         self.anonymous_names.update(anonymous_names)
         for package in absent:
             self._folder_of(package)
-        self.count(value)
         return value
 
 
@@ -249,7 +258,7 @@ def evaluate(text: str, names: Mapping[str, Any], state: Callable[[], Any] = lam
         return json.dumps([value, error, state()]).encode()
 
     try:
-        value, error, after = json.loads(confined.run(work, LIMITS, _MOST_RESULT))
+        value, error, after = json.loads(confined.run(work, LIMITS, MOST_TEXT))
     except confined.EndedError as error:
         raise EvalError(f"cannot be computed: {error}") from None
     except OSError as error:
@@ -314,6 +323,10 @@ def _of_names(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
         return function(*values)
 
     return checked
+
+
+def _too_much(what: str) -> SubstitutionError:
+    return SubstitutionError(f"comes to more than {what}", "do arguments repeat each other many times over?")
 
 
 def _split(match: re.Match[str], text: str) -> tuple[str, list[str]]:

@@ -18,7 +18,7 @@ from pathlib import Path
 from slidectl import names
 from slidectl.description import xml_tree
 from slidectl.description.packages import Packages, UnknownPackage
-from slidectl.description.report import did_you_mean
+from slidectl.description.report import MOST_OF_ONE, did_you_mean
 from slidectl.description.robot import Verdict
 from slidectl.description.xml_tree import Element
 from slidectl.errors import BadFile, NoFileThere, NotThere, closest
@@ -32,7 +32,9 @@ CONDITIONS = ("if", "unless")
 # Against: a launch file that was sent, and is checked or read: arguments and includes that repeat each other.
 MOST_TAGS = 20_000
 MOST_TEXT = 64 * 2**20
-"""The most characters that all substitutions of a launch may insert."""
+"""The most characters of a launch: of its included files, each time, and of all texts after their substitutions."""
+_MOST_WORDS = 64 * 2**10
+"""The most characters of a text that is split like a shell. Against: the same; the time for a word is quadratic."""
 MOST_SECONDS = 60.0
 """The most time for reading the files, s of processor time, without running commands."""
 DEEPEST_INCLUDE = 60
@@ -65,12 +67,12 @@ class Launch:
         if time.process_time() - self._began_s > MOST_SECONDS:
             raise tag.error(f"the launch takes more than {MOST_SECONDS:g} s to read", "does a file include itself?")
 
-    def count_text(self, text: str) -> None:
-        """Count substituted text. Raises SubstitutionError when it is too much."""
+    def count_text(self, tag: Tag, text: str | bytes, where: str = "") -> None:
+        """Count substituted text, or an included file. Raises BadFile, beginning with `where`, when it is too much."""
         self._text += len(text)
         if self._text > MOST_TEXT:
-            hint = "do arguments repeat each other many times over?"
-            raise SubstitutionError(f"the launch expands to more than {MOST_TEXT >> 10} KiB of text", hint)
+            hint = "do arguments or includes repeat each other many times over?"
+            raise tag.error(f"{where}the launch expands to more than {MOST_TEXT >> 10} KiB of text", hint)
 
 
 @dataclass
@@ -113,7 +115,7 @@ class Scope:
         """The substitutions at this point: arguments that are declared later are not known."""
         return Substitution(
             self.packages, {**DEFAULTS, **os.environ}, dict(self.arguments), str(self.file.parent),
-            self.anonymous_names, self.launch.absent, self.launch.count_text,
+            self.anonymous_names, self.launch.absent,
         )  # fmt: skip
 
     def group(self, namespace: str) -> Scope:
@@ -188,6 +190,7 @@ class Tag:
             found = substitution.resolve(text)
         except SubstitutionError as error:
             raise self.error(f"{where}{error.message}", error.hint) from None
+        self.scope.launch.count_text(self, found, where)
         for package in () if keep_absent else absent_packages(found):
             raise self.absence_of(package)
         return found
@@ -226,10 +229,13 @@ class Tag:
     def words(self, attribute: str, keep_absent: bool = False) -> list[str]:
         """Split the attribute like a POSIX shell, without expansions; `keep_absent` is as in `raw`.
 
-        Raises BadFile: a quotation is not closed.
+        Raises BadFile: a quotation is not closed, or the text is too long.
         """
+        text = self.raw(attribute, keep_absent) or ""
+        if len(text) > _MOST_WORDS:
+            raise self.error(f"{attribute}: comes to more than {_MOST_WORDS >> 10} KiB of text")
         try:
-            return [plain(word) for word in shlex.split(self.raw(attribute, keep_absent) or "")]
+            return [plain(word) for word in shlex.split(text)]
         except ValueError as error:
             raise self.error(f"{attribute}: {str(error).lower()} in {self.get(attribute)!r}") from None
 
@@ -280,11 +286,16 @@ class Tag:
     # --- contents -------------------------------------------------------------------------------------------------
 
     def knows(self, attributes: Collection[str], conditions: bool = True) -> None:
-        """Report attributes that are not among `attributes`; with `conditions` `if` and `unless` are known too."""
+        """Report attributes that are not among `attributes`; with `conditions` `if` and `unless` are known too.
+
+        MOST_OF_ONE are named, and one more notice has the number of the others.
+        """
         known = [*attributes, *(CONDITIONS if conditions else ())]
-        for name in self.element.attributes:
-            if name not in known and not name.startswith("xmlns"):
-                self.notice("wrong", f"attribute {name!r} is unknown and has no effect{did_you_mean(name, known)}")
+        unknown = [name for name in self.element.attributes if name not in known and not name.startswith("xmlns")]
+        for name in unknown[:MOST_OF_ONE]:
+            self.notice("wrong", f"attribute {name!r} is unknown and has no effect{did_you_mean(name, known)}")
+        if len(unknown) > MOST_OF_ONE:
+            self.notice("wrong", f"and {len(unknown) - MOST_OF_ONE} more unknown attributes have no effect")
 
     def children(self, known: Collection[str]) -> Iterator[Tag]:
         """The known tags inside, in order; unknown ones, and texts that look like tags, are reported."""

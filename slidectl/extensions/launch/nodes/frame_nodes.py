@@ -60,7 +60,7 @@ class RobotStatePublisher(Task):
         robot = robot or self._meant(run, robots)
         if robot is None:
             known = ", ".join(robot["namespace"] for robot in robots)
-            self.warn(run, f"the robot is ambiguous (there are {known}); all have their frames anyway")
+            self.warn(run, f"several robots fit: {known}; all have their frames anyway")
         else:
             self._set_up(run, robot)
         return None

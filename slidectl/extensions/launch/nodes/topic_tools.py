@@ -102,17 +102,21 @@ class TopicTool(Task):
         except TimedOut as error:
             self.warn(self._run, f"{error.message}; it searches for its topics again")
         self._read()
-        if len(self._subscriptions) < len(self._inputs):
+        if self._inputs.keys() - self._subscriptions.keys():
             self.search_later(self._run, _RETRY_S)
 
     def _subscribe_new(self) -> None:
         wanted = {topic: given for topic, (given, _) in self._inputs.items() if topic not in self._subscriptions}
         there = self.client.topics() if wanted else {}
         for topic, given in wanted.items():
-            if (type_name := given or there.get(topic)) is None:
+            type_name = given or there.get(topic)
+            if type_name is None or topic not in self._inputs:  # a service called meanwhile may end an input
                 continue
-            take = partial(self._receive, topic, type_name)
-            self._subscriptions[topic] = self.client.subscribe(topic, type_name, take=take)
+            subscription = self.client.subscribe(topic, type_name, take=partial(self._receive, topic, type_name))
+            if topic in self._inputs:
+                self._subscriptions[topic] = subscription
+            else:
+                subscription.close()
 
     def _receive(self, topic: str, type_name: str, came: Message) -> None:
         if topic in self._inputs:
@@ -333,12 +337,13 @@ class TwistMux(TopicTool):
     def _source(self, entry: Any, place: str) -> Source:
         try:
             source = Source(self.node.resolve(entry["topic"]), float(entry["timeout"]), int(entry["priority"]))
-        except (KeyError, TypeError, ValueError, AttributeError):
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
             message = f"{place}: an entry has name, topic, timeout (s) and priority, not {entry!r}"
             raise Refused(message) from None
         if not source.timeout_s >= 0.0 or not 0 <= source.priority <= 255:
             numbers = f"timeout {source.timeout_s:g} s and priority {source.priority}"
-            raise Refused(f"{place}: {source.topic} has {numbers}; allowed: 0 s or more, and 0 to 255")
+            bounds = "the timeout must be at least 0 s, the priority 0 to 255"
+            raise Refused(f"{place}: {source.topic} has {numbers}; {bounds}")
         return source
 
     def _receive_command(self, source: Source, type_name: str, came: Message) -> None:
