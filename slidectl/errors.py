@@ -189,6 +189,12 @@ class NoDescriptors(SlidectlError):
         )
 
 
+def _plural(word: str) -> str:
+    if word.endswith("s"):
+        return word
+    return f"{word[:-1]}ies" if word.endswith("y") and word[-2:-1] not in "aeiou" else f"{word}s"
+
+
 class UnknownName(SlidectlError):
     """A name that does not exist. The error suggests the closest name and lists the existing ones."""
 
@@ -197,8 +203,7 @@ class UnknownName(SlidectlError):
 
     def __init__(self, kind: str, name: str, known: Sequence[str], where: str = "") -> None:
         inside = f" {where}" if where else ""
-        is_irregular = kind.endswith("y") and kind[-2:-1] not in "aeiou"
-        plural = kind if kind.endswith("s") else f"{kind[:-1]}ies" if is_irregular else f"{kind}s"
+        plural = ", ".join(map(_plural, kind.replace(" or ", ", ").split(", ")))
         super().__init__(f"no {kind} {quoted(name)}{inside}.{_suggestion(name, known)}", f"{plural}: {listing(known)}")
         self.kind = kind
         self.name = name

@@ -12,6 +12,7 @@ from urllib.request import Request, urlopen
 import pytest
 from daemon_fixture import running_daemon
 from page_browser import CommandLine, PageBrowser, served_page
+from waiting import eventually
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
@@ -94,7 +95,7 @@ def test_a_page_that_only_looks_changes_nothing(world: CommandLine) -> None:
             ("drive", {"topic": "/cmd_vel", "twist": twist}), ("record", {"file": "run.bag"}),
             ("publish", {"topic": "/clock", "texts": {}, "rate": 1}), ("place", {"robot": "slider"}),
         ):  # fmt: skip
-            assert "only looks" in browser.refusal(what, **args)
+            assert "this page is read-only" in browser.refusal(what, **args)
         browser.page("view", frames=True)
         browser.wait_for(lambda: browser.nodes.get(f"{LINK}/name", {}).get("visible"))
         assert client.call("/slidectl/status")["cycles"] == cycles
@@ -172,6 +173,24 @@ def test_a_base_that_is_not_driven_any_more_stops(world: CommandLine, page: str)
             assert twists.get(timeout=60)["linear"]["x"] == 0.0  # the browser has gone without a word
     finally:
         world.ok("delete", "car")
+
+
+def test_a_base_stands_when_the_page_ends() -> None:
+    with running_daemon() as runtime:
+        command = CommandLine(runtime.folder)
+        command.ok("spawn", "cart", "--controllers", "config/cart_control.yaml", "--start", "base_controller")
+        topic = "/cart/base_controller/cmd_vel"
+        forwards = {"linear": {"x": 0.5, "y": 0.0, "z": 0.0}, "angular": {"x": 0.0, "y": 0.0, "z": 0.0}}
+        with command.client() as client, client.subscribe(topic) as twists:
+
+            def turns() -> bool:
+                return max(map(abs, client.call("/slidectl/joint_states")["velocity"])) > 0.1
+
+            with served_page(command) as url, PageBrowser(url) as browser:
+                eventually(lambda: browser.page("drive", topic=topic, twist=forwards) is not None and turns())
+                browser.page("drive", topic=topic, twist=forwards)
+            eventually(lambda: twists.get(timeout=60)["linear"]["x"] == 0.0)
+            eventually(lambda: not turns())
 
 
 def test_a_foreign_page_may_not_use_one_without_a_token(page: str) -> None:

@@ -15,6 +15,7 @@ def test_the_graph_is_drawn_around_names(browser: PageBrowser) -> None:
     assert ">/slider/joint_states</text>" in part
     assert ">/clock</text>" not in part
     assert "joint_states" in browser.refusal("graph", of="joint_sates <b>")
+    assert "no node, topic or namespace 'nosuch'" in browser.refusal("graph", of="nosuch")
 
 
 def test_gains_are_saved_as_a_file_that_a_spawn_takes(world: CommandLine, browser: PageBrowser, tmp_path: Path) -> None:

@@ -158,6 +158,7 @@ def test_a_joint_is_commanded_and_its_slider_follows_others(world: CommandLine, 
         exact.fill("much")
         exact.press("Enter")
         expect(exact).to_have_value("0.750")
+        tab.notice("joint1: a number is needed")
         client.publish(f"{CONTROLLER}/command", {"data": 0.25})
         eventually(lambda: client.step(10) and exact.input_value() == "0.250")
         tab.page.get_by_role("button", name="Jog joint1 forth").hover()
@@ -166,6 +167,29 @@ def test_a_joint_is_commanded_and_its_slider_follows_others(world: CommandLine, 
         tab.page.mouse.up()
         joints = tab.page.locator("table.states").first
         expect(joints).to_contain_text("joint1")
+
+
+def test_a_joint_without_limits_takes_numbers_beyond_its_slider(
+    world: CommandLine, browser: Browser, page: str
+) -> None:
+    world.ok("spawn", "rrbot", "--at", "0", "3", "0", "--controllers", "config/rrbot_control.yaml", "--start",
+             "joint1_position_controller")  # fmt: skip
+    try:
+        tab = PanelsTab(browser, page, "&robot=rrbot")
+        with world.client() as client, client.subscribe("/rrbot/joint1_position_controller/command") as commands:
+            exact = tab.page.get_by_label("Command of joint1, rad")
+            exact.fill("20,12345")
+            exact.press("Enter")
+            assert commands.get(timeout=60)["data"] == 20.12345
+            slider = tab.page.get_by_role("slider", name="joint1_position_controller, joint1")
+            assert float(slider.input_value()) < 6.3
+            tab.page.get_by_role("button", name="Jog joint1 forth").hover()
+            tab.page.mouse.down()
+            assert commands.get(timeout=60)["data"] > 20.12
+            tab.page.mouse.up()
+        tab.close()
+    finally:
+        world.ok("delete", "rrbot")
 
 
 def test_fields_are_plotted_paused_and_saved(world: CommandLine, tab: PanelsTab) -> None:
@@ -190,6 +214,12 @@ def test_fields_are_plotted_paused_and_saved(world: CommandLine, tab: PanelsTab)
         expect(plots).to_have_count(2)
         assert "plot=%2Fslider%2Fjoint_states%2Fvelocity" in tab.page.url
         eventually(lambda: moved(0.5) and legend.count() == 2)
+        ink = "one => [getComputedStyle(one).color, getComputedStyle(document.querySelector('#slidectl')).color]"
+        tab.page.emulate_media(color_scheme="dark")
+        eventually(lambda: tab.page.evaluate("document.documentElement.dataset.theme") == "dark")
+        label, page_ink = legend.nth(1).locator(".u-label").last.evaluate(ink)
+        assert label == page_ink
+        tab.page.emulate_media(color_scheme="light")
         expect(legend.nth(1)).to_contain_text("velocity[0] (joint1), m/s")
         plots.nth(1).get_by_label("Derived curve").select_option("derivative")
         expect(legend.nth(1)).to_contain_text("d/dt position[0] (joint1), m/s")
@@ -215,6 +245,53 @@ def test_fields_are_plotted_paused_and_saved(world: CommandLine, tab: PanelsTab)
             plots.nth(1).get_by_role("button", name="CSV").click()
         values = [row.split(",")[1] for row in Path(saved.value.path()).read_text("utf-8").splitlines()[1:]]
         assert values == ["1", "", "2"]
+
+
+def test_each_unit_of_a_plot_has_a_scale_of_its_own(world: CommandLine, browser: Browser, page: str) -> None:
+    tab = PanelsTab(browser, page, "".join(f"&plot=joint_states/{name}" for name in ("velocity", "position", "effort")))
+    tab.page.get_by_text("joint1_position_controller").first.wait_for()
+    rows_of_the_third = """one => {
+        const { width, height } = one;
+        const { data } = one.getContext("2d").getImageData(0, 0, width, height);
+        const rows = [];
+        for (let at = 0; at < data.length; at += 4) {
+            const far = Math.abs(data[at] - 0x1e) + Math.abs(data[at + 1] - 0x9e) + Math.abs(data[at + 2] - 0x5a);
+            if (data[at + 3] > 200 && far < 40) rows.push(Math.floor(at / 4 / width));
+        }
+        return rows.length ? (Math.max(...rows) - Math.min(...rows)) / height : 0;
+    }"""
+    with world.client() as client:
+
+        def is_high() -> bool:
+            client.publish(f"{CONTROLLER}/command", {"data": -client.step(300) % 1})
+            canvas = tab.page.locator(".chart canvas")
+            return bool(canvas.count()) and canvas.evaluate(rows_of_the_third) > 0.4
+
+        eventually(is_high)
+    assert tab.page.locator(".u-axis").count() == 3  # of the time and of the first two units
+    tab.close()
+
+
+def test_slices_of_fields_are_those_of_python(world: CommandLine, tab: PanelsTab) -> None:
+    here = "import('/slidectl/fields.js')"
+    taken = f"text => {here}.then((f) => f.valueAt({{ data: [0, 1, 2, 3, 4] }}, f.steps(`data${{text}}`)))"
+    numbers = list(range(5))
+    for text in ("[::2]", "[-2:]", "[:-1]", "[1:3]", "[::-1]", "[-9:9]", "[3:0:-2]", "[9:]", "[:]"):
+        begin, end, step = [int(part) if part else None for part in (text[1:-1] + "::").split(":")[:3]]
+        assert tab.page.evaluate(taken, text) == numbers[begin:end:step], text
+    of_each = f"{here}.then((f) => f.valueAt({{ poses: [{{ x: 1 }}, {{ x: 2 }}] }}, f.steps('poses[1:]/x')))"
+    assert tab.page.evaluate(of_each) == [2]
+    name = f"{here}.then((f) => f.nameOfElement({{ name: ['a', 'b', 'c'] }}, 'position[-2:][0]'))"
+    assert tab.page.evaluate(name) == "b"
+    field = tab.page.get_by_label("Plot field")
+    field.fill("joint_states/position[::0]")
+    tab.button("Plot").click()
+    expect(tab.page.locator(".plot-form .error")).to_contain_text("step of a slice cannot be 0")
+    field.fill("joint_states/position[-1:]")
+    tab.button("Plot").click()
+    with world.client() as client:
+        legend = tab.page.locator(".u-legend", has_text="position[-1:][0] (joint1), m")
+        eventually(lambda: client.step(100) and legend.count())
 
 
 def test_topics_show_fields_with_units_and_pictures(world: CommandLine, tab: PanelsTab) -> None:
@@ -343,7 +420,7 @@ def test_a_trajectory_is_sent_and_succeeds(world: CommandLine, browser: Browser,
             tab.button("Send").click()
             expect(tab.page.get_by_text("Goal: active")).to_be_visible()
             eventually(lambda: client.step(200) and tab.page.get_by_text("Goal: succeeded").count())
-            tab.button("Take present").click()
+            tab.button("Set to the present positions").click()
             tab.button("Hold").click()
         tab.close()
     finally:
@@ -391,10 +468,18 @@ def test_on_a_phone_all_panels_are_in_one_sheet(browser: Browser, page: str) -> 
     tab.close()
 
 
+def test_in_a_narrow_window_the_panel_of_the_address_is_shown_alone(browser: Browser, page: str) -> None:
+    for more, shown in (("", "Robot"), ("&panel=topics", "Data"), ("&plot=joint_states/position", "Data")):
+        tab = PanelsTab(browser, page, more, size=(1000, 800))
+        tab.page.get_by_role("complementary", name=shown).wait_for()
+        expect(tab.page.get_by_role("complementary")).to_have_count(1)
+        tab.close()
+
+
 def test_a_page_that_only_looks_has_its_inputs_off(world: CommandLine, browser: Browser) -> None:
     with served_page(world, "--read-only") as url:
         tab = PanelsTab(browser, url)
-        tab.page.get_by_text("Only looking").wait_for()
+        tab.page.get_by_text("Read-only: started with --read-only").wait_for()
         for name in ("Step (.)", "Stop joint1_position_controller", "Record"):
             assert tab.button(name).is_disabled(), name
         tab.panel("Send")
@@ -402,6 +487,15 @@ def test_a_page_that_only_looks_has_its_inputs_off(world: CommandLine, browser: 
         assert tab.page.get_by_label("data", exact=True).is_disabled()
         assert tab.button("Publish once").is_disabled()
         tab.close()
+
+
+def test_the_page_says_that_slidectl_view_has_ended(world: CommandLine, browser: Browser) -> None:
+    with served_page(world) as url:
+        tab = PanelsTab(browser, url)
+        tab.page.get_by_text("joint1_position_controller").first.wait_for()
+    expect(tab.page.get_by_role("alert")).to_contain_text("slidectl view has ended")
+    expect(tab.page.get_by_role("complementary", name="Robot")).to_contain_text("slidectl view has ended")
+    tab.close()
 
 
 def test_the_page_says_that_the_daemon_has_gone_and_goes_on_with_the_next(browser: Browser) -> None:

@@ -48,7 +48,7 @@ class NodeGraph(NamedTuple):
         """
         every = {*self.nodes, *self.topics, *self.services}
         known = every | {name[:end] for name in every for end in range(1, len(name)) if name[end] == "/"}
-        chosen = [names.resolve(word, known, kind="name", namespace=namespace) for word in words]
+        chosen = [names.resolve(word, known, kind="node, topic or namespace", namespace=namespace) for word in words]
 
         def is_meant(name: str) -> bool:
             return any(names.is_under(name, one) for one in chosen)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from slidectl.client import Client
@@ -167,7 +168,10 @@ class PagePublications:
                 raise Refused(f"{topic} is no longer published: {error.message}", error.hint) from None
 
     def leave(self) -> None:
-        """End all publications."""
+        """End all publications, and stop the driven bases: nothing else would."""
+        for topic in self._driven:
+            with suppress(SlidectlError):
+                self._page.client.deliver(topic, _STILL)
         self._driven.clear()
         for topic in list(self._running):
             self._stop(topic)

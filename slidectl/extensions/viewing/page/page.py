@@ -60,13 +60,13 @@ class Page:
         self.scene = SceneView(self)
         self._recorder = PageRecorder(self)
         self._publications = PagePublications(self)
-        looks, acts = self._looks(), self._acts()
-        self._services = looks if read_only else looks | acts
-        self._refused = set(acts) if read_only else set()
+        reading, changing = self._reading_services(), self._changing_services()
+        self._services = reading if read_only else reading | changing
+        self._refused = set(changing) if read_only else set()
 
     # --- the services -------------------------------------------------------------------------------------------
 
-    def _looks(self) -> dict[str, Callable[[Message], Message | None]]:
+    def _reading_services(self) -> dict[str, Callable[[Message], Message | None]]:
         """The services that change nothing in the world, and no file."""
         return {
             "state": lambda _: self._state(),
@@ -77,7 +77,7 @@ class Page:
             "gains_file": lambda request: reports.gains_file(self.client, request),
         }
 
-    def _acts(self) -> dict[str, Callable[[Message], Message | None]]:
+    def _changing_services(self) -> dict[str, Callable[[Message], Message | None]]:
         return {
             "record": self._recorder.start,
             "stop_recording": lambda _: self._recorder.stop(),
@@ -114,7 +114,7 @@ class Page:
 
     def _carry_out(self, name: str, request: Message) -> Message | None:
         if name in self._refused:
-            raise Refused("this page only looks: it was started with --read-only")
+            raise Refused("this page is read-only: it was started with --read-only")
         service = self._services.get(name)
         if service is None:
             raise UnknownName("service of the page", name, list(self._services))
@@ -226,7 +226,7 @@ class Page:
         self._due["connect"] = time.monotonic() + _CONNECT_S
 
     def _leave(self) -> None:
-        for part in (self.scene, self._recorder, self._publications):
+        for part in (self._publications, self.scene, self._recorder):  # first of all what moves is stopped
             with suppress(SlidectlError):
                 part.leave()
         if self._client is not None:

@@ -74,7 +74,8 @@ class PageRecorder:
         from slidectl.extensions.recording.recording_files import check_kind
 
         if not name or Path(name).name != name or not name.isprintable() or len(os.fsencode(name)) > _LONGEST_NAME:
-            raise UsageError(f"{name!r} is no name of a file", f"it is made in {self._folder}: run.bag")
+            where = f"the file is made in {self._folder}"
+            raise UsageError(f"{name!r} is no name of a file", f"give a name without a folder, as run.bag; {where}")
         path = self._folder / name
         check_kind(path)
         if path.exists():

@@ -13,7 +13,7 @@ import { PictureOverlay } from "./pictures.js";
 import {
   act, attempt, Button, call, dismiss, html, number, notify, page, render, Select, store, Typed, useEffect, useStore,
 } from "./parts.js";
-import { Connection } from "./ros.js";
+import { Connection, GONE } from "./ros.js";
 
 const SPEEDS = ["0.1", "0.25", "0.5", "1", "2", "5", "10", "max"];
 const LOOK_MS = 1000;
@@ -31,6 +31,7 @@ const asked = address.get("panel");
 store.set({
   ros: null,
   isThere: null, // null: not known yet
+  gone: "page", // or daemon: who has gone when it is not there
   status: null,
   robots: [],
   controllers: {}, // namespace -> controller_manager_msgs/ControllerState[]
@@ -43,7 +44,7 @@ store.set({
   left: asked in LEFT ? asked : "robot",
   right: asked in RIGHT ? asked : "plots",
   phone: asked in PANELS ? asked : "robot",
-  leftOpen: true,
+  leftOpen: !NARROW.matches || !(asked in RIGHT || address.has("plot")),
   rightOpen: !NARROW.matches || asked in RIGHT || address.has("plot"),
   sheetOpen: true,
   theme: localStorage.getItem("slidectl.theme") ?? "system",
@@ -93,12 +94,12 @@ async function readGraph() {
 
 function connect() {
   const scheme = location.protocol === "https:" ? "wss" : "ws";
-  const ros = new Connection(`${scheme}://${location.host}/rosbridge`, (isOpen) => {
+  const ros = new Connection(`${scheme}://${location.host}/rosbridge`, (isOpen, gone) => {
     if (isOpen) {
       readWorld();
       readGraph();
     } else {
-      store.set({ isThere: false, status: null, robots: [], controllers: {}, topics: {}, services: {} });
+      store.set({ isThere: false, gone, status: null, robots: [], controllers: {}, topics: {}, services: {} });
     }
   });
   ros.onStatus = (status) => {
@@ -263,12 +264,13 @@ function Tabs({ panels, chosen, onChoose, label }) {
 
 function Dock({ side, panels, chosen, onChoose, label }) {
   const isThere = useStore((s) => s.isThere);
+  const gone = useStore((s) => s.gone);
   const Shown = panels[chosen].Panel;
   return html`<aside class=${`dock ${side}`} aria-label=${label}>
     <${Tabs} panels=${panels} chosen=${chosen} onChoose=${onChoose} label=${label} />
     <div class="panel" role="tabpanel" id=${`panel-${chosen}`} aria-labelledby=${`tab-${chosen}`} tabindex="0">
       ${isThere || chosen === "log" ? html`<${Shown} key=${chosen} />` : html`<p class="empty">${
-        isThere === null ? "Connecting …" : "The daemon has gone. The page comes back with it."}</p>`}
+        isThere === null ? "Connecting …" : gone === "daemon" ? `${GONE.daemon}. The page comes back with it.` : `${GONE.page}.`}</p>`}
     </div>
   </aside>`;
 }
@@ -289,13 +291,15 @@ function Notices() {
 
 function Banner() {
   const isThere = useStore((s) => s.isThere);
+  const gone = useStore((s) => s.gone);
   const status = useStore((s) => s.status);
   const readOnly = useStore((s) => s.readOnly);
   if (isThere === false) {
-    return html`<div class="banner bad" role="alert">The daemon has gone. The page waits for it: <code>slidectl daemon start</code></div>`;
+    return html`<div class="banner bad" role="alert">${gone === "daemon"
+      ? html`${GONE.daemon}. The page waits for it: <code>slidectl daemon start</code>` : GONE.page}</div>`;
   }
   const told = [
-    readOnly && "Only looking",
+    readOnly && "Read-only: started with --read-only",
     status?.trouble,
     status?.estop?.length && `Emergency stop: ${status.estop.join(", ")}`,
     status?.frozen?.length && `Diverged and held: ${status.frozen.join(", ")}`,

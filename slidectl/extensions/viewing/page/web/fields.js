@@ -45,7 +45,7 @@ export const parsed = (typedefs) => Object.fromEntries(typedefs.map((one) => [on
 export const isNumber = (type) => NUMBERS.has(type);
 export const isTime = (type) => type === "time" || type === "duration";
 
-/** The steps of a path: names, and indices as numbers or [from, to]. Throws an Error that says what is wrong. */
+/** The steps of a path: names, and indices as numbers or slices {begin, end, step}, as in Python. Throws an Error that says what is wrong. */
 export function steps(path) {
   const found = [];
   for (const part of path.split(/[/.]/).filter(Boolean)) {
@@ -53,10 +53,11 @@ export function steps(path) {
     if (!match) throw new Error(`${part} is not a field: write NAME or NAME[0]`);
     found.push(match[1]);
     for (const [, inside] of match[2].matchAll(/\[([^\]]*)\]/g)) {
-      const range = /^(\d*):(\d*)$/.exec(inside);
-      if (range) found.push([Number(range[1] || 0), range[2] ? Number(range[2]) : Infinity]);
-      else if (/^-?\d+$/.test(inside)) found.push(Number(inside));
-      else throw new Error(`[${inside}] is not an index`);
+      const bounds = inside.split(":").map((text) => text.trim());
+      const isIndex = bounds.length <= 3 && bounds.every((text) => /^-?\d+$/.test(text) || (!text && bounds.length > 1));
+      if (!isIndex || Number(bounds[2] || 1) === 0) throw new Error(`[${inside}] is not an index: write [0], [-1], [1:3] or [::2]`);
+      const [begin, end] = bounds.map((text) => (text ? Number(text) : null));
+      found.push(bounds.length === 1 ? begin : { begin, end, step: Number(bounds[2] || 1) });
     }
   }
   return found;
@@ -70,21 +71,37 @@ export function numeric(value) {
   return NaN;
 }
 
-/** What is in a message at the steps of a path; undefined where there is nothing. */
+/** The elements of a slice. Negative places count from the end; a negative step goes backwards. */
+function sliced(array, { begin, end, step }) {
+  const [low, high] = step > 0 ? [0, array.length] : [-1, array.length - 1];
+  const placeOf = (given) => Math.min(Math.max(given < 0 ? given + array.length : given, low), high);
+  const first = begin === null ? (step > 0 ? low : high) : placeOf(begin);
+  const last = end === null ? (step > 0 ? high : low) : placeOf(end);
+  const found = [];
+  for (let place = first; step > 0 ? place < last : place > last; place += step) found.push(array[place]);
+  return found;
+}
+
+/** What is in a message at the steps of a path, of each element where a field of a list is meant; undefined for nothing. */
 export function valueAt(message, path) {
   let value = message;
-  for (const one of path) {
+  for (const [place, one] of path.entries()) {
     if (value === undefined || value === null) return undefined;
-    if (Array.isArray(one)) value = value.slice(...one);
-    else value = value[typeof one === "number" && one < 0 ? value.length + one : one];
+    if (typeof one === "string") {
+      if (Array.isArray(value)) return value.map((each) => valueAt(each, path.slice(place)));
+      value = value[one];
+    } else {
+      if (!Array.isArray(value)) return undefined;
+      value = typeof one === "number" ? value.at(one) : sliced(value, one);
+    }
   }
   return value;
 }
 
-/** The paths of all numbers in a value at a path: itself, or those inside. */
+/** [path, number] for all numbers in the value at a path: itself, or those inside. */
 export function* numbersIn(value, path, most = 32) {
   if (value === null || typeof value === "number" || typeof value === "boolean" || (value && typeof value === "object" && "secs" in value)) {
-    yield path;
+    yield [path, numeric(value)];
   } else if (Array.isArray(value)) {
     for (let place = 0; place < Math.min(value.length, most); place++) yield* numbersIn(value[place], `${path}[${place}]`, most);
   } else if (value && typeof value === "object") {
@@ -142,11 +159,12 @@ export function unitOf(topic, types, root, path, about = "") {
 
 /** The name of what an element of an array is of: that of a joint, where the message has as many names. */
 export function nameOfElement(message, path) {
-  const match = /\[(\d+)\]$/.exec(path);
-  if (!match || !message) return "";
-  const place = Number(match[1]);
-  const names = message.name ?? message.joint_names;
-  return Array.isArray(names) && typeof names[place] === "string" ? names[place] : "";
+  const names = message?.name ?? message?.joint_names;
+  const all = steps(path);
+  const indices = all.slice(all.findLastIndex((one) => typeof one === "string") + 1);
+  if (!Array.isArray(names) || !indices.length) return "";
+  const name = valueAt(names, indices);
+  return typeof name === "string" ? name : "";
 }
 
 /** `state/{a,b}` as `state/a` and `state/b`, as a shell does. */

@@ -103,6 +103,9 @@ export async function attempt(action) {
   }
 }
 
+/** What is wrong, in one text: the message of an error and its hint. */
+export const reasonOf = ({ message, hint }) => [message, hint].filter(Boolean).join(/[.!?:]$/.test(message) ? " " : ". ");
+
 /** As `attempt`; then the world is read again. */
 export async function act(action) {
   const done = await attempt(action);
@@ -143,7 +146,7 @@ export function Button({ icon, kind = "", title, children, ...rest }) {
   } ...${rest}>${icon && html`<${Icon} name=${icon} />`}${children}</button>`;
 }
 
-/** A button for what changes the world: off on a page that only looks. */
+/** A button for what changes the world: off on a read-only page. */
 export function Act({ onClick, disabled, ...rest }) {
   const readOnly = useStore((s) => s.readOnly);
   return html`<${Button} ...${rest} disabled=${disabled || readOnly} onClick=${() => act(onClick)} />`;

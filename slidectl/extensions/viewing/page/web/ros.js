@@ -2,6 +2,14 @@
 
 const RETRY_MS = 1000;
 const CALL_MS = 60_000;
+const DAEMON_GONE = [1012, 1013]; // the close codes of the page's own server when the daemon is not there
+
+/** Who has gone when a connection is closed: "daemon", or "page", which may not have let this browser in. */
+const goneOf = (code) => (DAEMON_GONE.includes(code) ? "daemon" : "page");
+export const GONE = {
+  daemon: "The daemon has gone",
+  page: "slidectl view has ended, or does not let this browser in: start it again, and open the address that it prints",
+};
 
 /** What a service refused: its text, and a hint in the lines after the first. */
 export class Refused extends Error {
@@ -15,8 +23,9 @@ export class Refused extends Error {
 export class Connection {
   constructor(url, onState) {
     this.url = url;
-    this.onState = onState; // called with true and false
+    this.onState = onState; // called with true, and with false and who has gone
     this.serial = 0;
+    this.gone = "page";
     this.calls = new Map(); // id -> {resolve, reject, timer}
     this.topics = new Map(); // topic -> Map of subscription id -> {message, take}
     this.onStatus = () => {};
@@ -30,10 +39,11 @@ export class Connection {
       this.onState(true);
     };
     this.socket.onmessage = (event) => this.take(JSON.parse(event.data));
-    this.socket.onclose = () => {
-      for (const call of this.calls.values()) call.reject(new Refused("the daemon has gone"));
+    this.socket.onclose = ({ code }) => {
+      this.gone = goneOf(code);
+      for (const call of this.calls.values()) call.reject(new Refused(GONE[this.gone]));
       this.calls.clear();
-      this.onState(false);
+      this.onState(false, this.gone);
       setTimeout(() => this.connect(), RETRY_MS);
     };
   }
@@ -68,7 +78,7 @@ export class Connection {
   /** The answer of a service with its `reasons`. Rejects with Refused, also for an answer with `success` or `ok` false. */
   ask(service, args = {}) {
     return new Promise((resolve, reject) => {
-      if (!this.isOpen) return reject(new Refused("the daemon has gone"));
+      if (!this.isOpen) return reject(new Refused(GONE[this.gone]));
       const id = `c${++this.serial}`;
       const late = () => {
         this.calls.delete(id);
@@ -91,7 +101,7 @@ export class Connection {
   /** Publish; the remarks of the subscribers. Rejects with Refused when they do not take the message. */
   publish(topic, msg) {
     return new Promise((resolve, reject) => {
-      if (!this.isOpen) return reject(new Refused("the daemon has gone"));
+      if (!this.isOpen) return reject(new Refused(GONE[this.gone]));
       const id = `p${++this.serial}`;
       this.calls.set(id, { resolve, reject });
       this.send({ op: "publish", id, topic, msg, ack: true });

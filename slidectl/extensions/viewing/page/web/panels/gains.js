@@ -1,6 +1,6 @@
 // Gains that are changed while a controller runs (rqt_reconfigure). A typed value is set on Enter or when the field is left.
 
-import { act, Act, call, Check, html, store, Typed, useEffect, useState, useStore } from "../parts.js";
+import { act, Act, call, Check, html, reasonOf, store, Typed, useEffect, useState, useStore } from "../parts.js";
 
 const MOST_CHANGES = 100;
 
@@ -46,7 +46,7 @@ export function Gains({ space, server }) {
       setValues(after);
       setErrors({ ...errors, [name]: "" });
     } catch (error) {
-      setErrors({ ...errors, [name]: [error.message, error.hint].filter(Boolean).join(". ") });
+      setErrors({ ...errors, [name]: reasonOf(error) });
       setValues({ ...values });
     }
   };

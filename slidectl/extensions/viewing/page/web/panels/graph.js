@@ -1,6 +1,6 @@
 // The graph of nodes and topics as a picture, and the tree of tf frames with their ages.
 
-import { attempt, Button, Check, Field, Group, html, page, store, useEffect, useEvery, useRef, useState, useStore } from "../parts.js";
+import { attempt, Button, Check, Field, Group, html, page, reasonOf, store, useEffect, useEvery, useRef, useState, useStore } from "../parts.js";
 
 function Picture() {
   const topics = useStore((s) => s.topics);
@@ -15,7 +15,7 @@ function Picture() {
       setAddress(URL.createObjectURL(new Blob([svg], { type: "image/svg+xml" })));
       setError("");
     } catch (refused) {
-      setError([refused.message, refused.hint].filter(Boolean).join(". "));
+      setError(reasonOf(refused));
     }
   };
   useEffect(() => {

@@ -1,7 +1,7 @@
 // The joints of a robot: where they are, and a slider for each command topic of a running controller.
 
 import {
-  attempt, Button, call, Group, html, join, jointUnit, number, store, Typed, useEffect, useEvery, useRef, useState, useStore, useTopic,
+  attempt, Button, call, Group, html, join, jointUnit, notify, number, store, Typed, useEffect, useEvery, useRef, useState, useStore, useTopic,
 } from "../parts.js";
 
 const SCALAR = "std_msgs/Float64";
@@ -13,20 +13,29 @@ const SETTLE_MS = 1000;
 const SEND_MS = 30;
 const JOG_S = 4; // seconds from one end of the range to the other
 
-/** The range of a slider: the limits of the joint, or a range that suits most. */
-export function bounds(joint, quantity) {
+/** The limits of a joint; null for one without. */
+function limitsOf(joint, quantity) {
   let [low, high] = [joint?.lower, joint?.upper];
   if (quantity !== "Position") {
     high = joint?.[`max_${quantity.toLowerCase()}`];
     low = typeof high === "number" ? -high : null;
   }
   if (typeof low === "number" && typeof high === "number" && Number.isFinite(high - low) && low < high) return [low, high];
+  return null;
+}
+
+/** The range of a slider: the limits of the joint, or a range that suits most. */
+export function bounds(joint, quantity) {
+  const limits = limitsOf(joint, quantity);
+  if (limits) return limits;
   const span = SPANS[quantity][joint?.type === "prismatic" ? 1 : 0];
   return [-span, span];
 }
 
 export const stepOf = ([low, high]) => Math.min(0.01, 10 ** Math.floor(Math.log10((high - low) / 1000)));
-export const placed = (value, [low, high]) => Math.min(Math.max(Math.round(value * 1e4) / 1e4, low), high);
+const cut = (value, [low, high]) => Math.min(Math.max(value, low), high);
+const rounded = (value) => Math.round(value * 1e4) / 1e4;
+export const placed = (value, range) => cut(rounded(value), range);
 
 function drivesOf(robot, controllers, topics) {
   const found = [];
@@ -48,8 +57,10 @@ function Commands({ robot, drive, names, topics }) {
   const readOnly = useStore((s) => s.readOnly);
   const joints = names.map((name) => robot.joints.find((joint) => joint.name === name));
   const ranges = joints.map((joint) => bounds(joint, drive.quantity));
+  // Where a joint has no limits, only its slider ends: other commands may be beyond it.
+  const limits = joints.map((joint) => limitsOf(joint, drive.quantity) ?? [-Infinity, Infinity]);
   const [values, setValues] = useState(() => joints.map((joint, place) =>
-    placed(drive.quantity === "Position" ? joint?.position ?? 0 : 0, ranges[place])));
+    placed(drive.quantity === "Position" ? joint?.position ?? 0 : 0, limits[place])));
   const settled = useRef(0);
   const waiting = useRef(null);
   const later = useRef(null);
@@ -85,7 +96,7 @@ function Commands({ robot, drive, names, topics }) {
     return end;
   }, [state, isTold, robot.controllers.join(), isReset]);
   const send = (place, value) => {
-    const now = newest.current.map((one, at) => (at === place ? placed(value, ranges[place]) : one));
+    const now = newest.current.map((one, at) => (at === place ? cut(value, limits[place]) : one));
     newest.current = now;
     setValues(now);
     settled.current = performance.now() + SETTLE_MS;
@@ -99,19 +110,20 @@ function Commands({ robot, drive, names, topics }) {
     const unit = jointUnit(joints[place], drive.quantity.toLowerCase());
     const [low, high] = ranges[place];
     const value = values[place] ?? 0;
-    const jog = (sign) => (passed) => send(place, newest.current[place] + (sign * passed * (high - low)) / JOG_S);
+    const jog = (sign) => (passed) => send(place, rounded(newest.current[place] + (sign * passed * (high - low)) / JOG_S));
     return html`<div class="command" key=${name}>
       <div class="row"><span class="name" title=${`${drive.controller}: ${name}`}>${name}</span>
         <${Jog} icon="back" title=${`Jog ${name} back`} disabled=${readOnly} onMove=${jog(-1)} />
         <${Jog} icon="forth" title=${`Jog ${name} forth`} disabled=${readOnly} onMove=${jog(1)} />
         <${Typed} class="exact" inputmode="decimal" aria-label=${`Command of ${name}, ${unit}`} value=${number(value, 3)}
           disabled=${readOnly} onCommit=${(text) => {
-            const typed = Number(text.replace("−", "-").replace(",", "."));
-            if (text && Number.isFinite(typed)) send(place, typed);
+            const typed = text ? Number(text.replace("−", "-").replace(",", ".")) : NaN;
+            if (Number.isFinite(typed)) send(place, typed);
+            else notify(`${name}: a number is needed`, "", "bad");
           }} /><span class="unit">${unit}</span></div>
       <input type="range" aria-label=${`${drive.controller}, ${name}`} min=${low} max=${high} step=${stepOf(ranges[place])}
         value=${value} style=${{ "--part": `${(100 * (placed(value, ranges[place]) - low)) / (high - low)}%` }}
-        disabled=${readOnly} onInput=${(event) => send(place, Number(event.target.value))} />
+        disabled=${readOnly} onInput=${(event) => send(place, rounded(Number(event.target.value)))} />
     </div>`;
   });
 }

@@ -2,8 +2,8 @@
 // panel is shown; their fields are in the address of the page.
 
 import uPlot from "uplot";
-import { expanded, nameOfElement, numbersIn, numeric, resolve, steps, unitOf, valueAt } from "../fields.js";
-import { attempt, baseName, Button, download, Field, Group, html, join, notify, Select, store, useEffect, useRef, useState, useStore } from "../parts.js";
+import { expanded, nameOfElement, numbersIn, resolve, steps, unitOf, valueAt } from "../fields.js";
+import { attempt, baseName, Button, download, Field, Group, html, join, notify, reasonOf, Select, store, useEffect, useRef, useState, useStore } from "../parts.js";
 
 const COLOURS = ["#2f6fed", "#e8710a", "#1e9e5a", "#c5221f", "#8e44c9", "#8d6e63", "#d0459b", "#0f9fb5"];
 const MOST_PLOTS = 8;
@@ -94,17 +94,14 @@ class LivePlot {
         if (!curves.size) this.trouble(text, `${path} of ${topic} has no such element`);
         return;
       }
-      const found = path || typeof value === "object" ? [...numbersIn(value, path, MOST_CURVES)] : [""];
-      for (const one of found) {
+      for (const [one, sample] of numbersIn(value, path, MOST_CURVES)) {
         let curve = curves.get(one);
         if (!curve) {
           const about = nameOfElement(message, one);
           curve = new Curve(`${topic}/${one}${about ? ` (${about})` : ""}`, unitOf(topic, types, type, one, about));
-          curve.path = steps(one);
           curves.set(one, curve);
           this.curves.push(curve);
         }
-        const sample = numeric(valueAt(message, curve.path));
         curve.add(now, Number.isFinite(sample) && Math.abs(sample) < 1e300 ? sample : null);
       }
     }, { queue: 1000 });
@@ -132,7 +129,7 @@ class LivePlot {
   /** Follow the fields whose topics have come. */
   async followAgain() {
     for (const text of this.fields) {
-      if (!this.ends.has(text)) await this.add(text).catch((error) => this.trouble(text, [error.message, error.hint].filter(Boolean).join(". ")));
+      if (!this.ends.has(text)) await this.add(text).catch((error) => this.trouble(text, reasonOf(error)));
     }
   }
 
@@ -290,7 +287,7 @@ async function begin(fields) {
   isTouched = true;
   const plot = new LivePlot();
   plots.push(plot);
-  for (const field of fields) await plot.add(field).catch((error) => plot.trouble(field, error.message));
+  for (const field of fields) await plot.add(field).catch((error) => plot.trouble(field, reasonOf(error)));
 }
 
 /** Add a field to a plot, which is that of the number `id`, the last one, or a new one. Rejects with what is wrong. */
@@ -346,19 +343,19 @@ function Chart({ plot }) {
       }
     };
     const build = (curves, stroke, lines) => {
-      const units = [...new Set(curves.map((one) => one.unit))].slice(0, 2);
+      const units = [...new Set(curves.map((one) => one.unit))]; // each has a scale of its own; the first two have axes
       const axis = (scale, side) => ({ scale, side, stroke, grid: side === 3 ? lines : { show: false }, ticks: lines, size: 52, font: "11px sans-serif",
-        label: units.length > 1 || scale ? scale || undefined : undefined, labelSize: scale ? 16 : 0, labelFont: "11px sans-serif",
+        label: scale || undefined, labelSize: scale ? 16 : 0, labelFont: "11px sans-serif",
         values: (_, ticks) => ticks.map((one) => (Math.abs(one) >= 1e5 ? one.toExponential(0) : String(Number(one.toFixed(6))))) });
       const value = (_, one) => (one === null || one === undefined ? "–" : Number(one.toPrecision(5)).toString());
       const made = new uPlot({
         width: place.current.clientWidth, height: 220, scales: { x: { time: false }, ...Object.fromEntries(units.map((unit) => [unit, { range: padded }])) },
         legend: { live: true }, cursor: { sync: { key: "time" }, drag: { x: true, y: false } },
         axes: [{ stroke, grid: lines, ticks: lines, font: "11px sans-serif", size: 32, values: (_, ticks) => ticks.map((one) => `${Number(one.toFixed(3))}`) },
-          ...units.map((unit, at) => axis(unit, at ? 1 : 3))],
+          ...units.slice(0, 2).map((unit, at) => axis(unit, at ? 1 : 3))],
         series: [{ label: "t, s", value: (_, one) => (one === null || one === undefined ? "–" : one.toFixed(3)) },
           ...curves.map((one, at) => ({ label: one.unit ? `${one.label}, ${one.unit}` : one.label, stroke: COLOURS[at % COLOURS.length], width: 1.6,
-            scale: units.includes(one.unit) ? one.unit : units[0], value, points: { show: false } }))],
+            scale: one.unit, value, points: { show: false } }))],
         hooks: { setSelect: [(self) => { self.isHeld = self.select.width > 0; }] },
       }, tables(curves), place.current);
       made.over.addEventListener("dblclick", () => { made.isHeld = false; });
@@ -426,7 +423,7 @@ function Panel() {
       await add(text.trim(), into);
       setError("");
     } catch (refused) {
-      setError([refused.message, refused.hint].filter(Boolean).join(". "));
+      setError(reasonOf(refused));
     }
   };
   const setSpan = (value) => {

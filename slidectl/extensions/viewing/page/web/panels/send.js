@@ -94,7 +94,7 @@ function Publish() {
       <div class="line"><${Act} kind="primary" onClick=${once}>Publish once<//>
         <${Act} onClick=${begin}>Publish at<//>
         <input class="short" inputmode="decimal" aria-label="Rate, Hz of simulated time" value=${rate} onInput=${(event) => setRate(event.target.value)} /><span class="unit">Hz</span></div>
-      <p class="hint">Numbers may be expressions in t (s) and i.</p>`}
+      <p class="hint">Numbers may be expressions in t (s) and i. i counts the messages, t is their time in s.</p>`}
     ${running.map((one) => html`<div class="row" key=${one.topic}><span class="name" title=${one.topic}>${one.topic}</span>
       <span class="value">${one.rate} Hz, ${one.published} published</span>
       <${Act} aria-label=${`Stop ${one.topic}`} onClick=${() => page("stop_publishing", { topic: one.topic })}>Stop<//></div>

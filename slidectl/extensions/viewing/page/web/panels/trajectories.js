@@ -69,7 +69,7 @@ function Goal({ robot, controller, action }) {
     <div class="line"><${Act} kind="primary" disabled=${!isGood} onClick=${send}>Send<//>
       <${Act} title="Cancel the trajectory and stay in place" onClick=${() => store.values.ros.publish(`${controller}/command`, {})}>Hold<//>
       <${Act} onClick=${() => store.values.ros.publish(`${action}/cancel`, {})}>Cancel goals<//>
-      <${Act} title="Goals where the joints are meant to be now" onClick=${takePresent}>Take present<//></div>
+      <${Act} title="Goals where the joints are meant to be now" onClick=${takePresent}>Set to the present positions<//></div>
     ${told && html`<p class="hint" role="status">Goal: ${told}</p>`}
     <table class="states"><thead><tr><th>Joint</th><th>Desired</th><th>Actual</th><th>Error</th></tr></thead>
       <tbody>${rows.map(([name, ...values]) => html`<tr key=${name}><th scope="row">${name}</th>${values.map((value) => html`<td>${number(value)}</td>`)}</tr>`)}</tbody></table>`;
