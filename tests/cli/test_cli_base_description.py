@@ -12,7 +12,6 @@ from pathlib import Path
 
 import mujoco
 import pytest
-import yourdfpy
 from command_line import CommandLine
 from daemon_fixture import running_daemon
 from lxml import etree
@@ -69,6 +68,8 @@ def description(world: CommandLine, name: str) -> str:
 
 def check_readable(text: str, assets: dict[str, bytes] | None = None) -> None:
     """Every reader of URDF takes it, and it ends with its root element."""
+    import yourdfpy  # heavy
+
     assert mujoco.MjModel.from_xml_string(text, assets=assets or {}).njnt
     root = ET.fromstring(text)
     assert root.tag == "robot"

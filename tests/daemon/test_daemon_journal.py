@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import trimesh
 from daemon_fixture import Runtime
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -807,6 +806,8 @@ def test_code_of_users_that_draws_random_numbers_is_found(tmp_path: Path, journa
 
 def test_what_a_uri_was_read_as_is_in_the_journal(tmp_path: Path, journal_file: Path) -> None:
     """A file whose mesh is looked up too."""
+    import trimesh  # heavy
+
     trimesh.creation.cone(0.3, 1.0).export(tmp_path / "cone.stl")
     file = tmp_path / "cone.urdf"
     inertial = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'

@@ -6,6 +6,7 @@ import difflib
 import json
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any
 from unittest import mock
 
@@ -18,8 +19,31 @@ from slidectl.logfile import LogFile
 from slidectl.simulation.parameters import Parameters
 
 Connect = Callable[[], Wire]
-LONG = "n" * 5_000_000
-PARTS = "a/" * 2_500_000
+
+
+@dataclass(frozen=True)
+class Long:
+    """A long text, which is made when a test needs it: the parameters of tests stay in memory to the end."""
+
+    part: str
+    count: int
+    before: str = ""
+
+    def __str__(self) -> str:
+        return self.before + self.part * self.count
+
+
+def made(value: Any) -> Any:
+    """The value with the long texts in it made."""
+    if isinstance(value, dict):
+        return {made(key): made(content) for key, content in value.items()}
+    if isinstance(value, list):
+        return [made(content) for content in value]
+    return str(value) if isinstance(value, Long) else value() if callable(value) else value
+
+
+LONG = Long("n", 5_000_000)
+PARTS = Long("a/", 2_500_000)
 FEW_KB = 8192
 URDF = """<robot name="box"><link name="world"/><link name="base"/><link name="arm">
 <inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
@@ -33,16 +57,16 @@ URDF = """<robot name="box"><link name="world"/><link name="base"/><link name="a
 <gazebo><plugin name="c" filename="libgazebo_ros_control.so"/></gazebo></robot>"""
 SWITCH = "/box/controller_manager/switch_controller"
 
-CALLS: list[tuple[str, dict[str, Any]]] = [
+CALLS: list[tuple[str | Long, dict[str, Any]]] = [
     (SWITCH, {"start_controllers": [LONG], "strictness": 1}),
     (SWITCH, {"start_controllers": [LONG], "strictness": 2}),
-    (SWITCH, {"start_controllers": [f"n{number}" for number in range(90_000)], "strictness": 1}),
+    (SWITCH, {"start_controllers": lambda: [f"n{number}" for number in range(90_000)], "strictness": 1}),
     ("/box/controller_manager/load_controller", {"name": LONG}),
     ("/box/controller_manager/load_controller", {"name": PARTS}),
     ("/box/controller_manager/unload_controller", {"name": LONG}),
     ("/rosapi/set_param", {"name": PARTS, "value": "1"}),
-    ("/rosapi/set_param", {"name": "/x", "value": json.dumps({PARTS: 1})}),
-    ("/rosapi/set_param", {"name": LONG, "value": json.dumps([None] * 90_000)}),
+    ("/rosapi/set_param", {"name": "/x", "value": lambda: json.dumps({str(PARTS): 1})}),
+    ("/rosapi/set_param", {"name": LONG, "value": lambda: json.dumps([None] * 90_000)}),
     ("/rosapi/get_param", {"name": LONG}),
     ("/rosapi/get_param", {"name": PARTS}),
     ("/rosapi/delete_param", {"name": LONG}),
@@ -52,22 +76,25 @@ CALLS: list[tuple[str, dict[str, Any]]] = [
     ("/rosapi/service_type", {"service": LONG}),
     ("/rosapi/node_details", {"node": LONG}),
     ("/rosapi/message_details", {"type": LONG}),
-    ("/rosapi/service_request_details", {"type": "std_srvs/" + LONG}),
-    ("/slidectl/wait", {"topic": "/clock", "field": "clock" + "[0]" * 1_500_000, "condition": "near", "value": "1"}),
-    ("/slidectl/wait", {"topic": "/clock", "field": "clock." * 800_000, "condition": "near", "value": "1"}),
+    ("/rosapi/service_request_details", {"type": Long("n", 5_000_000, "std_srvs/")}),
+    (
+        "/slidectl/wait",
+        {"topic": "/clock", "field": Long("[0]", 1_500_000, "clock"), "condition": "near", "value": "1"},
+    ),
+    ("/slidectl/wait", {"topic": "/clock", "field": Long("clock.", 800_000), "condition": "near", "value": "1"}),
     ("/slidectl/wait", {"topic": "/clock", "field": "clock", "condition": LONG, "value": "1"}),
-    ("/slidectl/wait", {"topic": "/" + LONG, "field": "clock", "condition": "near", "value": "1"}),
+    ("/slidectl/wait", {"topic": Long("n", 5_000_000, "/"), "field": "clock", "condition": "near", "value": "1"}),
     ("/slidectl/list_robots", {"name": LONG}),
-    ("/gazebo/spawn_urdf_model", {"model_name": "x", "model_xml": "<robot name='x'>" + "<!-- -->" * 500_000}),
+    ("/gazebo/spawn_urdf_model", {"model_name": "x", "model_xml": Long("<!-- -->", 500_000, "<robot name='x'>")}),
     ("/gazebo/delete_model", {"model_name": LONG}),
     ("/gazebo/get_model_state", {"model_name": LONG}),
     ("/gazebo/get_link_state", {"link_name": LONG}),
     ("/gazebo/apply_joint_effort", {"joint_name": LONG}),
     ("/gazebo/set_model_state", {"model_state": {"model_name": LONG}}),
     (LONG, {}),
-    ("/" + LONG, {}),
+    (Long("n", 5_000_000, "/"), {}),
 ]
-OPS: list[dict[str, Any]] = [
+OPS: list[dict[Any, Any]] = [
     *({"op": op, "topic": LONG, "type": "std_msgs/String"} for op in ("publish", "subscribe", "advertise")),
     *({"op": op, "topic": "/x", "type": LONG} for op in ("publish", "subscribe", "advertise")),
     *({"op": op, "topic": LONG} for op in ("unsubscribe", "unadvertise")),
@@ -77,7 +104,7 @@ OPS: list[dict[str, Any]] = [
     {"op": "set_level", "level": LONG},
     {"op": "subscribe", "topic": "/clock", "compression": LONG},
     {"op": "publish", "topic": "/x", "type": "std_msgs/String", "msg": {LONG: 1}},
-    {"op": "publish", "topic": "/x", "type": "std_msgs/String", "msg": {str(key): 1 for key in range(90_000)}},
+    {"op": "publish", "topic": "/x", "type": "std_msgs/String", "msg": lambda: {str(key): 1 for key in range(90_000)}},
     {"op": "service_response", "id": LONG},
     {"op": LONG},
 ]
@@ -98,20 +125,20 @@ def log_size(daemon: Runtime) -> int:
 
 @pytest.mark.parametrize(("service", "args"), CALLS, ids=lambda part: str(part)[:60])
 def test_a_call_with_a_huge_argument_is_answered_in_a_few_words(
-    robot: Runtime, wire: Wire, service: str, args: dict[str, Any]
+    robot: Runtime, wire: Wire, service: str | Long, args: dict[str, Any]
 ) -> None:
     before = log_size(robot)
-    wire.send(op="call_service", id="huge", service=service, args=args)
+    wire.send(op="call_service", id="huge", service=made(service), args=made(args))
     answer = wire.until("service_response", id="huge")
     assert len(json.dumps(answer)) < FEW_KB
     assert "internal error" not in json.dumps(answer)
     assert log_size(robot) - before < 2 * FEW_KB
 
 
-@pytest.mark.parametrize("message", OPS, ids=lambda message: message["op"][:40])
-def test_an_op_with_a_huge_name_is_refused_in_a_few_words(robot: Runtime, wire: Wire, message: dict[str, Any]) -> None:
+@pytest.mark.parametrize("message", OPS, ids=lambda message: str(message["op"])[:40])
+def test_an_op_with_a_huge_name_is_refused_in_a_few_words(robot: Runtime, wire: Wire, message: dict[Any, Any]) -> None:
     before = log_size(robot)
-    wire.send(**message)
+    wire.send(**made(message))
     status = wire.receive()
     assert (status["op"], status["level"]) == ("status", "error")
     assert len(json.dumps(status)) < FEW_KB
@@ -122,14 +149,14 @@ def test_an_op_with_a_huge_name_is_refused_in_a_few_words(robot: Runtime, wire: 
 @pytest.mark.parametrize(
     ("args", "reason"),
     [
-        ([[1] * 200_000], "a line with "),
-        ({"value": "[" * 5_000_000}, "a line with "),
-        ([{}] * 30_000, "a line with 30001 mappings"),
+        (lambda: [[1] * 200_000], "a line with "),
+        ({"value": Long("[", 5_000_000)}, "a line with "),
+        (lambda: [{}] * 30_000, "a line with 30001 mappings"),
         ({"name": "/x", "value": "9" * 5000}, "the value is not JSON"),
     ],
 )
 def test_a_line_of_too_many_values_is_not_read_and_the_caller_is_told(wire: Wire, args: object, reason: str) -> None:
-    wire.send(op="call_service", id='my "id"', service="/rosapi/set_param", args=args)
+    wire.send(op="call_service", id='my "id"', service="/rosapi/set_param", args=made(args))
     answer = wire.receive()
     assert (answer["op"], answer["id"], answer["result"]) == ("service_response", 'my "id"', False)
     assert answer["values"].startswith(reason) or reason in answer["values"]
@@ -152,13 +179,13 @@ def test_an_unknown_name_among_very_many_is_compared_with_few() -> None:
 
 
 def test_errors_stay_short_whatever_they_quote() -> None:
-    assert len(str(UnknownName("topic", LONG, [LONG] * 20))) < FEW_KB
-    assert len(str(SlidectlError(LONG, LONG))) < 50_000
+    assert len(str(UnknownName("topic", str(LONG), [str(LONG)] * 20))) < FEW_KB
+    assert len(str(SlidectlError(str(LONG), str(LONG)))) < 50_000
 
 
 def test_an_entry_of_the_log_keeps_its_beginning_and_its_end(tmp_path: Any) -> None:
     log = LogFile(tmp_path / "log", foreground=True)
-    log.write("info", "begin " + LONG + " end")
+    log.write("info", f"begin {LONG} end")
     log.close()
     text = (tmp_path / "log").read_text()
     assert "begin nnn" in text

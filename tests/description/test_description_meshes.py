@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import trimesh
 
 from slidectl.description import meshes
 from slidectl.errors import BadFile
@@ -16,6 +15,8 @@ from slidectl.errors import BadFile
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A box of 1 x 2 x 3 units in every kind of file, with a folder's name that is no plain one."""
+    import trimesh  # heavy
+
     folder = tmp_path_factory.mktemp("netze für alle")
     box = trimesh.creation.box((1, 2, 3))
     box.export(folder / "box.STL", file_type="stl")
@@ -32,6 +33,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("name", ["box.STL", "ascii.stl", "box.obj", "box.dae"])
 def test_a_box_has_its_corners_and_its_volume(folder: Path, name: str) -> None:
+    import trimesh  # heavy
+
     vertices, faces = meshes.load(folder / name)
     assert (vertices.dtype, faces.dtype) == (np.float64, np.int32)
     np.testing.assert_allclose([vertices.min(0), vertices.max(0)], [[-0.5, -1, -1.5], [0.5, 1, 1.5]])
@@ -52,6 +55,8 @@ def test_polygons_are_cut_into_triangles_and_missing_materials_do_no_harm(folder
 
 
 def test_a_mirrored_mesh_is_not_turned_inside_out(folder: Path) -> None:
+    import trimesh  # heavy
+
     vertices, faces = meshes.load(folder / "box.STL", (1.0, 1.0, -2.0))
     assert vertices[:, 2].max() == pytest.approx(3.0)
     assert trimesh.Trimesh(vertices, faces, process=False).volume == pytest.approx(12.0)
@@ -96,6 +101,8 @@ def test_a_file_is_refused_by_its_size_before_it_is_read(tmp_path: Path) -> None
 
 
 def test_an_stl_of_more_triangles_than_may_be_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import trimesh  # heavy
+
     box = trimesh.creation.box((1, 2, 3))
     for kind in ("stl", "stl_ascii", "obj", "dae"):
         path = tmp_path / f"{kind}.{kind[:3]}"
@@ -111,6 +118,8 @@ def test_an_stl_of_more_triangles_than_may_be_is_refused(tmp_path: Path, monkeyp
 @pytest.mark.parametrize("kind", ["stl", "stl_ascii", "obj", "dae"])
 def test_every_kind_is_read_as_trimesh_reads_it(tmp_path: Path, kind: str) -> None:
     """An independent reader: the same surface, by its volume, its area and its box."""
+    import trimesh  # heavy
+
     ball = trimesh.creation.icosphere(subdivisions=2)
     ball.vertices *= 1.0 + 0.3 * np.random.default_rng(1).random((len(ball.vertices), 1))
     exported = ball.export(file_type=kind)
@@ -170,6 +179,8 @@ def scene(nodes: str, primitive: str = "<triangles>{}<p>0 2 1 0 1 3 0 3 2 1 2 3<
 def test_the_nodes_of_a_scene_place_what_they_instance(
     tmp_path: Path, nodes: str, low: tuple[float, ...], high: tuple[float, ...], volume: float
 ) -> None:
+    import trimesh  # heavy
+
     path = tmp_path / "a.dae"
     path.write_text(scene(nodes), "utf-8")
     vertices, faces = meshes.load(path)
@@ -189,6 +200,8 @@ def test_the_nodes_of_a_scene_place_what_they_instance(
     ],
 )
 def test_every_primitive_of_a_dae_makes_triangles(tmp_path: Path, primitive: str) -> None:
+    import trimesh  # heavy
+
     path = tmp_path / "a.dae"
     path.write_text(scene('<node><instance_geometry url="#g"/></node>', primitive), "utf-8")
     vertices, faces = meshes.load(path)

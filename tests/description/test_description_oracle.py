@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import io
 import math
+from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
-import yourdfpy
 from description_urdf_text import LIMIT, joint, link, robot
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -76,14 +76,20 @@ def places(bot: Robot, positions: dict[str, float]) -> dict[str, Any]:
 
 
 MODELS = {"slider": load("slider").xml, "rrbot": load("rrbot").xml, "branched": BRANCHED}
-ORACLES = {name: yourdfpy.URDF.load(io.BytesIO(xml.encode()), load_meshes=False) for name, xml in MODELS.items()}
+
+
+@cache
+def oracle_of(name: str) -> Any:
+    import yourdfpy  # heavy
+
+    return yourdfpy.URDF.load(io.BytesIO(MODELS[name].encode()), load_meshes=False)
 
 
 @pytest.mark.parametrize("name", MODELS)
 @settings(max_examples=20, deadline=None, derandomize=True)
 @given(data=st.data())
 def test_links_are_where_yourdfpy_has_them(name: str, data: st.DataObject) -> None:
-    bot, oracle = parse(MODELS[name]), ORACLES[name]
+    bot, oracle = parse(MODELS[name]), oracle_of(name)
     angles = st.floats(-1, 1, allow_nan=False)
     positions = {joint: data.draw(angles, joint) for joint in oracle.actuated_joint_names}
     oracle.update_cfg(positions)
@@ -93,7 +99,7 @@ def test_links_are_where_yourdfpy_has_them(name: str, data: st.DataObject) -> No
 
 @pytest.mark.parametrize("name", MODELS)
 def test_masses_and_limits_are_those_that_yourdfpy_reads(name: str) -> None:
-    bot, oracle = parse(MODELS[name]), ORACLES[name].robot
+    bot, oracle = parse(MODELS[name]), oracle_of(name).robot
     for theirs in oracle.links:
         ours = bot.links[theirs.name].inertial
         if theirs.inertial is None:

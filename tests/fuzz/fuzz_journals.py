@@ -10,7 +10,6 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
-import trimesh
 from fuzz_limits import limited
 from fuzz_mutations import ODD_VALUES, mutated_bytes
 from fuzz_target import Fault, Target, write
@@ -57,6 +56,8 @@ class Journals:
 
     def recorded(self) -> tuple[dict[str, Any], list[dict[str, Any]]]:
         """The first line and the entries of a sound journal."""
+        import trimesh  # heavy
+
         path = self.folder / "sound.journal"
         law, mesh = write(self.folder, "law.py", _SPRING.encode()), self.folder / "block.stl"
         trimesh.creation.box((0.1, 0.2, 0.3)).export(mesh)

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import trimesh
 from physics_robots import arm, at, block, box_inertial, box_shape, one_joint, tree
 
 from slidectl.description.robot import Joint, Link, Mesh, Mimic, Robot, Shape
@@ -72,6 +71,8 @@ def test_a_world_grows_on_after_a_robot_has_left() -> None:
 
 @pytest.fixture
 def mesh(tmp_path: Path) -> Mesh:
+    import trimesh  # heavy
+
     path = tmp_path / "box.stl"
     path.write_bytes(trimesh.creation.box((0.2, 0.2, 0.2)).export(file_type="stl"))
     return Mesh(f"file://{path}", str(path))

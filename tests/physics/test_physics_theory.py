@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from physics_robots import arm, box_inertial, one_joint
-from scipy.special import ellipk
 
 from slidectl.description.robot import Pose, Robot
 from slidectl.physics import World
@@ -46,6 +45,8 @@ def energy(world: World) -> float:
 
 @pytest.mark.parametrize("amplitude", [0.01, 0.5, 1.5, 2.8])
 def test_a_pendulum_has_the_period_of_its_elliptic_integral(amplitude: float) -> None:
+    from scipy.special import ellipk  # heavy
+
     world = swinging(pendulum(), joint1=amplitude)
     crossings: list[float] = []
     before, time_s = amplitude, 0.0

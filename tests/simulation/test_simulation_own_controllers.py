@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 from push_law import LAW
-from scipy.linalg import solve_continuous_are
 from sim_robots import STATES, cart, command, configure, drive_up, logged, state, states_of, switch
 
 from slidectl import description
@@ -476,6 +475,8 @@ def test_a_simulation_imports_modules_by_file(bench: Bench) -> None:
 
 
 def test_the_regulator_of_the_example_balances_the_pole_with_the_gains_that_scipy_finds() -> None:
+    from scipy.linalg import solve_continuous_are  # heavy
+
     simulation = Simulation(imports=[str(Path(__file__).parents[2] / "examples" / "cartpole.py")])
     robot = simulation.spawn(description.load("cartpole").xml, "cartpole")
     for name, value in {"type": "cartpole/Lqr", "weights": [10.0, 10.0, 1.0, 1.0]}.items():

@@ -7,7 +7,7 @@ import socket
 import struct
 import time
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, suppress
 
 import pytest
@@ -145,16 +145,17 @@ def test_half_a_handshake_is_not_waited_for_without_end(url: str) -> None:
 
 @pytest.mark.usefixtures("other")
 @pytest.mark.parametrize(
-    ("sent", "code"),
+    ("make", "code"),
     [
-        (frame(b"x" * (17 << 20)), 1009),
-        (frame(b"x" * (9 << 20), is_last=False) + frame(b"x" * (9 << 20), op=0), 1009),
-        (b"\x81\xff" + struct.pack(">Q", 1 << 62) + b"\0\0\0\0", 1009),
-        (frame(b"x", bits=0x70), 1002), (frame(b"x", op=3), 1002), (frame(b"x", op=0), 1002), (b"\x81\x05hello", 1002),
-        (frame(b"x" * 126, op=9), 1002),
+        (lambda: frame(b"x" * (17 << 20)), 1009),
+        (lambda: frame(b"x" * (9 << 20), is_last=False) + frame(b"x" * (9 << 20), op=0), 1009),
+        (lambda: b"\x81\xff" + struct.pack(">Q", 1 << 62) + b"\0\0\0\0", 1009),
+        (lambda: frame(b"x", bits=0x70), 1002), (lambda: frame(b"x", op=3), 1002), (lambda: frame(b"x", op=0), 1002),
+        (lambda: b"\x81\x05hello", 1002), (lambda: frame(b"x" * 126, op=9), 1002),
     ],
 )  # fmt: skip
-def test_frames_that_are_none_or_too_large_end_the_connection(url: str, sent: bytes, code: int) -> None:
+def test_frames_that_are_none_or_too_large_end_the_connection(url: str, make: Callable[[], bytes], code: int) -> None:
+    sent = make()  # here, since the parameters of tests stay in memory to the end
     with shaken(url) as one:
         with suppress(OSError):
             one.sendall(sent)
