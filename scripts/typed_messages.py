@@ -24,6 +24,7 @@ CALLED = {
     "/rosapi/topics": "rosapi/Topics",
     "/slidectl/joint_states": "slidectl/JointStates",
     "/slidectl/list_robots": "slidectl/ListRobots",
+    "/slidectl/spawn": "slidectl/Spawn",
     "/slidectl/scene": "slidectl/Scene",
     "/slidectl/set_params": "slidectl/SetParams",
     "/slidectl/snapshots": "slidectl/ListSnapshots",

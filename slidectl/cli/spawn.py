@@ -140,8 +140,7 @@ def spawn(
     if remark := names.remark_on_robot(plan.robot.name if name is None else name):
         ctx.warn(remark)
     plan.controllers = list(start)
-    spawn = spawning.Spawn(ctx.client, plan, ctx.warn, ctx.wait_limit(spawning.LIMIT_S))
-    spawn.check()
+    spawn = spawning.Spawn(ctx.client, plan, ctx.wait_limit(spawning.LIMIT_S))
     if controllers is not None:
         try:
             plan.parameters = read_parameters(ctx, controllers, [plan.namespace], reports_moves=name is None)
@@ -153,10 +152,11 @@ def spawn(
             raise unknown
         _leave_out(missing, unknown.name, unknown)
         plan.controllers.remove(unknown.name)
-    warnings = spawn.apply()
+    [robot, *_], warnings = spawn.apply()
     manager = ctx.manager(plan.namespace)
     loads = spawn.ask_to_load(manager)
-    robot = spawn.robot()  # in the same round trip
+    if loads:
+        robot = spawn.robot()  # in the same round trip
     _print_report(ctx, robot, document, positions)
     for slip in slips.of_robot(plan.robot):
         ctx.warn(slip)
@@ -342,11 +342,8 @@ def _spawn_scene(
     if name is not None and (remark := names.remark_on_robot(name)):
         ctx.warn(remark)
     plan = spawning.scene_plan(scene.named(name), spawning.pose(at, "--at"), fixed=fixed, strict=strict)
-    spawn = spawning.Spawn(ctx.client, plan, ctx.warn, ctx.wait_limit(spawning.LIMIT_S))
-    spawn.check()
-    warnings = spawn.apply()
-    present = {robot["name"]: robot for robot in ctx.client.robots()}
-    spawned = [present[model] for model in spawn.names]
+    spawn = spawning.Spawn(ctx.client, plan, ctx.wait_limit(spawning.LIMIT_S))
+    spawned, warnings = spawn.apply()
     told = [vars(notice) for notice in scene.notices] + [notice for robot in spawned for notice in robot["report"]]
     _warn_notices(ctx, told)
     for warning in warnings:

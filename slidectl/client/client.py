@@ -93,13 +93,12 @@ class Client(GraphClient):
             if controllers is not None:
                 plan.parameters = spawning.controller_parameters(controllers, plan.namespace)
         spawn = spawning.Spawn(self, plan)
-        spawn.check()
         for unknown in spawn.unknown_controllers():
             raise unknown
-        spawn.apply()
+        robots, _ = spawn.apply()
         manager = Manager(self, plan.namespace)
         spawn.bring_up(manager, spawn.ask_to_load(manager))
-        return spawn.robot()
+        return spawn.robot() if start else robots[0]
 
     def delete(self, name: str) -> None:
         """Delete a robot from the world. Raises UnknownName, Refused."""

@@ -52,13 +52,7 @@ class Params:
         Raises:
             Refused: a loaded controller cannot take a value. UsageError: JSON cannot carry a value.
         """
-        texts = []
-        for name, value in values.items():
-            try:
-                texts.append(json.dumps(value, allow_nan=False))
-            except ValueError:
-                reason = f"parameter {name} cannot be set to {value}: parameters hold finite numbers"
-                raise UsageError(reason) from None
+        texts = [json_of(name, value) for name, value in values.items()]
         request = {"names": list(values), "values": texts, "known_only": known_only}
         answer = self._client.call("/slidectl/set_params", request)
         return [name for name in answer["created"] if name not in answer["guarded"]]
@@ -70,3 +64,11 @@ class Params:
     def names(self) -> list[str]:
         """The full names, sorted."""
         return sorted(self._client.call("/rosapi/get_param_names")["names"])
+
+
+def json_of(name: str, value: Any) -> str:
+    """The value of a parameter as JSON. Raises UsageError when JSON cannot carry it."""
+    try:
+        return json.dumps(value, allow_nan=False)
+    except ValueError:
+        raise UsageError(f"parameter {name} cannot be set to {value}: parameters hold finite numbers") from None

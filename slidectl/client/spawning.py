@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from slidectl import names, rotations
 from slidectl.client.manager import Manager, configured
-from slidectl.client.parameter_client import Params
+from slidectl.client.parameter_client import json_of
 from slidectl.errors import NoDaemon, NotThere, Refused, SlidectlError, UnknownName, UsageError
 
 if TYPE_CHECKING:
@@ -213,52 +213,36 @@ def scene_plan(
 
 
 class SpawnRefused(Refused):
-    """The world did not take a model. `status` is what it said: the reason, and lines with remarks."""
+    """The world did not take a model. `reason` is what it said: the reason, and lines with hints."""
 
-    def __init__(self, model: str, status: str) -> None:
-        super().__init__(f"cannot spawn {model}: {status}")
-        self.status = status
+    def __init__(self, model: str, reason: str) -> None:
+        super().__init__(f"cannot spawn {model}: {reason}")
+        self.reason = reason
 
 
 class Spawn:
-    """Carries out a plan on a client's world: `check`, then `apply`, then `bring_up`.
+    """Carries out a plan on a client's world: `apply`, then `bring_up`.
 
-    Without a scene, joints and missing parameters these are eight requests for two controllers, in six round trips.
+    For a robot with two controllers these are five requests in four round trips, without `robot`.
 
     Args:
-        warn: called with the warnings of parameters and controllers.
         limit_s: limit of the spawn of one model, in wall seconds.
-        fit: makes the positions of joints from the robot in the world (slidectl/RobotInfo), with remarks on those that
-            are left out; by default they are the plan's.
     """
 
     def __init__(
         self,
         client: GraphClient,
         plan: SpawnPlan,
-        warn: Callable[[str], None] = lambda _text: None,
         limit_s: float = LIMIT_S,
-        fit: Callable[[RobotInfoMsg], tuple[Mapping[str, float], list[str]]] | None = None,
     ) -> None:
         self.client = client
         self.plan = plan
-        self._warn = warn
         self._limit_s = limit_s
-        self._fit = fit
 
     @property
     def names(self) -> list[str]:
         """The names of the models."""
         return [str(model["model_name"]) for model in self.plan.models]
-
-    def check(self) -> None:
-        """Check that names and the namespace are free. Raises Refused. Nothing has been changed."""
-        plan = self.plan
-        robots = self.client.call("/slidectl/list_robots")["robots"]
-        if plan.is_scene:
-            _check_all_free(robots, self.names)
-        else:
-            check_free(robots, self.names[0], plan.namespace)
 
     def unknown_controllers(self) -> list[UnknownName]:
         """An error for each of the plan's controllers that no parameter describes, there or in the plan."""
@@ -271,46 +255,45 @@ class Spawn:
         where = f"in the parameters of {plan.namespace}"
         return [UnknownName("controller", name, known, where) for name in plan.controllers if name not in known]
 
-    def apply(self) -> list[str]:
-        """Set the parameters, spawn the models and put the joints. Returns the world's remarks.
+    def apply(self) -> tuple[list[RobotInfoMsg], list[str]]:
+        """Set the parameters, spawn the models and put the joints. Returns the robots, and the world's warnings.
 
-        For a scene and for joints the world is paused meanwhile, so that no cycle runs between the requests.
+        For a scene the world is paused meanwhile, so that no cycle runs between the requests.
 
         Raises:
             Refused: no model is left in the world; parameters stay.
         """
         plan = self.plan
-        if plan.parameters:
-            Params(self.client).set_all(plan.parameters)
-            for reason in self.client.reasons:
-                self._warn(reason)
-        if not plan.is_scene and not plan.joints:
+        if not plan.is_scene:
             return self._spawn_model(plan.models[0])
-        remarks: list[str] = []
+        _check_all_free(self.client.call("/slidectl/list_robots")["robots"], self.names)
+        robots: list[RobotInfoMsg] = []
+        warnings: list[str] = []
         with self._undone_on_failure() as there:
             for model in plan.models:
-                remarks += self._spawn_model(model)
+                spawned, told = self._spawn_model(model)
                 there.append(model["model_name"])  # after the call: a refused name may be another model's
-            # Replaces the spawn's remarks, which are about joints at 0.
-            return self._start_joints() if plan.joints else remarks
+                robots += spawned
+                warnings += told
+        return robots, warnings
 
-    def _spawn_model(self, model: Message) -> list[str]:
-        kind = "sdf" if self.plan.is_scene else "urdf"
-        answer = self.client.call(f"/gazebo/spawn_{kind}_model", model, timeout=self._limit_s)
-        if not answer["success"]:
-            raise SpawnRefused(model["model_name"], answer["status_message"])
-        return list(answer["status_message"].split("\n")[1:])
-
-    def _start_joints(self) -> list[str]:
-        """Move joints to their start, at rest; it is theirs after a reset too. Returns the world's remarks."""
-        positions, remarks = self._fit(self.robot()) if self._fit is not None else (self.plan.joints, [])
-        if not positions:
-            return remarks
-        fields = {"joint_names": list(positions), "joint_positions": list(positions.values())}
-        answer = self.client.call("/slidectl/start_joints", {"robot": self.names[0], **fields})
-        if not answer["success"]:
-            raise Refused(answer["message"])
-        return [*remarks, *answer["message"].split("\n")[1:]]
+    def _spawn_model(self, model: Message) -> tuple[list[RobotInfoMsg], list[str]]:
+        plan = self.plan
+        joints = {} if model is not plan.models[0] else plan.joints
+        request = {
+            **model,
+            "sdf": plan.is_scene,
+            "robot_namespace": model.get("robot_namespace") or plan.namespace,
+            "parameter_names": list(plan.parameters),
+            "parameter_values": [json_of(name, value) for name, value in plan.parameters.items()],
+            "joint_names": list(joints),
+            "joint_positions": list(joints.values()),
+        }
+        try:
+            answer = self.client.call("/slidectl/spawn", request, timeout=self._limit_s)
+        except Refused as error:
+            raise SpawnRefused(model["model_name"], str(error)) from None
+        return answer["robots"], answer["warnings"]
 
     @contextmanager
     def _undone_on_failure(self) -> Iterator[list[str]]:
@@ -332,7 +315,7 @@ class Spawn:
                     self.client.call("/gazebo/unpause_physics")
 
     def robot(self) -> RobotInfoMsg:
-        """The first model as it is in the world (slidectl/RobotInfo)."""
+        """The first model as it is in the world now (slidectl/RobotInfo)."""
         return self.client.call("/slidectl/list_robots", {"name": self.names[0]})["robots"][0]
 
     def ask_to_load(self, manager: Manager) -> dict[str, str]:
@@ -363,16 +346,6 @@ class Spawn:
             else:
                 there.append(name)
         return there
-
-
-def check_free(robots: Sequence[Mapping[str, Any]], name: str, namespace: str) -> None:
-    """Raise Refused when the name or the namespace is taken, before any parameter is touched."""
-    for robot in robots:
-        if robot["name"] == name:
-            raise Refused(f"a robot {name!r} already exists", f"give another name with -n, or: slidectl delete {name}")
-        if robot["namespace"] == namespace and robot["kind"] == "robot":
-            hint = "a model with an xacro argument `namespace` gets its own with -n NAME"
-            raise Refused(f"the namespace {namespace} is that of the robot {robot['name']!r}", hint)
 
 
 def _check_all_free(robots: Sequence[Mapping[str, Any]], names: Sequence[str]) -> None:

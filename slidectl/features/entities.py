@@ -7,10 +7,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Literal
 
+from slidectl.control.node_handle import Message
 from slidectl.description import sdf
 from slidectl.effects import Effect
 from slidectl.errors import AmbiguousName, Refused, SlidectlError, UnknownName
-from slidectl.features.gazebo_frames import STILL, WORLD, Frame, into_world, seen_from
+from slidectl.features.gazebo_frames import STILL, WORLD, Frame, into_world, pose, seen_from
 from slidectl.physics import hulls
 from slidectl.physics.hulls import Hulls
 from slidectl.physics.world import Twist
@@ -88,6 +89,12 @@ class Entities:
         )
 
     # Spawning
+
+    def read_request(self, request: Message, *, is_sdf: bool) -> list[Placed]:
+        """Parse what a gazebo_msgs/SpawnModel request spawns. Raises as Robots.read."""
+        xml, name, namespace = request["model_xml"], request["model_name"], request["robot_namespace"] or None
+        place = compose(self.frame(request["reference_frame"]).pose, pose(request["initial_pose"]))
+        return self.read_sdf(xml, name, namespace, place) if is_sdf else [(self.read(xml, name, namespace), place)]
 
     def read(self, xml: str, name: str, namespace: str | None, *, is_model: bool = False) -> ParsedRobot:
         """Parse a robot from URDF. Raises as Robots.read."""

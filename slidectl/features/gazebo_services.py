@@ -26,7 +26,7 @@ from slidectl.features.gazebo_frames import (
     vector_message,
 )
 from slidectl.msgs.schema import nanoseconds
-from slidectl.rotations import IDENTITY, Pose, Vector, add, compose, cross, from_rpy, rotate, subtract
+from slidectl.rotations import IDENTITY, Vector, add, compose, cross, from_rpy, rotate, subtract
 from slidectl.simulation.clock import EACH_STEP_NS
 from slidectl.simulation.feature import Feature
 from slidectl.simulation.graph import WORLD_NODE
@@ -104,18 +104,11 @@ class GazeboServices(Feature):
 
     def _spawn(self, request: Message) -> Pending:
         """Spawn at once, or when its meshes are read; with a driver the world runs meanwhile."""
-        xml, name, namespace = request["model_xml"], request["model_name"], request["robot_namespace"] or None
-        read = self._entities.read(xml, name, namespace)
-        return self._entities.spawn([(read, self._place(request))]).converted(_spawned)
+        return self._entities.spawn(self._entities.read_request(request, is_sdf=False)).converted(_spawned)
 
     def _spawn_sdf(self, request: Message) -> Pending:
         """Spawn one model: all its parts or none."""
-        xml, name, namespace = request["model_xml"], request["model_name"], request["robot_namespace"] or None
-        read = self._entities.read_sdf(xml, name, namespace, self._place(request))
-        return self._entities.spawn(read).converted(_spawned)
-
-    def _place(self, request: Message) -> Pose:
-        return compose(self._entities.frame(request["reference_frame"]).pose, pose(request["initial_pose"]))
+        return self._entities.spawn(self._entities.read_request(request, is_sdf=True)).converted(_spawned)
 
     def _delete(self, request: Message) -> Answer:
         self._simulation.delete(request["model_name"])

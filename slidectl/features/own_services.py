@@ -1,6 +1,6 @@
 """The services of `/slidectl` on time, parameters, names and robots. `shutdown` is the daemon's.
 
-These are not in ROS: status, step, sleep, set_speed, set_params, given_params, list_robots, scene, joint_states,
+These are not in ROS: status, step, sleep, set_speed, set_params, given_params, spawn, list_robots, scene, joint_states,
 sources, resolve, estop, rest_joints, start_joints, load_controller_file, reload_controller, update_times, graph. Other
 features have services there too: snapshots, faults, lock-step, traces.
 """
@@ -19,7 +19,8 @@ from slidectl.control.node_handle import Message
 from slidectl.description import interfaces, source_note
 from slidectl.description.robot import MOVING, Joint
 from slidectl.effects import Effect
-from slidectl.errors import Refused, UnknownName, Unused, UsageError, closest, listing
+from slidectl.errors import Reason, Refused, SlidectlError, UnknownName, Unused, UsageError, closest, listing
+from slidectl.features.entities import Entities
 from slidectl.features.gazebo_frames import pose_message, vector_message
 from slidectl.features.rosapi import absolute, check_size, from_json, typedefs
 from slidectl.physics import sensing
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
         RobotInfoMsg,
         SceneResponseMsg,
         SetParamsResponseMsg,
+        SpawnResponseMsg,
         StepResponseMsg,
     )
     from slidectl.simulation.simulation import Simulation
@@ -59,6 +61,7 @@ class OwnServices(Feature):
         self._simulation = simulation
         self._graph = simulation.graph
         self._robots = simulation.robots
+        self._entities = Entities(simulation)
         self._graph.on_node_closed.append(simulation.run.holders.discard)
         node = simulation.graph.node(names.OWN_NODE, names.OWN_NODE)
         offers: dict[str, tuple[Effect, str, Handler]] = {
@@ -68,6 +71,7 @@ class OwnServices(Feature):
             "set_speed": (Effect.WRITES, "SetSpeed", answering(self._set_speed, "message")),
             "set_params": (Effect.WRITES, "SetParams", self._set_params),
             "given_params": (Effect.READS, "GivenParams", self._given_params),
+            "spawn": (Effect.WRITES, "Spawn", self._spawn),
             "list_robots": (Effect.READS, "ListRobots", self._list_robots),
             "scene": (Effect.READS, "Scene", self._scene),
             "joint_states": (Effect.READS, "JointStates", self._joint_states),
@@ -164,14 +168,16 @@ class OwnServices(Feature):
     # Parameters and names
 
     def _set_params(self, request: Message) -> SetParamsResponseMsg:
-        given, texts = request["names"], request["values"]
+        return self._set(request["names"], request["values"], request["known_only"])
+
+    def _set(self, given: list[str], texts: list[str], known_only: bool = False) -> SetParamsResponseMsg:
         if len(given) != len(texts):
             raise UsageError(f"{len(given)} names and {len(texts)} values: one value for each name")
         parameters = self._graph.parameters
         values = {absolute(name): from_json(text) for name, text in zip(given, texts, strict=True)}
         created = [name for name in values if not parameters.has(name)]
         guarded = [name for name in created if parameters.is_guarded(name)]
-        parameters.set_all(values, request["known_only"])
+        parameters.set_all(values, known_only)
         return {"created": created, "guarded": guarded}
 
     def _given_params(self, request: Message) -> Message:
@@ -264,7 +270,33 @@ class OwnServices(Feature):
         """The robot by its name or its namespace. Raises UnknownName."""
         return next((robot for robot in self._robots if name == robot.namespace), None) or self._robots.get(name)
 
-    # State of robots
+    # Robots
+
+    def _spawn(self, request: Message) -> Pending:
+        """Spawn at once, or when its meshes are read; with a driver the world runs meanwhile."""
+        self._robots.check_free(request["model_name"], "" if request["sdf"] else request["robot_namespace"])
+        warnings: list[str] = []
+        if request["parameter_names"]:
+            reasons: list[Reason] = []
+            with self._graph.log.answering(reasons):
+                self._set(request["parameter_names"], request["parameter_values"])
+            warnings = [str(reason) for reason in reasons]
+        placed = self._entities.read_request(request, is_sdf=request["sdf"])
+
+        def spawned(done: Pending) -> SpawnResponseMsg:
+            robots: list[SpawnedRobot] = done.result()
+            joints, positions = request["joint_names"], request["joint_positions"]
+            try:
+                if joints:
+                    self._robots.set_joints(robots[0].name, joints, positions, is_start=True)
+            except SlidectlError:
+                for robot in reversed(robots):
+                    self._robots.delete(robot.name)
+                raise
+            told = [text for robot in robots for text in robot.warnings]
+            return {"robots": [self._robot_info(robot) for robot in robots], "warnings": warnings + told}
+
+        return self._entities.spawn(placed).converted(spawned)
 
     def _list_robots(self, request: Message) -> ListRobotsResponseMsg:
         asked: str = request["name"]

@@ -82,6 +82,11 @@ class ListRobotsResponseMsg(TypedDict):
     robots: list[RobotInfoMsg]
 
 
+class SpawnResponseMsg(TypedDict):
+    robots: list[RobotInfoMsg]
+    warnings: list[str]
+
+
 class PointMsg(TypedDict):
     x: float
     y: float
@@ -252,6 +257,11 @@ class Call(Protocol):
     def __call__(
         self, service: Literal["/slidectl/list_robots"], request: Request = None, *, timeout: float | None = None
     ) -> ListRobotsResponseMsg: ...
+
+    @overload
+    def __call__(
+        self, service: Literal["/slidectl/spawn"], request: Request = None, *, timeout: float | None = None
+    ) -> SpawnResponseMsg: ...
 
     @overload
     def __call__(

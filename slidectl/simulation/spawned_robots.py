@@ -277,13 +277,19 @@ class Robots:
             raise BadFile(error.message, plugin.file or DESCRIPTION, plugin.line, error.hint) from None
         is_controlled = not is_model or model.plugin is not None or bool(model.transmissions)
         parsed = ParsedRobot(chosen, place, model, urdf, note, self._loop.graph.caller, is_controlled, may_use_files)
-        self._check_namespace(parsed)
+        self._check_namespace(place, is_controlled)
         return parsed
+
+    def check_free(self, name: str, namespace: str) -> None:
+        """Raise Refused when the name or, for one that is not empty, the namespace is in use."""
+        self._check_name(names.legal_robot(name))
+        if namespace:
+            self._check_namespace(namespace)
 
     def spawn_read(self, parsed: ParsedRobot, pose: Pose, hulls: Hulls | None) -> SpawnedRobot:
         """Spawn a parsed robot, maybe some cycles later. Raises as `spawn`: names may have been taken meanwhile."""
         self._check_name(parsed.name)
-        self._check_namespace(parsed)
+        self._check_namespace(parsed.namespace, parsed.is_controlled)
         self._loop.between_cycles("spawn a robot")
         robot = SpawnedRobot(parsed, self._loop.graph.node(parsed.namespace), next(self._serials))
         with self._world.attached(parsed.description, parsed.name, pose, hulls) as robot.attached, robot.cleanup:
@@ -416,13 +422,13 @@ class Robots:
                 f"choose another name (-n), or delete that robot: slidectl delete {name}",
             )
 
-    def _check_namespace(self, parsed: ParsedRobot) -> None:
+    def _check_namespace(self, namespace: str, is_controlled: bool = True) -> None:
         """Raise Refused when the namespace is in use. Models do not occupy theirs."""
-        controlled = [robot for robot in self if robot.is_controlled and parsed.is_controlled]
-        owner = next((robot for robot in controlled if robot.namespace == parsed.namespace), None)
+        controlled = [robot for robot in self if robot.is_controlled and is_controlled]
+        owner = next((robot for robot in controlled if robot.namespace == namespace), None)
         if owner is not None:
-            text = f"the namespace {parsed.namespace} belongs to robot {owner.name!r} already"
-            raise Refused(text, "give this one another namespace")
+            text = f"the namespace {namespace} belongs to robot {owner.name!r} already"
+            raise Refused(text, "a model with an xacro argument `namespace` gets its own with -n NAME")
 
 
 def _set_description(robot: SpawnedRobot, parameters: Parameters) -> None:

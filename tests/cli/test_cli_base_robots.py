@@ -154,10 +154,10 @@ def test_a_taken_name_or_namespace_is_refused_and_changes_nothing(world: Command
     gains.write_text("slider:\n  joint1_position_controller:\n    pid: {p: 1.0}\n    type: x/Y\n")
     again = world("spawn", "slider", "--controllers", str(gains))
     assert again.returncode == 1
-    assert "a robot 'slider' already exists" in again.stderr
+    assert "there is a robot 'slider' already" in again.stderr
     same_namespace = world("spawn", "slider", "-n", "second", "namespace:=/slider", "--controllers", str(gains))
     assert same_namespace.returncode == 1
-    assert "the namespace /slider is that of the robot 'slider'" in same_namespace.stderr
+    assert "the namespace /slider belongs to robot 'slider' already" in same_namespace.stderr
     world.ok("controller", "load", "joint1_position_controller")
     assert json.loads(world.ok("controller", "list", "--json"))["type"] == "effort_controllers/JointPositionController"
 

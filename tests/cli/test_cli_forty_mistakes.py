@@ -134,7 +134,7 @@ RRBOT = [
          "is not set", "did you mean /rrbot/joint1_position_controller/pid/p?"),
     # Programs, and things that are there twice.
     slip("slidectl ros rosrun controller_manager spwaner joint_state_controller", 3, "did you mean spawner?"),
-    slip("slidectl spawn rrbot", 1, "a robot 'rrbot' already exists", "slidectl delete rrbot"),
+    slip("slidectl spawn rrbot", 1, "there is a robot 'rrbot' already", "slidectl delete rrbot"),
     slip("slidectl ros roscore", 1, "roscore cannot run as another roscore/master is already running"),
 ]  # fmt: skip
 

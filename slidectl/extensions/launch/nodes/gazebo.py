@@ -130,8 +130,7 @@ class Gazebo(Task):
         named = [model.name for model in models]
         run.spawned += [name for name in named if name not in there]  # an interrupted call may have spawned them
         spawn = spawning.Spawn(run.client, spawning.scene_plan(models))
-        spawn.check()
-        for warning in spawn.apply():
+        for warning in spawn.apply()[1]:
             self.warn(run, warning.partition(" (--at")[0])
         few = ", ".join(named[:_MOST_NAMED]) + (f" and {len(named) - _MOST_NAMED} more" if named[_MOST_NAMED:] else "")
         plural = "" if len(named) == 1 else "s"

@@ -13,6 +13,7 @@ from slidectl.description import sdf, source_note
 from slidectl.description.packages import Packages, is_file, shown
 from slidectl.description.parser import is_moved_inside
 from slidectl.description.report import is_important
+from slidectl.description.robot import Robot
 from slidectl.errors import BadFile, NotThere, Refused, UnknownName, listing
 from slidectl.extensions.launch.plan import LaunchPlan, Leaf, Node
 from slidectl.extensions.launch.task import HOOK_LIMIT_S, SPAWN_LIMIT_S, Run, Task, Words, number, parse
@@ -173,8 +174,12 @@ class SpawnModel(Task):
         if not plan.models:
             self.settled(run, f"{self._source} is a ground plane, which is the world's own")
             return None
-        plan.joints = self.joints
-        spawn = spawning.Spawn(run.client, plan, lambda text: self.warn(run, text), SPAWN_LIMIT_S, self._fit)
+        if self.joints:
+            robot = plan.robot or description.parse(plan.models[0]["model_xml"])
+            plan.joints, remarks = self._positions(robot)
+            for remark in remarks:
+                self.warn(run, remark)
+        spawn = spawning.Spawn(run.client, plan, SPAWN_LIMIT_S)
         self.parts = spawn.names
         if remark := names.remark_on_robot(self.given_name):
             self.warn(run, remark)
@@ -251,21 +256,19 @@ class SpawnModel(Task):
         return xml, own is not None
 
     def _spawn(self, run: Run, spawn: spawning.Spawn) -> None:
-        if self.is_sdf:
-            spawn.check()
         try:
-            warnings = spawn.apply()
+            _, warnings = spawn.apply()
         except spawning.SpawnRefused as refused:
             if self.is_sdf:
                 raise
-            first, *rest = refused.status.splitlines() or [""]
+            first, *rest = refused.reason.splitlines() or [""]
             raise Refused(first, "\n".join(rest).replace("(-n)", "(-model)") or None) from None
         for warning in warnings:
             self.warn(run, warning.replace("(--at X Y Z)", "(-x, -y, -z)"))
 
-    def _fit(self, robot: Mapping[str, Any]) -> tuple[dict[str, float], list[str]]:
+    def _positions(self, robot: Robot) -> tuple[dict[str, float], list[str]]:
         """The positions of -J and remarks. As in Gazebo, a limit holds a position, and unknown joints are skipped."""
-        moving = {joint["name"]: joint for joint in robot["joints"] if joint["type"] != "fixed"}
+        moving = {joint.name: joint for joint in robot.joints.values() if joint.type != "fixed"}
         remarks, positions = [], {}
         for name, asked in self.joints.items():
             joint = moving.get(name)
@@ -273,10 +276,12 @@ class SpawnModel(Task):
                 unknown = UnknownName("moving joint", name, list(moving), f"on robot {self.model!r}")
                 remarks.append(f"-J {name} {asked:g} is skipped: {unknown.message}")
                 continue
-            position = _held(joint, asked)
-            positions[joint["name"]] = position
-            if position != asked:
-                bounds = f"{joint['lower']:.10g} to {joint['upper']:.10g}"
+            position = positions[name] = asked
+            limit = joint.limit if joint.type in ("revolute", "prismatic") else None
+            if limit is not None and limit.lower <= limit.upper:
+                position = positions[name] = min(max(asked, limit.lower), limit.upper)
+            if limit is not None and position != asked:
+                bounds = f"{limit.lower:.10g} to {limit.upper:.10g}"
                 remarks.append(f"-J {name} {asked:.10g} is beyond its limits, {bounds}: it starts at {position:.10g}")
         return positions, remarks
 
@@ -306,13 +311,6 @@ class SpawnModel(Task):
             run.spawned.remove(name)
             if run.call("/gazebo/delete_model", {"model_name": name}, timeout=HOOK_LIMIT_S)["success"]:
                 self.settled(run, f"{name}: deleted")
-
-
-def _held(joint: Mapping[str, Any], position: float) -> float:
-    """The position within the joint's limits. Other joints than revolute and prismatic have none."""
-    if joint["type"] not in ("revolute", "prismatic") or not joint["lower"] <= joint["upper"]:
-        return position
-    return float(min(max(position, joint["lower"]), joint["upper"]))
 
 
 def _is_xml(text: str) -> bool:
