@@ -219,9 +219,10 @@ def raised(failure: BaseException) -> str:
 
 def described(failure: Exception) -> str:
     """An error as one line: a SlidectlError as its text, others with their class, file and line."""
-    if issubclass(type(failure), SlidectlError):
-        return "; ".join(line.rstrip(".") for line in _text_of(failure).splitlines())
-    return raised(failure)
+    if not issubclass(type(failure), SlidectlError):
+        return raised(failure)
+    text = _text_of(failure) if _is_users_own(failure) else str(failure)
+    return "; ".join(line.rstrip(".") for line in text.splitlines())
 
 
 def _text_of(failure: BaseException) -> str:

@@ -43,7 +43,6 @@ class TimeLimit(CodeLimit):
         self._depth = 0
         self._outer: TimeLimit | None = None
         """The limit of another world whose code runs this one's."""
-        signal.signal(signal.SIGALRM, _TIMER.tick)
 
     def __enter__(self) -> None:
         self._depth += 1  # contexts nest: a controller publishes, and another one takes the message
@@ -87,6 +86,8 @@ class _LimitTimer:
 
     def set(self, period_s: float) -> None:
         """Let it tick with this period, s; 0 stops it."""
+        if not self.period_s:  # other code of the process may have used the signal since it last ticked
+            signal.signal(signal.SIGALRM, self.tick)
         self.period_s = period_s
         signal.setitimer(signal.ITIMER_REAL, period_s, period_s)
 

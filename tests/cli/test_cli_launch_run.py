@@ -447,8 +447,8 @@ def test_what_never_ends_is_refused_with_its_place_by_every_command(slidectl: Co
     for words, reason in (
         (("check", str(model)), "bomb.xacro:"),
         (("spawn", str(model)), "bomb.xacro:"),
-        (("check", text), "text.launch:8: <arg>: value: the launch expands to more than 65536 KiB of text"),
-        (("launch", text), "text.launch:8: <arg>: value: the launch expands to more than 65536 KiB of text"),
+        (("check", text), "text.launch:7: <arg>: value: comes to more than 4096 KiB of text"),
+        (("launch", text), "text.launch:7: <arg>: value: comes to more than 4096 KiB of text"),
         (("check", pipe), "pipe.launch: is a pipe, and only regular files are read"),
         (("launch", pipe), "pipe.launch: is a pipe, and only regular files are read"),
         (("param", "load", "/dev/zero"), "/dev/zero: is a device, and only regular files are read, of at most 64 MiB"),
