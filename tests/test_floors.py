@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 from collections import Counter
+from collections.abc import Iterator
 from functools import cache
 from graphlib import TopologicalSorter
 from itertools import chain
@@ -209,6 +210,13 @@ def imported(path: Path, types: bool = True) -> frozenset[str]:
 def rooms_used(path: Path) -> set[str]:
     rooms = {room(tuple(name.split(".")[1:])) for name in imported(path) if name.startswith("slidectl.")}
     return rooms & FLOORS.keys()
+
+
+@pytest.fixture(scope="module", autouse=True)
+def forget_the_trees() -> Iterator[None]:
+    """The trees of all files take 140 MB."""
+    yield
+    tree_of.cache_clear()
 
 
 def test_each_room_imports_only_from_lower_floors() -> None:

@@ -228,14 +228,21 @@ def test_a_service_of_a_client_answers_its_callers_whatever_happens(daemon: Runt
         assert client.answer(calls[1])["message"] == "first"
 
 
-def test_a_model_that_cannot_be_spawned_does_not_take_another_ones_with_it(daemon: Runtime, client: Client) -> None:
+def test_a_model_that_cannot_be_spawned_does_not_take_another_ones_with_it(
+    daemon: Runtime, client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
     pose = {"position": {"x": 0.0, "y": 0.0, "z": 2.0}}
     models = [{"model_name": name, "model_xml": BALL.format(name), "initial_pose": pose} for name in ("a", "theirs")]
-    spawn = Spawn(client, SpawnPlan(models, is_scene=True))
-    spawn.check()
     with daemon.client() as other:
-        Spawn(other, SpawnPlan(models[1:], is_scene=True)).apply()  # after the check
+        call = client.call
+
+        def call_late(service: str, *given: Any, **options: Any) -> Any:
+            if service == "/slidectl/status":  # after it has checked that the names are free
+                Spawn(other, SpawnPlan(models[1:], is_scene=True)).apply()
+            return call(service, *given, **options)
+
+        monkeypatch.setattr(client, "call", call_late)
         with pytest.raises(Refused, match="theirs"):
-            spawn.apply()
+            Spawn(client, SpawnPlan(models, is_scene=True)).apply()
         assert [robot["name"] for robot in other.robots()] == ["theirs"]
         other.delete("theirs")
