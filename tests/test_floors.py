@@ -13,6 +13,8 @@ from graphlib import TopologicalSorter
 from itertools import chain
 from pathlib import Path
 
+import pytest
+
 PACKAGE = Path(__file__).parent.parent / "slidectl"
 
 FLOORS = {
