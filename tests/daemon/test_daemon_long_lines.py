@@ -45,7 +45,7 @@ def made(value: Any) -> Any:
 
 def short(part: object) -> str:
     """A name for a parameter, the same in all processes."""
-    return re.sub("<function .*?>", "made", str(part))[:60]
+    return re.sub(r"<function .*? at \w+>", "made", str(part))[:60]
 
 
 LONG = Long("n", 5_000_000)
