@@ -33,11 +33,15 @@ SLOW = (
     "cli/test_cli_own_controllers.py", "cli/test_cli_plot.py", "cli/test_cli_recordings.py", "cli/test_cli_render.py",
     "cli/test_cli_ros_*", "cli/test_cli_scenario*", "cli/test_cli_shell.py", "cli/test_cli_snapshots.py",
     "cli/test_cli_teleop.py", "cli/test_cli_top.py", "cli/test_cli_trajectories.py",
+    # generated input, and input that unfolds without end
+    "check/test_check_fuzz.py", "description/test_description_fuzz.py", "launch/test_launch_bounds.py",
+    "launch/test_launch_fuzz.py",
     # compilers, recorded runs, thousands of connections
     "control/test_control_conformance.py", "daemon/test_daemon_hostile.py", "daemon/test_daemon_journal.py",
     "daemon/test_daemon_pictures.py", "gateways/test_foxglove.py", "gateways/test_gateway_processes.py",
     "gateways/test_unfinished.py",
     "simulation/test_simulation_all_or_nothing.py", "simulation/test_simulation_compiled_cache.py",
+    "simulation/test_simulation_compiled_controllers.py", "simulation/test_simulation_own_controllers.py",
     "simulation/test_simulation_own_laws.py", "simulation/test_simulation_snapshots.py",
 )  # fmt: skip
 """They take long. Each entry is a pattern of paths in this folder, as in the tables above."""
