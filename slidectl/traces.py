@@ -167,7 +167,7 @@ MEASURES: dict[str, Measure] = {
         lambda trace: measures.energy(trace.times, trace.efforts, trace.velocities),
     ),
     "limit-hits": Measure(
-        "How often it came to a bound", "", "values",
+        "Number of contacts with a bound", "", "values",
         lambda trace: measures.limit_hits(trace.times, trace.values, trace.lower, trace.upper),
     ),
     "contact": Measure(

@@ -77,7 +77,7 @@ def play(
 ) -> None:
     """Publish the messages of recordings again.
 
-    Messages keep their distances in simulated time: a paused world pauses the playing, and in every run the same
+    Messages keep their intervals in simulated time: a paused world pauses the playback, and in every run the same
     cycles get the same messages. The first message is published 0.2 s from now. With --at-recorded-times each message
     is published at its recorded time: a recording of the commands, played into a world in its initial state, gives the
     same bits. The command returns after the last message; with --detach it prints the process id and returns when the
