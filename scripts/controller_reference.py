@@ -156,9 +156,8 @@ def family(module: str, classes: dict[str, type[ControllerBase]]) -> Iterator[st
     word = module.rpartition(".")[2].replace("_", " ")
     yield from ("", f"## {word.capitalize()}", "", sentence(title), "")
     yield from (text.strip(), "")
-    yield from ("| type | law |", "| --- | --- |")
     for name, cls in classes.items():
-        yield f"| `{name}` | {(cls.__doc__ or '').splitlines()[0]} |"
+        yield f"* `{name}`: {(cls.__doc__ or '').splitlines()[0]}"
     kinds: dict[Parameter, list[str]] = {}
     for name, cls in classes.items():
         for parameter in cls.parameters:
