@@ -263,7 +263,7 @@ class _Joints:
         if not written and name in _SOFT:
             return "ignored", "has no effect, as no transmission drives the joint"
         if joint.type == "continuous" and name in _SOFT and name != "k_velocity":
-            return "ignored", "has no effect without position limits, which a continuous joint has not"
+            return "ignored", "has no effect without position limits, which a continuous joint does not have"
         if found and all(interface.quantity == "position" for interface in found) and name == "effort":
             return "used", "counts only with gains in gazebo_ros_control/pid_gains"
         if found and interfaces.EFFORT not in found and name == "k_velocity":

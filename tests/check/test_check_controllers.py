@@ -274,5 +274,5 @@ def test_of_many_unknown_parameters_the_first_are_named_and_the_rest_is_counted(
     unknown = "".join(f"    x{number}: 1\n" for number in range(700))
     lines = controllers(f"bot:\n  move:\n    type: effort_controllers/JointPositionController\n{unknown}")
     assert len(lines.about("unknown to the controller")) == 100
-    assert len(lines.about("and 600 more like those before")) == 1
+    assert len(lines.about("and 600 more of this kind")) == 1
     assert lines.findings.count("ignored") == 700

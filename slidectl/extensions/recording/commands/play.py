@@ -146,7 +146,7 @@ def _check_type(channel: RecordedTopic) -> None:
     """Raise UsageError when the type is unknown here, or has another definition."""
     topic, type_name, md5 = channel.topic, channel.type, channel.md5
     if not msgs.exists(type_name):
-        raise UsageError(f"{topic} has the type {type_name}, which is not known here", "leave it out: --topic")
+        raise UsageError(f"{topic} has the type {type_name}, which is unknown here", "leave it out: --topic")
     if md5 and msgs.md5(type_name) != md5:
         raise UsageError(
             f"{topic}: {type_name} is another type here ({msgs.md5(type_name)}) than in the recording ({md5})"
