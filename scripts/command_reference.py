@@ -24,9 +24,9 @@ WIDTH = 100
 
 HEAD = """# Commands
 
-Every command with its `--help`, written by `python scripts/command_reference.py`.
+This page has the `--help` of every command. `python scripts/command_reference.py` writes it.
 
-Every command takes the common options too, before its name or after it:
+Every command also has the common options, before or after its name:
 
 ```text
 @COMMON@
@@ -41,17 +41,26 @@ Every command takes the common options too, before its name or after it:
 | 4 | timed out |
 | 130 | interrupted |
 
-Results go to stdout, all else to stderr. With `--json` an error is one object, the last line of stderr, with the keys
-`error` (what failed), `hint` (what to do next, or null) and `exit_code`; warnings before it stay text. A reader that
-closes the pipe ends a command quietly. A file that a command makes is there whole, or nothing new is, also on a full
-disk and at Ctrl-C; recordings and journals keep what came before.
+Results go to stdout, everything else to stderr. With `--json` an error is one object, the last line of stderr, with the
+keys `error` (what failed), `hint` (what to do next, or null) and `exit_code`; warnings before it stay text. A command
+ends quietly when the reader closes the pipe. Commands write their files completely or not at all, also on a full disk
+and at Ctrl-C; recordings and journals keep everything before the interruption.
 
-Files that are read are regular files, or links to these; a folder, a named pipe, a device or a socket is refused at
-once (2), by commands and by the daemon, and so is what is larger than the bound of its kind: 16 MiB for models, launch
-files, scenarios and code of your own (2 MiB for YAML of controllers and scenarios), 64 MiB for values, trajectories
-and meshes as text, 128 MiB for binary meshes, 256 MiB for tables and snapshots, 1 GiB for journals. Recordings and
-scripts have none. The output of a command, `<(COMMAND)` in bash and zsh, is a file to commands that read a text whole,
-and `-` is standard input where a command says so; to the daemon and to recordings neither is.
+Commands and the daemon read only regular files and links to them. They refuse a folder, a named pipe, a device or a
+socket at once (2), and also a file that is too large:
+
+| files | largest size |
+| --- | --- |
+| YAML of controllers and scenarios | 2 MiB |
+| models, launch files, and code of your own | 16 MiB |
+| values, trajectories and meshes as text | 64 MiB |
+| binary meshes | 128 MiB |
+| tables and snapshots | 256 MiB |
+| journals | 1 GiB |
+| recordings and scripts | not limited |
+
+Commands that read a text whole also accept the output of a command, `<(COMMAND)` in bash and zsh, and `-` for standard
+input where their help says so. The daemon and recordings accept neither.
 """
 
 

@@ -6,7 +6,7 @@ python scripts/controller_reference.py [--check]
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from slidectl.control import registry, ros2_names
@@ -17,11 +17,14 @@ PAGE = Path(__file__).parent.parent / "docs" / "controllers.md"
 
 HEAD = """# Controllers
 
-What `slidectl controller types` lists, with the parameters below a controller's own name. Written by
-`python scripts/controller_reference.py`. They behave as those of ros_controllers; [deviations](deviations.md) has what
-differs. Every controller reads its `type`, and `update_budget` ([times](extending.md#a-controller-of-your-own)).
+This page lists the types that `slidectl controller types` prints, with the parameters below the name of a controller.
+They behave as those of ros_controllers; [deviations](deviations.md) lists the differences. Every controller also reads
+`type` and `update_budget` ([times](extending.md#a-controller-of-your-own)). `python scripts/controller_reference.py`
+writes the page.
 
-A trajectory controller for two joints of the shipped arm; save it as `two_joints.yaml`:
+## Follow a trajectory
+
+This file configures a trajectory controller for two joints of the shipped arm. Save it as `two_joints.yaml`:
 
 ```yaml
 arm:
@@ -36,7 +39,7 @@ arm:
       joint1: {trajectory: 0.5, goal: 0.02}
 ```
 
-A goal for it, and what comes of it:
+Send it a goal and read the result:
 
 ```console
 $ slidectl daemon start --paused
@@ -64,11 +67,13 @@ arm: deleted
 Between the points of a goal the controller follows a spline through their positions and velocities. The error must stay
 within the path tolerance on the way, and within the goal tolerance at the end.
 
-An action has five topics: `goal` and `cancel` for the client; `status` (five times a second, and at each change),
-`feedback` and `result` for the server. A goal without an id gets one, an empty `cancel` is for all goals, and a new
-goal preempts the one before.
+An action has five topics. The client publishes `goal` and `cancel`. The server publishes `feedback`, `result` and
+`status` (five times a second, and at each change). The server assigns an id to a goal without one. An empty `cancel`
+cancels all goals, and a new goal preempts the previous one.
 
-The shipped cart, driven by velocities of its base. Its odometry tells how fast it is:
+## Drive a base
+
+The shipped cart takes velocities of its base. Its odometry reports its speed:
 
 ```console
 $ slidectl spawn cart drive:=controller --controllers config/cart_control.yaml --start base_controller
@@ -81,7 +86,7 @@ $ slidectl delete cart
 cart: deleted
 ```
 
-The shipped car, whose four wheels are steered, takes velocities as well, or a speed and the angles of its axles:
+The shipped car steers its four wheels. It takes velocities, or a speed and the angles of its axles:
 
 ```console
 $ slidectl spawn car --controllers config/car_control.yaml --start joint_state_controller base_controller
@@ -97,9 +102,9 @@ daemon default: stopped, it was process 4711
 ```
 """
 
-ROS_2 = """Files of ROS 2 are read too: what is below `ros__parameters` of a node is taken as directly below the node,
-what a `controller_manager` has there as beside it, and dots in names as slashes. Types that mean the same are
-understood, and the answer to the load says what they are here; others, such as
+ROS_2 = """slidectl also reads parameter files of ROS 2. It puts parameters below `ros__parameters` directly below their
+node, and those of `controller_manager` beside it, and reads dots in names as slashes. It loads each type of this list
+as its counterpart, and the answer to the load names the counterpart. Other types, such as
 `position_controllers/JointGroupPositionController`, have the same name in both."""
 
 
@@ -114,39 +119,58 @@ def page() -> str:
 
 
 def names_of_ros_2() -> Iterator[str]:
-    """The types that users of ROS 2 write, with what they are here."""
-    yield from ("", "## Names of ROS 2", "", ROS_2, "", "| in ROS 2 | here |", "| --- | --- |")
+    """The types that users of ROS 2 write, with their counterparts here."""
+    yield from ("", "## Names of ROS 2", "", ROS_2, "")
     for name, known in ros2_names.NAMES.items():
         if isinstance(known.here, str):
-            types = f"`{known.here}`"
+            types = f"loaded as `{known.here}`."
         else:
-            types = f"by `{known.interfaces}`: " + ", ".join(f"`{each}`" for each in known.here.values())
-        new = ", ".join(f"`{old}` is `{new}`" for old, new in known.renamed.items())
-        given = ", ".join(f"`{parameter}` {value}" for parameter, value in known.defaults.items())
-        more = "; ".join(filter(None, (new, given and f"by default {given}", known.note)))
-        yield f"| `{name}` | {types}{f'; {more}' if more else ''} |"
+            types = f"loaded by its `{known.interfaces}` as {quoted(known.here.values(), 'or')}."
+        renamed = [f"`{old}` is here `{new}`" for old, new in known.renamed.items()]
+        defaults = [f"`{parameter}` is {value} by default" for parameter, value in known.defaults.items()]
+        more = [sentence(", ".join(each)) for each in (renamed, defaults) if each]
+        more += [sentence(known.note)] if known.note else []
+        yield f"* `{name}`: {' '.join((types, *more))}"
+    yield from ("", "slidectl refuses the following types, and the error names what to use instead.", "")
+    refused: dict[str, list[str]] = {}
     for name, (advice, telling) in ros2_names.OTHERS.items():
-        with_one = f", with {' or '.join(f'`{each}`' for each in telling)}" if telling else ""
-        yield f"| `{name}`{with_one} | is refused; {advice} |"
+        refused.setdefault(advice, []).append(f"`{name}`" + (f" with {quoted(telling, 'or')}" if telling else ""))
+    for advice, names in refused.items():
+        yield f"* {', '.join(names)}: {advice}."
+
+
+def quoted(names: Iterable[str], word: str) -> str:
+    """Names as code, as a list in a sentence."""
+    *first, last = [f"`{name}`" for name in names]
+    return f"{', '.join(first)} {word} {last}" if first else last
+
+
+def sentence(text: str) -> str:
+    """The text with a capital letter and a full stop."""
+    return f"{text[0].upper()}{text[1:].rstrip('.')}."
 
 
 def family(module: str, classes: dict[str, type[ControllerBase]]) -> Iterator[str]:
     """The controllers of one file: what they are, their types, their parameters."""
     title, _, text = (sys.modules[module].__doc__ or "").partition("\n\n")
     word = module.rpartition(".")[2].replace("_", " ")
-    yield from ("", f"## {word.capitalize()}", "", title.rstrip("."), "")
+    yield from ("", f"## {word.capitalize()}", "", sentence(title), "")
     yield from (text.strip(), "")
-    yield from ("| type | |", "| --- | --- |")
     for name, cls in classes.items():
-        yield f"| `{name}` | {(cls.__doc__ or '').splitlines()[0]} |"
-    yield from ("", "| parameter | of type | default | |", "| --- | --- | --- | --- |")
+        yield f"* `{name}`: {(cls.__doc__ or '').splitlines()[0]}"
     kinds: dict[Parameter, list[str]] = {}
     for name, cls in classes.items():
         for parameter in cls.parameters:
             kinds.setdefault(parameter, []).append(name)
+    shared: dict[tuple[str, ...], list[Parameter]] = {}
     for parameter, names in kinds.items():
-        of = "" if len(names) == len(classes) else f" ({', '.join(f'`{name}`' for name in names)})"
-        yield f"| `{parameter.name}` | {parameter.kind.words} | {default(parameter)} | {parameter.meaning}{of} |"
+        shared.setdefault(tuple(names), []).append(parameter)
+    for names, parameters in sorted(shared.items(), key=lambda each: -len(each[0])):
+        if len(names) < len(classes):
+            yield from ("", f"Only of {quoted(names, 'and')}:")
+        yield from ("", "| parameter | type | default | meaning |", "| --- | --- | --- | --- |")
+        for each in parameters:
+            yield f"| `{each.name}` | {each.kind.words} | {default(each)} | {each.meaning} |"
 
 
 def default(parameter: Parameter) -> str:

@@ -186,7 +186,7 @@ class Registry:
         except (Exception, SystemExit) as failure:
             if isinstance(failure, (SlidectlError, *passed)):
                 raise
-            hint = f"this is a fault of {part.package}; give -v twice to see where it happened"
+            hint = f"this is a bug in {part.package}; -vv shows the traceback"
             raise PartFailed(part, self.kind, f"failed: {cause_of(failure)}", hint) from failure
 
     def _claimed(self) -> dict[str, list[Part]]:

@@ -303,6 +303,6 @@ def _bound(target: ast.expr, item: Any) -> dict[str, Any]:
     if isinstance(target, ast.Name):
         return {target.id: item}
     if not isinstance(target, ast.Tuple | ast.List):
-        raise ExpressionError("a comprehension here has names after `for`, and nothing else")
+        raise ExpressionError("only names may follow `for` in a comprehension")
     pairs = zip(target.elts, list(item), strict=True)
     return {name: value for below, part in pairs for name, value in _bound(below, part).items()}

@@ -167,7 +167,7 @@ MEASURES: dict[str, Measure] = {
         lambda trace: measures.energy(trace.times, trace.efforts, trace.velocities),
     ),
     "limit-hits": Measure(
-        "How often it came to a bound", "", "values",
+        "Number of contacts with a bound", "", "values",
         lambda trace: measures.limit_hits(trace.times, trace.values, trace.lower, trace.upper),
     ),
     "contact": Measure(
@@ -294,7 +294,7 @@ def live(
         if last:
             raise UsageError(
                 f"{topic['name']} is a topic, and the past is kept of joints only",
-                "name a joint, take the seconds to come, or record it first",
+                "name a joint, measure the coming seconds, or record it first",
             )
         return _of_topic(client, topic, duration, set_point, timeout)
     if set_point:
@@ -326,7 +326,7 @@ def _of_topic(
             if client.call("/slidectl/status")["paused"] and not samples.rows:
                 raise NoMeasure(
                     f"{found['name']} publishes nothing while the simulation is paused",
-                    "name a joint, whose state is always there, or let it go on: slidectl sim resume",
+                    "name a joint, whose state is always available, or resume the simulation: slidectl sim resume",
                 )
             client.wait_until(lambda: bool(samples.rows), timeout, f"no message on {found['name']}")
     if subscription.dropped:

@@ -63,6 +63,21 @@ def test_links_between_the_documents_lead_somewhere(page: Path) -> None:
         assert (page.parent / target).exists(), f"{page.name} links to {target}"
 
 
+@pytest.mark.parametrize("page", [page for page in PAGES if page.name != "seeing.md"], ids=lambda page: page.name)
+def test_no_cell_of_a_table_holds_three_sentences(page: Path) -> None:
+    rows = [line for line in page.read_text(encoding="utf-8").splitlines() if line.startswith("|")]
+    cells = [cell.strip() for row in rows for cell in re.split(r"(?<!\\)\|", re.sub(r"`[^`]*`", "CODE", row))]
+    assert [cell for cell in cells if len(re.split(r"[.!?] ", cell)) > 2] == []
+
+
+NOT_ENGLISH = re.compile(r"\b(is|are) told\b|\bwho has (this|the) word\b|(?<!there )\b(is|are) no (text|number)\b")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_the_documents_and_the_help_use_the_words_of_the_field(page: Path) -> None:
+    assert NOT_ENGLISH.search(page.read_text(encoding="utf-8")) is None
+
+
 def test_the_reference_script_is_a_plain_module() -> None:
     module = runpy.run_path(str(ROOT / "scripts" / "command_reference.py"))
     names = {name for name, _ in module["commands"]()}

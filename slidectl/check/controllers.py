@@ -99,7 +99,9 @@ def check(path: str | Path, model: Model | None, findings: Findings, text: bytes
     for name in replaced:
         source.add("wrong", name, yaml_tree.REPLACED)
     if tree is not written:
-        source.add("converted", "/", f"{ROS_2} is ROS 2's; what is in it is read as directly below the controllers")
+        source.add(
+            "converted", "/", f"{ROS_2} is ROS 2's; its content is read as if it stood directly below the controllers"
+        )
     checker = ControllerCheck(source, [model] if model is not None else [])
     if model is not None:
         # A spawn moves a single other namespace to the robot's.
@@ -107,9 +109,15 @@ def check(path: str | Path, model: Model | None, findings: Findings, text: bytes
         checker.moved = placed is not tree
         top = f"/{next(iter(tree), '')}"
         if remark is not None and placed is tree:
-            source.add("wrong", top, f"{remark}; nothing there finds the robot, whose plugin says {model.namespace}")
+            source.add(
+                "wrong", top, f"{remark}; no controller there finds the robot, whose plugin says {model.namespace}"
+            )
         elif remark is not None:
-            source.add("converted", top, f"{remark} by slidectl; rosparam load would leave them, and nothing find them")
+            source.add(
+                "converted",
+                top,
+                f"{remark} by slidectl; rosparam load would leave them there, where no controller reads them",
+            )
         elif checker.moved:
             source.namespace = model.namespace
     checker.check(tree)
@@ -197,7 +205,9 @@ class ParameterFile:
 
     def unread(self, path: str, text: str, value: Any) -> None:
         """Add a finding on a parameter that is not read, including everything below it."""
-        below = f" (nor has what is below it: {', '.join(map(str, value))})" if isinstance(value, Mapping) else ""
+        below = (
+            f" (nor have the parameters below it: {', '.join(map(str, value))})" if isinstance(value, Mapping) else ""
+        )
         self.add("ignored", path, text + below)
 
     def value(self, path: str, value: Any, declared: Declared, name: str, unknown: str) -> None:

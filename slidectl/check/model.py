@@ -263,7 +263,7 @@ class _Joints:
         if not written and name in _SOFT:
             return "ignored", "has no effect, as no transmission drives the joint"
         if joint.type == "continuous" and name in _SOFT and name != "k_velocity":
-            return "ignored", "has no effect without position limits, which a continuous joint has not"
+            return "ignored", "has no effect without position limits, which a continuous joint does not have"
         if found and all(interface.quantity == "position" for interface in found) and name == "effort":
             return "used", "counts only with gains in gazebo_ros_control/pid_gains"
         if found and interfaces.EFFORT not in found and name == "k_velocity":
@@ -306,7 +306,7 @@ def _report_converted(robot: Robot, root: Element, report: Report) -> None:
             text = f"{plugin.control_period:g} s is not a whole number of the simulation's steps of {_TIMESTEP_S:g} s"
             report.converted(tags["controlPeriod"], f"{text}; controllers run every {steps * _TIMESTEP_S:g} s")
     if plugin.robot_param != ControlPlugin.robot_param:
-        text = f"{plugin.robot_param} is not looked for: the robot is what is spawned, and NAMESPACE/robot_description"
+        text = f"{plugin.robot_param} is not read: the model is the spawned one, as NAMESPACE/robot_description"
         report.converted(tags["robotParam"], text)
     for transmission in robot.transmissions:
         _report_actuators(transmission, root, report)

@@ -164,7 +164,7 @@ class Tags:
             return
         if id(element) not in self.trace.read:
             if self.is_whole and not any(attribute is None for attribute, _ in said):
-                self._add("ignored", element, subject, "is not read, nor what is in it")
+                self._add("ignored", element, subject, "is not read, nor is its content")
             return
         read = self.trace.read_attributes.get(id(element), set())
         if read and read <= _CONDITIONS and not _CONDITIONS.isdisjoint(bare.attributes):

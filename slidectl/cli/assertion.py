@@ -144,16 +144,16 @@ def _conditions(
 @conditions(number("--equals", help="Exactly X, in the unit of the value."))
 @_measure_options
 @click.option("--set-point", callback=_set_point, metavar="X|FIELD",
-              help="What the value is to be: a number in its unit, or a field of the same topic.")  # fmt: skip
-@number("--since", metavar="T", help="Simulated time of the step, s; else when the motion began.")
+              help="The set point: a number in the unit of the value, or a field of the same topic.")  # fmt: skip
+@number("--since", metavar="T", help="Simulated time of the step, s; by default the start of the motion.")
 @click.option("--band", type=click.FloatRange(0, 100, min_open=True), default=2.0, callback=finite, metavar="PERCENT",
-              help="Half the width of the band of --settling, % of the step (2).")  # fmt: skip
-@number("--effort-limit", help="Of --saturation, N or N m; else the joint's.")
-@number("--lower", help="Bound of --limit-hits, in the unit of the value; else the joint's.")
-@number("--upper", help="Bound of --limit-hits, in the unit of the value; else the joint's.")
-@seconds("--last", help="Of the last S simulated seconds.")
-@seconds("--for", "duration", help="Of the next S simulated seconds.")
-@completion.file_option("--from", "file", help="Of a recording.")
+              help="Half the width of the band for --settling, % of the step (2).")  # fmt: skip
+@number("--effort-limit", help="Limit for --saturation, N or N m; by default that of the joint.")
+@number("--lower", help="Bound for --limit-hits, in the unit of the value; by default that of the joint.")
+@number("--upper", help="Bound for --limit-hits, in the unit of the value; by default that of the joint.")
+@seconds("--last", help="Measure the last S simulated seconds.")
+@seconds("--for", "duration", help="Measure the next S simulated seconds.")
+@completion.file_option("--from", "file", help="Measure a recording.")
 @click.pass_obj
 def assert_(
     ctx: Context, /, target: str, last: float | None, duration: float | None, file: str | None, **given: Any
@@ -161,9 +161,9 @@ def assert_(
     """Check conditions, and measure motions.
 
     TARGET is a joint (joint1, slider/joint1, joint1/velocity, joint1/effort) or TOPIC/FIELD[I]. --near, --above,
-    --below and --equals are of this moment, or of the end of a recording; with --last or --for of every sample of that
-    time. COND is a relation, a number and, if you like, its unit: '<5%', '>=0.2s', '==0'. All conditions are printed;
-    exits 1 when one does not hold, or cannot be measured. docs/measures.md has the definitions. JSON keys, a line a
+    --below and --equals test the present value, or the end of a recording; with --last or --for they test every sample
+    of that time. COND is a relation, a number and an optional unit: '<5%', '>=0.2s', '==0'. It prints all conditions,
+    and exits 1 when one does not hold or cannot be measured. docs/measures.md has the definitions. JSON keys, a line a
     condition: target, condition, expected, holds, measured, unit, time (when it was so), start, end, message.
     """
     values, bounds = _conditions(last, duration, file, **given)

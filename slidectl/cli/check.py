@@ -70,9 +70,9 @@ def check(
 
     MODEL and LAUNCH are as for spawn and launch: a file, the name of a shipped one, PACKAGE FILE, or - for standard
     input. KEY:=VALUE are their arguments. Every tag, attribute, limit and parameter is listed with file and line as
-    used, converted (taken otherwise than written), ignored (no effect here) or wrong. Exits 0 when nothing is wrong, 1
-    when something is, and 2 when a file cannot be used at all. With --keep-going what is not there is ignored, listed
-    at the end, and the exit code is 1 only when nothing is left to drive. --import runs the code of the module, but no
+    used, converted (used in a changed form), ignored (no effect here) or wrong. Exits 0 when nothing is wrong, 1 when
+    something is, and 2 when a file cannot be used at all. --keep-going leaves out missing parts and lists them at the
+    end; the exit code is then 1 only when nothing is left to drive. --import runs the code of the module, but no
     controller. JSON keys: file, line, verdict, subject, text.
     """
     ctx: Context = click_context.obj

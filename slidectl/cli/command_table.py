@@ -29,7 +29,7 @@ _PACKAGE = os.path.dirname(os.path.dirname(__file__))
 _SECTIONS = {
     "The daemon": {
         "daemon": ("cli.daemon", "Start, stop and watch the daemon that holds the world."),
-        "sim": ("cli.sim", "Time of the world: status, pause, step, reset; snapshots."),
+        "sim": ("cli.sim", "Control the simulation: status, pause, step, reset, snapshots."),
         "replay": ("extensions.journal.commands.replay", "Repeat the run of a journal, with the same bits."),
     },
     "Robots": {
@@ -54,7 +54,7 @@ _SECTIONS = {
         "bag": ("extensions.recording.commands.bag", "Recordings: info, diff, filter, export, reindex."),
         "plot": ("extensions.viewing.commands.plot", "Plot fields over simulated time."),
         "topic": ("cli.topic", "List, inspect and measure topics."),
-        "hz": ("cli.topic_measure", "Measure how often messages come."),
+        "hz": ("cli.topic_measure", "Measure the rate of messages."),
         "service": ("cli.service", "List, inspect and call services."),
         "action": ("cli.action", "Goals of actions: list, inspect, send, cancel, follow."),
         "param": ("cli.param", "Get, set, load and dump parameters."),
@@ -84,7 +84,7 @@ _SECTIONS = {
     "slidectl": {
         "test": ("extensions.scenarios.commands.test", "Run scenarios: files of steps that a robot must pass."),
         "shell": ("cli.shell", "Run many commands in one process."),
-        "doctor": ("cli.doctor", "Check whether slidectl can run here."),
+        "doctor": ("cli.doctor", "Check this installation."),
         "completion": ("cli.completion", "Print the completion script of a shell."),
         "version": ("cli.doctor", "Print the version."),
     },

@@ -34,8 +34,8 @@ Completer = Callable[[click.Context, click.Parameter, str], list[Any]]
 def completion(shell: str) -> None:
     """Print the completion script of a shell.
 
-    Put the first example's line into ~/.bashrc (zsh: ~/.zshrc with `completion zsh`). Topics, controllers, robots and
-    parameters are asked from the daemon, within 100 ms.
+    Put the first example's line into ~/.bashrc (zsh: ~/.zshrc with `completion zsh`). It asks the daemon for topics,
+    controllers, robots and parameters, within 100 ms.
     """
     from click.shell_completion import get_completion_class
 

@@ -144,14 +144,14 @@ def controller() -> None:
 
 @controller.command("list", examples=["slidectl controller list", "slidectl controller list -v --json"])
 @_cm
-@click.option("--all", "with_unloaded", is_flag=True, help="Also those that have parameters but are not loaded.")
+@click.option("--all", "with_unloaded", is_flag=True, help="Also list those that have parameters but are not loaded.")
 @click.pass_obj
 def list_controllers(ctx: Context, manager: str | None, with_unloaded: bool) -> None:
     """List the loaded controllers with their states.
 
-    With -v also what they claim, and the wall time of their updates since the start, mean and longest: compiled ones
-    are not measured. JSON keys: manager, name, state, type, claimed_resources (hardware_interface and resources); with
-    -v update_times (slidectl/UpdateTimes, in s).
+    -v adds what they claim, and the mean and longest wall time of their updates since the start (not of compiled ones).
+    JSON keys: manager, name, state, type, claimed_resources (hardware_interface and resources); with -v update_times
+    (slidectl/UpdateTimes, in s).
     """
     managers = chosen(ctx, manager)
     rows = [row for one in managers for row in _rows(one, with_unloaded)]
@@ -196,7 +196,7 @@ def _times_text(times: dict[str, Any] | None) -> str:
 def types(ctx: Context, manager: str | None) -> None:
     """List the types of controllers that can be loaded.
 
-    Without a daemon, or without a robot, those that this installation has. JSON keys: type, base_class.
+    Without a daemon or a robot it lists the types of this installation. JSON keys: type, base_class.
     """
     found: dict[str, str] = {}
     try:
@@ -236,8 +236,8 @@ def types(ctx: Context, manager: str | None) -> None:
 def load(ctx: Context, manager: str | None, source: str | None, names: tuple[str, ...]) -> None:
     """Load controllers; they are ready to be started.
 
-    With --from one controller, whose class is in a Python file; docs/extending.md has such a file. Its code runs in the
-    daemon. CLASS may be left out when the file has one controller.
+    --from loads one controller from a class in a Python file; docs/extending.md has an example. Its code runs in the
+    daemon. CLASS is optional if the file has one controller.
     """
     if source is not None:
         _load_file(ctx, manager, source, names)
@@ -284,8 +284,9 @@ def _place_for(ctx: Context, manager: str | None, controller: str) -> tuple[Mana
 def reload(ctx: Context, manager: str | None, names: tuple[str, ...]) -> None:
     """Reload controllers of your own from their files.
 
-    Each is stopped if it runs, loaded anew, and started again if it ran or was aborted. Name, parameters and topics
-    stay. When the edited file is broken nothing changes. Fails when it is aborted by its first update.
+    It stops each controller, loads it from its file, and starts it again if it ran or was aborted. Name, parameters and
+    topics stay. If the edited file is broken, nothing changes. The command fails if the first update aborts the
+    controller.
     """
     target, local, _ = owner(ctx, manager, names)
     for name in local:
@@ -334,8 +335,8 @@ def start(ctx: Context, manager: str | None, strict: bool, asap: bool, names: tu
 def stop(ctx: Context, manager: str | None, strict: bool, asap: bool, rest: str | None, names: tuple[str, ...]) -> None:
     """Stop running controllers, all in the same cycle.
 
-    As in ROS the last command stays with the hardware: an effort or a velocity goes on acting, a position is held.
-    --zero and --hold set another one, which the joint's interface must be able to do.
+    As in ROS, the hardware keeps the last command: an effort or a velocity keeps acting, a position is held. --zero and
+    --hold replace it; the joint's interface must allow that.
     """
     _switch(ctx, manager, (), names, strict, asap, rest)
 
@@ -368,9 +369,9 @@ def switch(
 ) -> None:
     """Stop some controllers and start others in one cycle.
 
-    --start and --stop take names until the next option, and may repeat. --timeout also goes into the request: a
-    switch that has not happened by then is given up. Joints that only stopped controllers claim keep their last
-    commands, as in ROS; --zero and --hold set others.
+    --start and --stop take names until the next option, and may repeat. --timeout is also part of the request: the
+    manager abandons a switch that has not happened by then. Joints that only stopped controllers claim keep their last
+    commands, as in ROS; --zero and --hold replace them.
     """
     if not to_start and not to_stop:
         raise UsageError("nothing to switch", "name controllers after --start, --stop or both")
@@ -414,7 +415,7 @@ def _switch(
 def spawn(ctx: Context, manager: str | None, stopped: bool, wait: bool, names: tuple[str, ...]) -> None:
     """Load controllers and start them, all in the same cycle.
 
-    Those that are loaded or run already are left as they are. If one cannot be loaded none is started.
+    Controllers that are loaded or running already stay as they are. If one cannot be loaded, none is started.
     """
     if wait:
         wait_for_owner(ctx, manager, names)
@@ -434,7 +435,7 @@ def spawn(ctx: Context, manager: str | None, stopped: bool, wait: bool, names: t
 def unspawn(ctx: Context, manager: str | None, rest: str | None, names: tuple[str, ...]) -> None:
     """Stop controllers and unload them.
 
-    As in ROS the last commands stay with the hardware; --zero and --hold set others, as with 'controller stop'.
+    As in ROS, the hardware keeps the last commands; --zero and --hold replace them, as in 'controller stop'.
     """
     target, local, before = owner(ctx, manager, names)
     with _changes(ctx, target, local, before):
@@ -463,9 +464,9 @@ def unspawn(ctx: Context, manager: str | None, rest: str | None, names: tuple[st
 def plot(ctx: Context, manager: str | None, name: str, step: float, duration: float, save: str | None) -> None:
     """Give a controller a set point and plot the step response.
 
-    Set point, state, error and effort, and the measures of docs/measures.md, in one picture. The joint moves. JSON
-    keys: controller, set_point, unit, start, rise, overshoot, settling, error, effort_peak (null where it is never
-    reached or cannot be measured), file.
+    It draws set point, state, error and effort, with the measures of docs/measures.md. The joint moves. JSON keys:
+    controller, set_point, unit, start, rise, overshoot, settling, error, effort_peak (null where it is never reached or
+    cannot be measured), file.
     """
     from slidectl.extensions.viewing.commands import plot as plotting
     from slidectl.extensions.viewing.step_response import step_response
@@ -499,7 +500,8 @@ def plot(ctx: Context, manager: str | None, name: str, step: float, duration: fl
 def config(ctx: Context, manager: str | None, file: str) -> None:
     """Load controllers' parameters from a YAML file into the robot's namespace.
 
-    The file is that of a tutorial: its top key is the namespace (`slider:`); without one it goes to that of the robot.
+    The top key of the file is the namespace (`slider:`), as in the tutorials; without one, the namespace is that of the
+    robot.
     """
     from slidectl.cli.param import store
 

@@ -69,7 +69,9 @@ def _world(function: Callable[..., Any]) -> Callable[..., Any]:
             help="Gravity in the axes of the world, m/s^2 (0 0 -9.8).",
         ),
         click.option("--ground/--no-ground", default=True, help="With a floor at height 0, or without."),
-        click.option("--strict", is_flag=True, help="Stop the world when a robot diverges; else that robot is frozen."),
+        click.option(
+            "--strict", is_flag=True, help="Stop the world when a robot diverges; the default freezes that robot."
+        ),
         click.option(
             "--engine",
             type=click.Choice(["plain", "compiled", "auto"]),
@@ -147,8 +149,8 @@ def _gateways(function: Callable[..., Any]) -> Callable[..., Any]:
 def start(click_context: click.Context, /, **world: Any) -> None:
     """Start the daemon in the background; returns when it answers.
 
-    One that runs already stays as it is (exit code 0). JSON keys: instance, pid, socket, log, already. For each
-    gateway an object follows, as 'slidectl gateway' has it.
+    A running daemon stays as it is (exit code 0). JSON keys: instance, pid, socket, log, already. An object follows for
+    each gateway, as 'slidectl gateway' prints it.
     """
     ctx: Context = click_context.obj
     others = tuple(gateway_commands.known(name) for name in world.pop("others", ()))
@@ -223,10 +225,10 @@ def _stop(ctx: Context) -> int | None:
 @_world
 @click.pass_context
 def restart(click_context: click.Context, /, **world: Any) -> None:
-    """Stop the daemon if it runs, and start a new one with an empty world. Its gateways go on with the new one.
+    """Stop the daemon if it runs, and start a new one with an empty world. Its gateways connect to the new one.
 
-    Options that are not given are those that the old one was started with, and a line on stderr says which. JSON keys
-    as those of start.
+    Options that you leave out keep the values of the old daemon, and a line on stderr lists them. JSON keys as those of
+    start.
     """
 
     from slidectl.daemon import lifecycle
@@ -290,8 +292,8 @@ def status(ctx: Context) -> None:
 def logs(ctx: Context, following: bool, lines: int | None) -> None:
     """Print the daemon's log.
 
-    JSON keys of each line: time (date and time of this machine), level (info, warn, error ...), node (that speaks, or
-    empty), text, line (the whole line). A line that goes on with the entry before has its time, level and node.
+    JSON keys of each line: time (date and time of this machine), level (info, warn, error ...), node (the sender, or
+    empty), text, line (the whole line). A continuation line has the time, level and node of its entry.
     """
     path, record = ctx.paths.log, _records()
     with _opened(path) as file:
@@ -362,11 +364,11 @@ def _opened(path: Path) -> TextIO:
 @click.option("--all", "everything", is_flag=True, help="All instances, compiled code, and the history of the shell.")
 @click.pass_obj
 def clean(ctx: Context, dry_run: bool, everything: bool) -> None:
-    """Remove what this instance has left on this machine: its folder with its logs.
+    """Remove the files of this instance: its folder with its logs.
 
-    With --socket those are the files beside that socket. Other instances stay untouched, unless --all is given:
-    then everything of slidectl goes. Files of a daemon that runs stay, and then the exit code is 1.
-    JSON keys: path, what, bytes, removed.
+    With --socket it removes the files beside that socket. It leaves other instances alone, unless --all is given: --all
+    removes all files of slidectl. Files of a running daemon stay, and the exit code is then 1. JSON keys: path, what,
+    bytes, removed.
     """
     from slidectl.cli.shell import history_file
     from slidectl.daemon import cleaning
@@ -403,7 +405,7 @@ def _gateways_of(paths: InstancePaths) -> list[dict[str, Any]]:
 @daemon.command("list", examples=["slidectl daemon list", "slidectl daemon list --json"])
 @click.pass_obj
 def list_daemons(ctx: Context) -> None:
-    """List all daemons of this user that run: the world's time, since when it runs, its robots and gateways.
+    """List the running daemons of this user: simulated time, start time, robots and gateways.
 
     One that does not answer within 2 s, or within --timeout, is listed as such. A daemon with a socket elsewhere is
     listed when --socket names it. The table shows an instance that -i does not reach from this shell by its socket.

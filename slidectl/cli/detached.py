@@ -124,7 +124,7 @@ def wait(paths: InstancePaths, limit_s: float, say: Callable[[str], None]) -> No
                 raise TimedOut(f"what runs in the background has not ended within {limit_s:g} s", f"see: {log}")
             if waited_s > _QUIET_S and not told:
                 told = True
-                say(f"waiting until what runs in the background has ended: {log}")
+                say(f"waiting for the background process to end: {log}")
             select.select([], [], [], _LOOK_EVERY_S)
 
 

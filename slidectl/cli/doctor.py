@@ -35,12 +35,12 @@ _REGISTRIES = (
 @command(step=None, examples=["slidectl doctor", "slidectl doctor --json"])
 @click.pass_obj
 def doctor(ctx: Context) -> None:
-    """Check whether slidectl can run here.
+    """Check this installation.
 
-    Python and libraries, folders and their rights, disk, descriptors, the daemon and those that were left, how
-    punctually this machine wakes a process, package paths and variables of ROS, and what installed packages add to
-    slidectl, each of which is imported. Each is ok, something to look at, or broken; exits 1 when something is broken.
-    JSON keys: check, state, finding, remedy.
+    It checks Python and the libraries, folders and their permissions, the disk, file descriptors, the daemon and what
+    earlier ones left behind, how punctually this machine wakes a process, package paths and variables of ROS, and the
+    packages that extend slidectl, which it imports. Each state is ok, look here or broken; exits 1 when something is
+    broken. JSON keys: check, state, finding, remedy.
     """
     from slidectl.daemon.health import BROKEN, findings
 
@@ -96,7 +96,7 @@ def _registry(place: str) -> Registry:
 def version(ctx: Context) -> None:
     """Print the version.
 
-    With -v the versions of the libraries too. JSON keys: slidectl, python, and with -v the libraries' names.
+    -v adds the versions of the libraries. JSON keys: slidectl, python, and with -v the names of the libraries.
     """
     record = {"slidectl": __version__, "python": sys.version.split()[0]}
     if ctx.verbose:

@@ -75,10 +75,10 @@ def echo(
 ) -> None:
     """Print the messages of a topic.
 
-    One YAML document per message, closed by '---', until -n or --for is reached or Ctrl-C is pressed. A field behind
-    the topic's name, with indices and slices as in Python, is printed alone. --json prints one message a line, which
-    'slidectl pub --stdin' reads. With --timeout it exits 4 when no message has come for so long. With --wait the topic
-    may come later; its name is then one in --ns (/).
+    One YAML document per message, closed by '---', until -n or --for is reached or Ctrl-C is pressed. A field after the
+    topic's name, with indices and slices as in Python, is printed alone. --json prints one message a line, which
+    'slidectl pub --stdin' reads. --timeout makes it exit with 4 when no message comes for that time. With --wait the
+    topic need not exist yet; its name is then relative to --ns (/).
 
     EXPR compares fields of m (m.position[0], m.header.stamp.to_sec()) with the operators of Python and the functions
     of its math module. The time of a CSV line is the header's stamp, else the simulated time at which it came.

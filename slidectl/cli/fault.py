@@ -102,10 +102,10 @@ def _record(found: dict[str, Any]) -> dict[str, Any]:
 @fault.command("list", examples=["slidectl fault list", "slidectl fault list --json"])
 @click.pass_obj
 def list_faults(ctx: Context) -> None:
-    """List the faults with what they did so far.
+    """List the faults and their effects so far.
 
-    STATE is waiting, active or over; COUNT are the cycles, or messages, in which the fault acted. JSON keys: name,
-    kind, target (the full name), from and to (s; null until it is removed), seed, options, state, count.
+    STATE is waiting, active or over; COUNT is the number of cycles, or messages, in which the fault acted. JSON keys:
+    name, kind, target (the full name), from and to (s; null until it is removed), seed, options, state, count.
     """
     rows = [_record(found) for found in ctx.client.faults()]
     if ctx.format in ("text", "csv"):
@@ -121,9 +121,9 @@ def _shown(options: dict[str, Any]) -> str:
 @click.argument("names", nargs=-1, required=True, metavar="NAME...", shell_complete=completion.completer(_names))
 @click.pass_obj
 def remove(ctx: Context, names: tuple[str, ...]) -> None:
-    """Remove faults; what they changed is restored.
+    """Remove faults and undo their changes.
 
-    All of them or, with a name that is not there, none. JSON key: name.
+    If one name is unknown, it removes none. JSON key: name.
     """
     for name in ctx.client.remove_faults(*names):
         ctx.done({"name": name}, f"{name}: removed")
@@ -143,9 +143,9 @@ def clear(ctx: Context) -> None:
 @fault.command("kinds", examples=["slidectl fault kinds", "slidectl fault kinds --json"])
 @click.pass_obj
 def kinds(ctx: Context) -> None:
-    """List the kinds of faults: on what each acts, and its options.
+    """List the kinds of faults with their targets and options.
 
-    JSON keys: name, target, text, options (each with its default: required, or null for what stays as it is).
+    JSON keys: name, target, text, options (each with its default: required, or null for unchanged).
     """
     rows = [{"name": name, **kind._asdict()} for name, kind in KINDS.items()]
     if ctx.format in ("text", "csv"):

@@ -232,5 +232,5 @@ def described(error: Exception) -> tuple[str, str | None, int]:
         return error.format_message().replace("\n\t", " "), see, EXIT_USAGE
     if isinstance(error, click.ClickException):
         return error.format_message(), None, error.exit_code
-    fault = "this is a fault of slidectl; give -v twice to see where it happened"
+    fault = "this is a bug in slidectl; -vv shows the traceback"
     return f"{type(error).__name__}: {error}", fault, EXIT_REFUSED

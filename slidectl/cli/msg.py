@@ -66,7 +66,7 @@ def _verbs(parent: Group, kind: Callable[[], TypeFamily], example: str) -> None:
     def show(ctx: Context, name: str | None, raw: bool) -> None:
         """Show the fields of a type, those of nested types indented.
 
-        A Name without its package is looked for in all of them. Without TYPE one is read from stdin.
+        A name without a package is looked up in all packages. Without TYPE, the type is read from stdin.
         JSON keys: type, md5, definition.
         """
         wanted, types = sys.stdin.readline().strip() if name is None else name, kind()

@@ -97,17 +97,19 @@ def as_rosparam(value: Any) -> str:
 @click.argument("name", shell_complete=completion.parameters)
 @click.argument("value", required=False)
 @completion.file_option("-t", "--textfile", help="The text of a file as the value.")
-@click.option("--new", is_flag=True, help="Set it even if nobody reads it, or a short NAME means another one.")
+@click.option(
+    "--new", is_flag=True, help="Set a new parameter, even if nothing reads it or a short NAME means another one."
+)
 @click.pass_obj
 def set_parameter(ctx: Context, name: str, value: str | None, textfile: str | None, new: bool) -> None:
     """Set a parameter.
 
-    VALUE is YAML; deg(90) and rad(pi/2) are angles in radians, '' is an empty text. A mapping is merged into what is
-    there, all else replaces it. A short NAME means the parameter that ends so, if there is one.
+    VALUE is YAML; deg(90) and rad(pi/2) are angles in radians, '' is an empty text. A mapping is merged into the
+    present value, any other value replaces it. A short NAME means the one parameter with this end.
 
-    A gain of a loaded controller takes effect at its next cycle, and is refused when the controller cannot take it.
-    Below a loaded controller only names that it reads can be set, unless with --new. Elsewhere a line on stderr says
-    when the parameter is new. JSON keys: parameter, value.
+    A gain of a loaded controller takes effect at its next cycle; a value that the controller cannot use is refused.
+    Below a loaded controller you can set only names that it reads; --new sets others. Elsewhere a line on stderr says
+    when a parameter is new. JSON keys: parameter, value.
     """
     if (value is None) == (textfile is None):
         raise UsageError("give a VALUE or -t FILE")
@@ -220,11 +222,11 @@ def _names_all_of(tree: Any, namespace: str) -> bool:
 @click.argument("namespace", required=False, shell_complete=completion.parameters)
 @click.pass_obj
 def dump(ctx: Context, file: str | None, namespace: str | None) -> None:
-    """Write what was set, all or below NAMESPACE, as YAML with sorted keys, to FILE or to stdout.
+    """Write the parameters that were set, all or below NAMESPACE, as sorted YAML, to FILE or to stdout.
 
     The keys begin at the root, so that 'param load FILE', 'controller config FILE' and 'spawn --controllers FILE' take
-    the file. What the simulation adds itself is left out: gains that were not given, the model of a spawned robot;
-    'param get NAMESPACE' has all. With --json it is one object.
+    the file. Parameters that the simulation adds itself are left out: gains that were not given, the model of a spawned
+    robot. 'param get NAMESPACE' prints all. With --json it is one object.
     """
     full = "/" if namespace is None else _resolved(ctx, namespace)
     value = json.loads(ctx.call("/slidectl/given_params", {"name": full})["value"])

@@ -84,9 +84,9 @@ def pub(
 ) -> None:
     """Publish a message.
 
-    TOPIC is looked for among those that somebody subscribes to; TYPE may be left out for a topic that exists. VALUE is
-    YAML: one mapping of fields, or one value for each field. It returns when the subscribers have the message, and
-    exits 1 when there are none or when one refuses it.
+    TOPIC is matched against the topics with subscribers; TYPE is optional for a topic that exists. VALUE is YAML: one
+    mapping of fields, or one value for each field. It returns when the subscribers have the message, and exits 1 when
+    there are none or when one refuses it.
 
     With -r a value may be an expression in i (the number of the message, from 0) and t (seconds, i / HZ) with the
     functions of the math module. 'auto' for a header and 'now' for a time stand for the simulated time, anew in

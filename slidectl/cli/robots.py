@@ -39,11 +39,11 @@ def find(robots: Sequence[RobotInfoMsg], name: str) -> RobotInfoMsg:
 def robots(ctx: Context, name: str | None) -> None:
     """List the robots, or show one with its joints.
 
-    Lengths in m, angles in rad, forces in N or N m; a joint without a limit has none. With a name and -v also what
+    Lengths in m, angles in rad, forces in N or N m; a joint without a limit has none. With a name, -v also lists what
     became of each tag of the model. KIND is robot, model (without a controller manager, from SDF), or static (a model
-    that does not move). JSON keys: name, namespace, kind, fixed, pose (x y z qx qy qz qw), links, joints (name,
-    type, interface, position, velocity, effort, lower, upper, max_velocity, max_effort), controllers, estop (true in
-    an emergency stop), frozen (it diverged), and report (verdict, subject, text, file, line) when a name is given.
+    that does not move). JSON keys: name, namespace, kind, fixed, pose (x y z qx qy qz qw), links, joints (name, type,
+    interface, position, velocity, effort, lower, upper, max_velocity, max_effort), controllers, estop (true in an
+    emergency stop), frozen (it diverged), and report (verdict, subject, text, file, line) when a name is given.
     """
     found = ctx.client.robots() if name is None else [find(ctx.client.robots(), name)]
     warn_stopped(ctx, [robot["name"] for robot in found if robot["estop"]])
@@ -143,11 +143,11 @@ def delete(ctx: Context, names: tuple[str, ...]) -> None:
 def estop(ctx: Context, words: tuple[str, ...], namespaces: tuple[str, ...]) -> None:
     """Stop robots at once, or release them.
 
-    All robots, unless some are named. From the next cycle on efforts (N or N m) and velocities (m/s or rad/s) are 0 and
-    positions (m or rad) stay where they were read, whatever controllers command; these go on. 'slidectl estop release'
-    ends it: running controllers are stopped and started, so they begin where the joints are. It outlasts a reset and
-    goes with the robot. It is the service /slidectl/estop, and the topic that <eStopTopic> of a robot's plugin names
-    does the same. JSON keys: name, namespace, estop, before.
+    Without a name it stops all robots. From the next cycle on, efforts (N or N m) and velocities (m/s or rad/s) are 0
+    and positions (m or rad) stay as they were read, whatever controllers command; the controllers keep running.
+    'slidectl estop release' ends the stop: it stops and starts the running controllers, so that they begin where the
+    joints are. A reset does not end the stop. The command calls the service /slidectl/estop; the topic in <eStopTopic>
+    of a robot's plugin does the same. JSON keys: name, namespace, estop, before.
     """
     stop = words[:1] != ("release",)
     present = [robot for robot in ctx.client.robots() if robot["kind"] == "robot"]

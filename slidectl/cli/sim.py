@@ -26,7 +26,7 @@ _FORK_LIMIT_S = 60.0
 
 @group(examples=["slidectl sim status", "slidectl sim step 0.5s", "slidectl sim reset --time"])
 def sim() -> None:
-    """Time of the world: status, pause, step, reset; snapshots."""
+    """Control the simulation: status, pause, step, reset, snapshots."""
 
 
 @sim.command("status", examples=["slidectl sim status", "slidectl sim status --json"])
@@ -149,11 +149,10 @@ def _steps(amount: str | None, until: str | None) -> dict[str, Any]:
 @click.option("--until", metavar="TIME", help="Up to this simulated time, s.")
 @click.pass_obj
 def step(ctx: Context, amount: str | None, until: str | None) -> None:
-    """Do N cycles (1), or some simulated seconds, or all until a time, and return when they are done.
+    """Run N cycles (1), or some simulated seconds, or up to a time, and return when they are done.
 
-    A time is a whole number of cycles (of 0.001 s, unless the daemon was started otherwise); another one is refused.
-    Pauses the world first if it runs. Without --timeout it waits a minute longer than the steps take at a tenth of
-    real time.
+    A time must be a whole number of cycles (0.001 s each by default). The command pauses a running world first. Without
+    --timeout it waits a minute longer than the steps take at a tenth of real time.
     """
     request = _steps(amount, until)
     if "until" in request:
@@ -213,7 +212,7 @@ def _kept(ctx: Context) -> list[str]:
 def save(ctx: Context, name: str, file: str | None) -> None:
     """Save the state of the world under a name, until the daemon stops.
 
-    One that had the name is replaced. JSON keys: name, time, file (null without --to).
+    It replaces a snapshot of the same name. JSON keys: name, time, file (null without --to).
     """
     time = ctx.client.save(name, file)
     ctx.done(
@@ -232,7 +231,7 @@ def save(ctx: Context, name: str, file: str | None) -> None:
 def load(ctx: Context, name: str | None, file: str | None) -> None:
     """Restore a saved state; the world goes on from there with the same bits.
 
-    Robots and controllers that are others now are made again. Goals that were sent since end as PREEMPTED.
+    It spawns robots and loads controllers again where they differ. Goals that were sent since then end as PREEMPTED.
     JSON keys: time.
     """
     if (name is None) == (file is None):
@@ -252,7 +251,7 @@ def snapshots(ctx: Context) -> None:
 @click.argument("names", nargs=-1, required=True, metavar="NAME...", shell_complete=_kept)
 @click.pass_obj
 def delete(ctx: Context, names: tuple[str, ...]) -> None:
-    """Delete snapshots: all of these, or none if one is unknown. Files stay. JSON key: names."""
+    """Delete all these snapshots, or none if one is unknown. Files stay. JSON key: names."""
     ctx.call("/slidectl/delete_snapshots", {"names": list(names)})
     ctx.done({"names": list(names)}, f"deleted: {', '.join(names)}")
 
@@ -272,8 +271,8 @@ def _refuse_fork(parameters: Mapping[str, Any], has_daemon: bool) -> StepEffects
 def fork(ctx: Context, name: str, other: str) -> None:
     """Start a second daemon that continues from a snapshot of this one.
 
-    It has the options and the speed of this one, and is paused where this one is. Which daemon is forked is said in
-    front: 'slidectl -i first sim fork NAME -i other'. JSON keys: instance, pid, socket, time.
+    It has the options and the speed of this one, and is paused if this one is. The -i before 'sim' chooses the daemon
+    to fork: 'slidectl -i first sim fork NAME -i other'. JSON keys: instance, pid, socket, time.
     """
     from slidectl import paths
     from slidectl.daemon import lifecycle

@@ -147,11 +147,10 @@ def tree(ctx: Context) -> None:
 )
 @click.pass_obj
 def echo(ctx: Context, reference: str, target: str, count: int | None, follow: bool, rate: float) -> None:
-    """Print the pose of frame B in frame A, as tf_echo does: once, or -n times, or again and again.
+    """Print the pose of frame B in frame A, as tf_echo does: once, -n times, or until Ctrl-C.
 
-    The end of a frame's name is enough when no other one ends so.
-    JSON keys: reference, target, time (simulated s; null when nothing between them moves), translation (x y z, m),
-    rotation (x y z w), rpy (rad).
+    The unique end of a frame's name is enough. JSON keys: reference, target, time (simulated s; null when nothing
+    between them moves), translation (x y z, m), rotation (x y z w), rpy (rad).
     """
     left = math.inf if follow and count is None else count or 1
     with listening(ctx) as listener:

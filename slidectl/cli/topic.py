@@ -35,7 +35,8 @@ for _verb in (hz, bw, delay, pub, echo):
 def list_topics(ctx: Context, namespace: str | None, published: bool, subscribed: bool) -> None:
     """List the topics, all or those below NAMESPACE.
 
-    With -v their types and who uses them. JSON keys: topic, type; with -v also publishers, subscribers (node names).
+    -v adds their types and the nodes that use them. JSON keys: topic, type; with -v also publishers, subscribers (node
+    names).
     """
     if published and subscribed:
         raise UsageError("-p and -s exclude each other")

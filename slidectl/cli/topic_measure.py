@@ -339,11 +339,11 @@ def hz(
     least: float | None,
     most: float | None,
 ) -> None:
-    """Measure how often messages come.
+    """Measure the rate of messages.
 
-    Rates are in simulated time: of the headers' stamps where there are any, else of /clock; --wall-time takes the
-    computer's clock. A report is printed each second of wall time. Exits 1 when it ends and not one message has come.
-    JSON keys: topic, rate (Hz), min, max, std_dev, p50, p99 (of the intervals, s), window, new (since the last report).
+    Rates are in simulated time, by the stamps of the headers or else by /clock; --wall-time takes the computer's clock.
+    It prints a report each second of wall time, and exits 1 if no message has come at the end. JSON keys: topic, rate
+    (Hz), min, max, std_dev, p50, p99 (of the intervals, s), window, new (since the last report).
     """
     targets = [ctx.find_topic(text, PUBLISHERS) for text in topics]
     stream, meters = rates(ctx, targets, window, condition, wall_time, sim_seconds)
@@ -361,9 +361,9 @@ def hz(
 @click.option("--wall-time", is_flag=True, help="Per second of the computer's clock.")
 @click.pass_obj
 def bw(ctx: Context, topic: str, window: int, reports: int | None, sim_seconds: float | None, wall_time: bool) -> None:
-    """Measure how many bytes a second the messages have.
+    """Measure the bandwidth of a topic, bytes per second.
 
-    Counted are the bytes of ROS 1's serialisation, as rostopic does, per second of simulated time; on the socket
+    It counts the bytes of ROS 1's serialisation, as rostopic does, per second of simulated time; on the socket,
     messages are JSON. JSON keys: topic, rate (bytes/s), mean, min, max (bytes), window, new.
     """
     target = ctx.find_topic(topic, PUBLISHERS)

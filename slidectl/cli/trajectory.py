@@ -86,8 +86,8 @@ def send(ctx: Context, controller: str, file: str, wait: bool) -> None:
 def plan(ctx: Context, controller: str, targets: tuple[str, ...], duration: float, wait: bool) -> None:
     """Move joints to positions in a given time.
 
-    The other joints go to their desired positions of this moment. All come to rest at the end, by a polynomial
-    without jumps of velocity and acceleration. JSON keys as for send.
+    The other joints go to their present desired positions. All joints are at rest at the end; velocity and acceleration
+    do not jump. JSON keys as for send.
     """
     from slidectl.client.action_client import desired_positions, goal_to
 
@@ -233,7 +233,7 @@ def _from_csv(text: str, file: str) -> Message:
         raise BadFile("the first line of a CSV trajectory names its columns", file, line, "as: time,joint1,joint2")
     columns = [_column(name, file, line) for name in header[1:]]
     if len(set(columns)) < len(columns):
-        raise BadFile("names a column twice", file, line)
+        raise BadFile("duplicate column", file, line)
     joints = list(dict.fromkeys(joint for joint, _ in columns))
     quantities = list(dict.fromkeys(quantity for _, quantity in columns))
     for quantity in quantities:
@@ -257,7 +257,7 @@ def _column(name: str, file: str, line: int) -> tuple[str, str]:
     if not dot:
         return name, "position"
     if quantity not in _QUANTITIES:
-        raise BadFile(f"column {name!r}: {quantity!r} is none of {', '.join(_QUANTITIES)}", file, line)
+        raise BadFile(f"column {name!r}: {quantity!r} is not one of {', '.join(_QUANTITIES)}", file, line)
     return joint, quantity
 
 

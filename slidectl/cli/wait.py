@@ -66,10 +66,9 @@ def wait(
 ) -> None:
     """Wait until a field of a topic has a value.
 
-    Prints the value and the simulated time; on a terminal a line shows meanwhile how it stands. When --within has
-    passed it prints what was expected, the last and the closest value, and exits 1. --timeout is the limit on the wall
-    clock (4); without it that is a minute, plus ten times --within and --for. JSON keys: topic, field, expected,
-    reached, value, closest, time.
+    Prints the value and the simulated time; on a terminal a line shows the progress. When --within has passed it prints
+    the expected, the last and the closest value, and exits 1. --timeout limits the wall time (exit code 4); the default
+    is a minute plus ten times --within and --for. JSON keys: topic, field, expected, reached, value, closest, time.
     """
     condition, value = _condition(near, above, below, equals, tol)
     found = find_published_topic(ctx, target)

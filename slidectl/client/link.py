@@ -127,7 +127,7 @@ class SocketLink:
                 left = deadline - time.monotonic()
                 readable, writable, _ = select.select(self._to_wait, self._to_wait, (), _for_select(left))
                 if not readable and not writable:
-                    raise TimedOut("the daemon does not read what is sent to it") from None
+                    raise TimedOut("the daemon does not read its input") from None
                 if readable:
                     self._read()
             except OSError:

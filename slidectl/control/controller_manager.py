@@ -626,7 +626,7 @@ class ControllerManager:
         """
         entry = self._loaded[name]
         if entry.is_running:
-            return self._refuse(f"cannot reload controller {quoted(name)}: it is running still")
+            return self._refuse(f"cannot reload controller {quoted(name)}: it is still running")
         former = type(entry.controller)
         entry.node.shutdown()
         try:
@@ -640,8 +640,8 @@ class ControllerManager:
             self._loaded[name] = self._load(name)
         except Exception:
             del self._loaded[name]
-            return self._refuse(f"{text}; nor can the class that it had be loaded again")
-        return self._refuse(f"{text}; the class that it had is loaded again")
+            return self._refuse(f"{text}; nor can the former class be loaded again")
+        return self._refuse(f"{text}; the former class is loaded again")
 
     def save_state(self) -> dict[str, Any]:
         """The state of the controllers for a snapshot, in load order."""

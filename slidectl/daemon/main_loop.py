@@ -126,7 +126,7 @@ class Daemon:
         given_up = self._pacer.given_up_s
         if given_up > max(self._given_up_s + 1.0, 2.0 * self._given_up_s):  # less and less often, to keep the log short
             self._given_up_s = given_up
-            self._log.write("warn", f"slower than asked: {given_up:.0f} s of wall time given up so far")
+            self._log.write("warn", f"slower than requested: {given_up:.0f} s of wall time lost so far")
 
     def _repair_files(self) -> None:
         """Create deleted files again (cleaners of temporary folders delete them); end if another daemon replaced us."""

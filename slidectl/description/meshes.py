@@ -93,7 +93,7 @@ def load(path: str | Path, scale: Vector = (1.0, 1.0, 1.0)) -> Triangles:
     except RecursionError:
         raise BadMesh("cannot read the mesh: it is nested too deep", path) from None
     except MemoryError:
-        raise BadMesh("cannot read the mesh: it needs more memory than there is for it", path) from None
+        raise BadMesh("cannot read the mesh: it needs more memory than is available", path) from None
     if not len(faces):
         raise BadMesh("the mesh has no triangle", path)
     _check_faces(len(faces), path)

@@ -49,7 +49,7 @@ class Missing:
         self.forgiven = forgiven
         self._to_go_on = to_go_on
         self.world_decides = False
-        """True when a daemon runs that may know simulated hardware which is not known here."""
+        """True when a daemon runs that may know simulated hardware which is unknown here."""
         self._found: dict[str, Absence] = {}
 
     def __len__(self) -> int:

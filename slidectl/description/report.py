@@ -132,7 +132,7 @@ def bounded(notices: Sequence[Notice]) -> list[Notice]:
             shown.append(notice)
         elif seen[kind] == MOST_ALIKE + 1:
             rest = counts[kind] - MOST_ALIKE
-            shown.append(replace(notice, text=f"and {rest} more like those before, of which this is the first"))
+            shown.append(replace(notice, text=f"and {rest} more of this kind, of which this is the first"))
     return shown
 
 

@@ -165,7 +165,7 @@ class InertiaCorrector:
             found.report_to(self.report, f"{whole} {end}")
         if not unfit:
             place = self._inertial_of(weighing[0])
-            text = f"{_weight(written)} are too little for a body that moves"
+            text = f"{_weight(written)} are too small for a body that moves"
             if self.strict:
                 raise place.error(f"link {weighing[0]!r}: {text}; both must be at least {LEAST:g}")
             self.report.converted(place, f"{text}; {whole} simulated with {change}", _subject(weighing[0]))

@@ -597,7 +597,7 @@ class _ModelReader:
         element = joint.element
         kind = element.get("type") or ""
         if kind not in _JOINTS:
-            text = f"joint {joint.name!r} is of type {kind!r}, which is not here"
+            text = f"joint {joint.name!r} is of type {kind!r}, which is not supported"
             raise element.error(text, f"types: {', '.join(_JOINTS)}")
         axis = element.find("axis")
         limit, dynamics = below(axis, "limit"), below(axis, "dynamics")

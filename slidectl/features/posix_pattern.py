@@ -65,7 +65,7 @@ class PosixPattern:
         return UsageError(f"the pattern {quoted(self._text)} is too large", "write a simpler one")
 
     def _error(self, why: str) -> UsageError:
-        return UsageError(f"{quoted(self._text)} is no POSIX extended regular expression: {why}")
+        return UsageError(f"{quoted(self._text)} is not a POSIX extended regular expression: {why}")
 
     # The grammar
 
@@ -162,7 +162,7 @@ class PosixPattern:
             raise self._error("a number of times is {N}, {N,} or {N,M}")
         low, high = int(least), int(most) if most else None if comma else int(least)
         if max(low, high or 0) > _MOST_REPEATS or (high is not None and high < low):
-            raise self._error(f"{{{text}}} is no number of times; {_MOST_REPEATS} is the most")
+            raise self._error(f"{{{text}}} is not a number of repetitions up to {_MOST_REPEATS}")
         self._at += len(text) + 1
         return low, high
 

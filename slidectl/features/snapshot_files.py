@@ -92,7 +92,7 @@ def read(path: str, host: Host) -> Snapshot:
     if len(content) < size:
         raise BadFile(f"the snapshot is cut off: {len(content)} bytes of {size} are there", path)
     if hashlib.sha256(content).hexdigest() != digest:
-        raise BadFile("the snapshot is damaged: its content is not what was written", path)
+        raise BadFile("the snapshot is damaged: checksum mismatch", path)
     try:
         expander = zlib.decompressobj()
         expanded = expander.decompress(content, LARGEST)

@@ -165,7 +165,7 @@ def restore(simulation: Simulation, snapshot: Snapshot) -> list[str]:
         try:
             before = capture(simulation)
         except SlidectlError as error:
-            text = f"cannot load a snapshot: should that fail, the world could not be as it is now: {error.message}"
+            text = f"cannot load a snapshot: after a failure, the present state could not be restored: {error.message}"
             raise Refused(text, error.hint) from None
     try:
         made = _restore(simulation, snapshot)
@@ -349,6 +349,6 @@ def _check_type(types: ControllerTypes, robot: str, name: str, type_name: str) -
         types.find(type_name)
     except UnknownName:
         raise Refused(
-            f"controller {name!r} of {robot!r} is a {type_name}, which is not known here",
+            f"controller {name!r} of {robot!r} is a {type_name}, which is unknown here",
             "import its file first: slidectl daemon start --import FILE.py",
         ) from None

@@ -78,7 +78,7 @@ def read(
         except SlidectlError as error:
             raise failure(error) from None
 
-    parts = host.read_or_raise(f"resource {uri or 'that came as text'}", parts_in_file)
+    parts = host.read_or_raise(f"resource {uri or 'given as text'}", parts_in_file)
     return [ResourcePart(xml, part, (tuple(xyz), tuple(turn)), is_model) for xml, part, (xyz, turn), is_model in parts]
 
 
@@ -101,7 +101,7 @@ def _of_text(text: str, name: str, named: Callable[[str], str], may_use_files: b
     if root.tag != "robot":
         raise _unsupported(f"the outermost element is <{root.tag}>")
     if has_xacro(root):
-        raise _unsupported("it is xacro, which is expanded when it comes as a file")
+        raise _unsupported("it is xacro, which slidectl expands only in a file")
     return [(text, named(name or root.get("name") or ""), ORIGIN, False)]
 
 
@@ -131,7 +131,7 @@ def _file(uri: str) -> Path:
         raise SpawnFailure("RESULT_NOT_FOUND", str(UnknownName("shipped model", uri, sorted(known))))
     scheme = uri.partition("://")[0] if "://" in uri else "file"
     if scheme not in ("file", "package", "model"):
-        raise _unsupported(f"nothing is read by {scheme}://")
+        raise _unsupported(f"the scheme {scheme}:// is not supported")
     path, why = MeshFiles(description.Packages(start=Path.cwd()), None).locate(uri, "")
     if path is None and scheme == "model":
         path = sdf.find(uri)

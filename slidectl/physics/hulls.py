@@ -89,7 +89,7 @@ def read(source: MeshSource) -> Hull | BadMesh:
     except BadMesh as error:
         return error
     except MemoryError:
-        return BadMesh("its hull needs more memory than there is for it", source.path)
+        return BadMesh("its hull needs more memory than is available", source.path)
 
 
 def prepare(hull: Hull) -> None:

@@ -587,7 +587,7 @@ class MujocoRobotHW(RobotHW):
                 continue  # another interface drives the joint now
             if hold and joint.quantity == "effort":
                 raise Refused(
-                    f"{name} is commanded by its effort, and without a controller no effort holds it where it is",
+                    f"{name} is commanded by effort, which cannot hold it without a controller",
                     "leave a controller of positions running, or let the joint go: --zero",
                 )
             if not hold and joint.quantity == "position":

@@ -134,7 +134,7 @@ class OtherSensorTopic:
         except SlidectlError as error:
             self._is_broken = True
             text = error.message if isinstance(error, Refused) else f"sensor {self._sensor.name}: {error.message}"
-            self._robot.node.log("error", f"{text}; it measures nothing more")
+            self._robot.node.log("error", f"{text}; the sensor stops measuring")
             return None
 
 

@@ -50,7 +50,7 @@ def test_an_unknown_parameter_is_ignored_and_the_closest_known_one_is_named(
 
 def test_an_unknown_parameter_names_what_is_lost_below_it(controllers: Check) -> None:
     (line,) = controllers(controller("joint: slide\n    pid: {p: 1.0}\n    zzz: {a: 1, b: 2}")).of("ignored")
-    assert line.endswith("(nor has what is below it: a, b)")
+    assert line.endswith("(nor have the parameters below it: a, b)")
 
 
 def test_an_unknown_type_is_wrong_and_its_parameters_have_no_effect(controllers: Check) -> None:
@@ -274,5 +274,5 @@ def test_of_many_unknown_parameters_the_first_are_named_and_the_rest_is_counted(
     unknown = "".join(f"    x{number}: 1\n" for number in range(700))
     lines = controllers(f"bot:\n  move:\n    type: effort_controllers/JointPositionController\n{unknown}")
     assert len(lines.about("unknown to the controller")) == 100
-    assert len(lines.about("and 600 more like those before")) == 1
+    assert len(lines.about("and 600 more of this kind")) == 1
     assert lines.findings.count("ignored") == 700

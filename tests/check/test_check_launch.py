@@ -186,7 +186,7 @@ def test_what_a_condition_leaves_out_is_used_up_by_the_condition(launch: Launch)
 
 def test_nothing_in_a_tag_that_is_not_read_is_used(launch: Launch) -> None:
     lines = launch('<foo><bar x="1"/></foo>', '<arg name="a" default="1"><bar x="1"/></arg>')
-    assert lines.about("/<bar>") == ["ignored 3 arg 'a'/<bar>: is not read, nor what is in it"]
+    assert lines.about("/<bar>") == ["ignored 3 arg 'a'/<bar>: is not read, nor is its content"]
 
 
 def test_arguments_that_are_given_are_listed_as_such(launch: Launch) -> None:

@@ -107,7 +107,7 @@ def test_soft_limits_without_effect_are_ignored(model: Check) -> None:
     (only,) = model(cart(position, PLUGIN, joint=LIMIT + SOFT)).of("ignored")
     assert "<safety_controller>, k_velocity: 10" in only
     turning = '<limit effort="1" velocity="1"/>' + SOFT
-    assert len(model(driven_cart(kind="continuous", joint=turning)).about("ignored", "a continuous joint has not")) == 3
+    assert len(model(driven_cart(kind="continuous", joint=turning)).about("ignored", "joint does not have")) == 3
     assert len(model(cart(joint=LIMIT + SOFT)).about("ignored", "no transmission drives the joint")) == 4
 
 

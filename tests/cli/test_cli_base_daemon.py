@@ -82,7 +82,7 @@ def test_a_file_in_the_place_of_the_folder_is_told(slidectl: CommandLine, runtim
     done = slidectl(*command.split())
     assert done.returncode in (1, 3)
     assert str(instance) in done.stderr
-    assert "fault of slidectl" not in done.stderr
+    assert "a bug in slidectl" not in done.stderr
     assert "does not run" in slidectl.ok("daemon", "stop")
     instance.unlink()
 

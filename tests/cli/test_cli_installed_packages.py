@@ -205,7 +205,7 @@ def test_a_sensor_that_fails_stops_nothing_else(packages: Installed, tmp_path: P
     log = packages.ok("daemon", "logs")
     assert log.count("sensor one: SystemExit: no") == 1
     assert "sensor odd: std_msgs/Float64: no field 'range'" in log
-    assert log.count("it measures nothing more") == 2
+    assert log.count("the sensor stops measuring") == 2
     done = packages("spawn", model(tmp_path, '<sensor name="one" type="gone"/>'), "-n", "other")
     assert "the sensor 'gone' of slidectl-bad 1.0 cannot be loaded: ModuleNotFoundError" in refused(done)
     assert "pip uninstall slidectl-bad" in done.stderr
@@ -255,7 +255,7 @@ def test_a_command_that_raises_an_exception_is_the_fault_of_its_package(hello: I
     assert refused(hello("failing")) == (
         f"error: the command 'failing' of slidectl-hello 1.0 failed: KeyError: 'no' "
         f"({hello.site}/hello_commands.py:17)\n"
-        "this is a fault of slidectl-hello; give -v twice to see where it happened\n"
+        "this is a bug in slidectl-hello; -vv shows the traceback\n"
     )
     assert "Traceback" in hello("failing", "-vv").stderr
 

@@ -62,11 +62,11 @@ def test_a_stop_waits_for_the_nodes_of_a_detached_launch(slidectl: CommandLine, 
     slidectl.ok("launch", slow, "--detach")
     done = slidectl("--timeout", "3", "daemon", "stop")
     assert done.returncode == 4
-    assert "waiting until what runs in the background has ended" in done.stderr
+    assert "waiting for the background process to end" in done.stderr
     assert "what runs in the background has not ended within 3 s" in done.stderr
     stopping = slidectl.start("daemon", "stop")
     assert stopping.stderr is not None
-    assert "waiting until what runs in the background" in stopping.stderr.readline()
+    assert "waiting for the background process" in stopping.stderr.readline()
     (path.parent.parent / "done").open("w").close()
     assert stopping.wait(timeout=30) == 0
     assert not processes(slidectl.runtime)

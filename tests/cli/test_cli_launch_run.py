@@ -456,5 +456,5 @@ def test_what_never_ends_is_refused_with_its_place_by_every_command(slidectl: Co
         done = slidectl(*words)
         assert done.returncode == 2, (words, done.stderr)
         assert reason in done.stderr, (words, done.stderr)
-        assert "a fault of slidectl" not in done.stderr
+        assert "a bug in slidectl" not in done.stderr
     slidectl.ok("daemon", "stop")

@@ -144,8 +144,8 @@ def test_of_many_unknown_tags_the_first_are_named_and_the_rest_is_counted(
     path.write_text("<launch>\n" + "".join(f"<x{number}/>\n" for number in range(900)) + "</launch>\n")
     lines = slidectl("launch", str(path), "--dry-run").stderr.splitlines()
     assert len(lines) == 101
-    assert lines[-1] == f"warning: {path}:102: <x100>: and 800 more like those before, of which this is the first"
+    assert lines[-1] == f"warning: {path}:102: <x100>: and 800 more of this kind, of which this is the first"
     lines = slidectl("check", str(path)).stdout.splitlines()
     assert sum("unknown in <launch>" in line for line in lines) == 100
-    assert any("and 800 more like those before" in line for line in lines)
+    assert any("and 800 more of this kind" in line for line in lines)
     assert len(lines) < 250

@@ -126,7 +126,7 @@ def test_the_columns_of_a_csv_are_read_wherever_they_have_their_first_value(
         (b"%time,a,b\n0,1,\n1,2,\n", ("--xy", "a", "b"), 1, "no values of b in bad.csv"),
         (b"%time,a,b\n0,1,\n1,2,\n", ("b",), 1, "no values of b in bad.csv"),
         (b"%time,a\n0,\n", (), 1, "no values in bad.csv"),
-        (b"%time,a\n0,\xff\n", (), 2, "bad.csv: this is no text in UTF-8"),
+        (b"%time,a\n0,\xff\n", (), 2, "bad.csv: this is not UTF-8 text"),
         (b"%time,a\n1" + 400 * b"0" + b",1\n", (), 2, "bad.csv:2: the time is too large"),
         (b"%time,/a/p[0],/b/p[0]\n0,1,2\n", ("p",), 2, "'p' fits more than one column: /a/p, /b/p"),
         (b"%time,a\n0,1\n", ("c",), 1, "no column 'c'"),
@@ -197,7 +197,7 @@ def test_two_recordings_and_two_fields_are_compared(run: tuple[CommandLine, Path
 @pytest.mark.parametrize(
     ("words", "code", "says"),
     [
-        (("joint_states/name",), 2, "is string, which is no number"),
+        (("joint_states/name",), 2, "is string, which is not a number"),
         (("joint_states/positon",), 1, "Did you mean 'position'?"),
         (("joint_state/position",), 1, "/slider/joint_states"),
         (("joint_states/position[4]",), 1, "index out of range"),

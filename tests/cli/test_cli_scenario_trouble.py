@@ -139,7 +139,7 @@ def test_wrong_files_are_named_with_their_lines_and_never_tracebacks(slidectl: C
     paths = {name: write(f"{name}.yaml", text) for name, (text, _) in files.items()}
     os.mkfifo(paths["key"].parent / "pipe.yaml")
     done = slidectl("test", str(paths["key"].parent), "--check")
-    assert (done.returncode, "fault of slidectl" in done.stderr) == (2, False)
+    assert (done.returncode, "a bug in slidectl" in done.stderr) == (2, False)
     for name, (_, said) in files.items():
         assert f"{paths[name]}:{said}" in done.stderr
     assert "is a folder, and ::a is a case of a file" in slidectl("test", f"{paths['key'].parent}::a").stderr
@@ -171,7 +171,7 @@ def test_a_file_of_too_many_steps_is_refused_before_they_are_read(
     for name, (text, said) in files.items():
         file = write(f"{name}.yaml", text)
         done = slidectl("test", "--list", str(file))
-        assert (done.returncode, "fault of slidectl" in done.stderr) == (2, False)
+        assert (done.returncode, "a bug in slidectl" in done.stderr) == (2, False)
         assert f"{file}:" in done.stderr
         assert said in done.stderr
     monkeypatch.setattr(scenario_file.yaml_tree, "documents", lambda *_: pytest.fail("it is read"))

@@ -648,7 +648,7 @@ SPOILT: dict[str, tuple[Callable[[bytes], bytes], str]] = {
     ),
     "damaged": (
         lambda text: text.replace(b'"data":0.5', b'"data":0.6'),
-        ":{line}: this entry is damaged: its checksum is another one\nthe entries before it can be replayed: head -n ",
+        ":{line}: this entry is damaged: checksum mismatch\nthe entries before it can be replayed: head -n ",
     ),
 }
 

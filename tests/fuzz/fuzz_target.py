@@ -16,7 +16,7 @@ from typing import Any
 
 from daemon_fixture import Runtime
 
-MARKS = ("Traceback (most recent call last)", "a fault of slidectl")
+MARKS = ("Traceback (most recent call last)", "a bug in slidectl")
 ANSWER_LIMIT_S = 20.0
 """How long an answer may take on a busy machine. The world is paused: no answer may need a cycle."""
 MEMORY_BOUND = 200 * 2**20

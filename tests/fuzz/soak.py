@@ -46,7 +46,7 @@ from slidectl.extensions.recording import recording_files
 KINDS = ("ros1", "websocket", "foxglove")
 TOPIC = "/slider/joint_states"
 STEP_NS = 20_000_000
-MARKS = ("Traceback (most recent call last)", "a fault of slidectl", "internal error")
+MARKS = ("Traceback (most recent call last)", "a bug in slidectl", "internal error")
 GROWTH, MOST_BYTES = 1.2, 8 << 20
 
 

@@ -213,7 +213,7 @@ def test_the_former_class_runs_when_the_edited_one_refuses_to_be_loaded(pushing:
     reasons: list[str] = []
     with pushing.simulation.graph.log.answering(reasons):
         assert not pushing.reload()
-    assert "the class that it had is loaded again" in reasons[0]
+    assert "the former class is loaded again" in reasons[0]
     assert pushing.effort() == 2.0
 
 

@@ -725,7 +725,7 @@ def test_a_present_state_that_cannot_be_kept_refuses_the_load_before_anything_ch
     simulation.robots.get("a").manager.get("own").thing = threading.Lock()  # type: ignore[union-attr]
     simulation.step(50)
     before = everything(simulation)
-    with pytest.raises(Refused, match=r"should that fail.*controllers.own.thing"):
+    with pytest.raises(Refused, match=r"after a failure.*controllers.own.thing"):
         simulation.load("empty")
     assert everything(simulation) == before
 
@@ -939,5 +939,5 @@ def test_a_file_runs_no_code_that_it_names(tmp_path: Path) -> None:
     simulation.call("/slidectl/save", {"name": "here", "file": file})
     script = f"from slidectl import Simulation; Simulation().call('/slidectl/load', {{'file': {file!r}}})"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
-    assert "controller 'own' of 'a' is a stranger/Stranger, which is not known here" in done.stderr
+    assert "controller 'own' of 'a' is a stranger/Stranger, which is unknown here" in done.stderr
     assert "slidectl daemon start --import FILE.py" in done.stderr

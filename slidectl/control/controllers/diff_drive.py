@@ -3,7 +3,7 @@
 Commands are velocities of the base (geometry_msgs/Twist on `cmd_vel`); they are limited, and end after a time-out. The
 distance that the wheels have travelled is published as odometry on `odom` and `/tf`. Lengths are in m, angles in rad.
 
-Topics `cmd_vel`, `odom`, `/tf`, and when asked for `cmd_vel_out` and `wheel_joint_controller_state`; service
+Topics `cmd_vel`, `odom`, `/tf`, and if enabled `cmd_vel_out` and `wheel_joint_controller_state`; service
 `set_parameters`.
 """
 
@@ -161,7 +161,7 @@ class DiffDriveController(BaseController, Controller[VelocityJointInterface]):
         Parameter(
             "publish_wheel_joint_controller_state",
             BOOLEAN,
-            "publishes what the wheels do on wheel_joint_controller_state",
+            "publishes the states of the wheels on wheel_joint_controller_state",
             default=False,
         ),
         *COVARIANCES,

@@ -1,4 +1,4 @@
-"""Controllers that hand commands on as they are, after ros_controllers' forward_command_controller.
+"""Controllers that pass commands on unchanged, after ros_controllers' forward_command_controller.
 
 Parameter `joint`, or `joints` for a group. No PID, no limits, no state topic.
 """

@@ -181,7 +181,7 @@ class GripperActionController(ActionController[JointCommandInterface]):
 
 @controller("position_controllers/GripperActionController")
 class PositionGripperActionController(GripperActionController):
-    """The command is the position. The effort of a goal bounds nothing; results tell it as it is."""
+    """The command is the position. The effort of a goal has no effect, and results repeat it."""
 
     compiled = Compiled(grip_by_position, GRIPPER, instead_of="_command")
     interface_type = PositionJointInterface
@@ -193,7 +193,7 @@ class PositionGripperActionController(GripperActionController):
 
 @controller("effort_controllers/GripperActionController")
 class EffortGripperActionController(GripperActionController):
-    """effort = pid(error), within the effort of the goal: a goal without one pushes nothing."""
+    """effort = pid(error), limited by the effort of the goal; a goal without one does not push."""
 
     interface_type = EffortJointInterface
     compiled = Compiled(grip_by_effort, GRIPPER, instead_of="_command")

@@ -149,7 +149,7 @@ class VelocityJointPositionController(JointPositionController):
 
 @controller("effort_controllers/JointGroupPositionController")
 class EffortJointGroupPositionController(GroupController):
-    """effort of each joint = its pid(set point - position), as JointPositionController has it. No state topic."""
+    """effort of each joint = its pid(set point - position), as in JointPositionController. No state topic."""
 
     interface_type = EffortJointInterface
     parameters: ClassVar[tuple[Parameter, ...]] = (JOINTS, *within("<joint>/pid", GAINS))

@@ -2,7 +2,7 @@
 
 A trajectory is a block of numbers, in which each joint has a range of segments (`control/segments.py`). Times are
 seconds of the controller's uptime, which counts from its start. New trajectories are blended with the present one when
-they arrive, between two cycles; an update only samples. An update in which a goal ends is the interpreter's.
+they arrive, between two cycles; an update only samples. The interpreter runs an update in which a goal ends.
 
 Topics `command` and `state`, service `query_state`, action `follow_joint_trajectory`. The types of the joints come from
 `robot_description`.

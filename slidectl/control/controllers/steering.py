@@ -82,7 +82,7 @@ class SteeredOdometry(Odometry):
 
 @controller("ackermann_steering_controller/AckermannSteeringController")
 class AckermannSteeringController(BaseController, MultiInterfaceController):
-    """velocity of the rear wheel = linear / radius; angle of the front steering = angular, as it is."""
+    """velocity of the rear wheel = linear / radius; angle of the front steering = the commanded angular.z."""
 
     interface_types = (VelocityJointInterface, PositionJointInterface)
     parameters: ClassVar[tuple[Parameter, ...]] = (
@@ -256,7 +256,7 @@ class FourWheels(NamedTuple):
 
 @controller("four_wheel_steering_controller/FourWheelSteeringController")
 class FourWheelSteeringController(BaseController, MultiInterfaceController):
-    """Twists turn the base about a point beside its middle; else speed and the angles of both axles are commanded.
+    """A twist turns the base about a point beside its middle; a 4WS command is a speed and the angles of both axles.
 
     The newer command of the two counts.
     """

@@ -330,7 +330,7 @@ def _contents(path: str, file: BinaryIO) -> Contents:
     for number, line in enumerate(file, 2):
         if damaged:
             hint = f"the entries before it can be replayed: head -n {damaged - 1} {path} > part.journal"
-            raise BadFile("this entry is damaged: its checksum is another one", path, damaged, hint)
+            raise BadFile("this entry is damaged: checksum mismatch", path, damaged, hint)
         body = _checked(line)
         if body is None or not line.endswith(b"\n"):
             damaged = number

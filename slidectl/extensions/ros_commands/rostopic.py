@@ -191,7 +191,7 @@ def _window(parser: Parser, text: str | None, default: int) -> int:
 
 
 def hz(ctx: Context, argv: Sequence[str]) -> None:
-    """Measure how often messages come."""
+    """Measure the rate of messages."""
     from slidectl.cli.topic_measure import measure, rates
 
     parser = Parser(

@@ -62,7 +62,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group = parser.getgroup("slidectl", "slidectl: robots in tests")
     group.addoption(
         "--slidectl-record", choices=("failed", "all", "none"), default="failed",
-        help="Of which tests the recording and the journal of their worlds are kept (failed).",
+        help="Keep the recordings and journals of these tests (failed).",
     )  # fmt: skip
     group.addoption(
         "--slidectl-keep", metavar="DIR", help="Where they are kept; by default in pytest's temporary folder."

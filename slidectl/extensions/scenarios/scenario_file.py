@@ -212,7 +212,7 @@ def _check_size(text: bytes, file: str) -> None:
             if what:
                 most = _MOST_VALUES if what == "values" else _MOST_ITEMS
                 line = event.start_mark.line + 1 if event.start_mark is not None else None
-                raise BadFile(f"more than {most} {what}: no scenario may have so many", file, line)
+                raise BadFile(f"more than {most} {what}, the maximum of a scenario", file, line)
             if isinstance(event, yaml.CollectionStartEvent):
                 counts.append(0)
     except (yaml.YAMLError, ValueError, RecursionError):

@@ -203,4 +203,4 @@ def _redirect_streams(path: str) -> None:
 
 def _raise_end(*_: object) -> None:
     signal.signal(signal.SIGTERM, signal.SIG_IGN)  # only once, so that the teardown is not interrupted
-    raise WallTimeUp("told to end")
+    raise WallTimeUp("ended by a signal")

@@ -86,7 +86,7 @@ def _numbers_in(schema: Schema, path: str) -> list[str]:
     if selection.depth > 1:
         raise UsageError(f"{what} is a list of lists", "choose an element: NAME[0]/FIELD")
     known = [name for name, kind, _ in schema.fields(root) if kind != "string"]
-    raise UsageError(f"{what} is {selection.type}, which is no number", f"other fields of {root}: {listing(known)}")
+    raise UsageError(f"{what} is {selection.type}, which is not a number", f"other fields of {root}: {listing(known)}")
 
 
 class Units:
@@ -302,12 +302,12 @@ def of_csv(path: Path, fields: Sequence[str]) -> tuple[float, list[Curve]]:
                         curve.times.append(time)  # type: ignore[union-attr]
                         curve.values.append(float(cell))  # type: ignore[union-attr]
     except UnicodeDecodeError:
-        raise BadFile("this is no text in UTF-8", str(path)) from None
+        raise BadFile("this is not UTF-8 text", str(path)) from None
     except OverflowError:
         raise BadFile("the time is too large", str(path), reader.line_num) from None
     except ValueError as error:
         raise BadFile(
-            f"this is no number: {str(error).rpartition(':')[2].strip()}", str(path), reader.line_num
+            f"this is not a number: {str(error).rpartition(':')[2].strip()}", str(path), reader.line_num
         ) from None
     except (OSError, csv.Error) as error:
         raise BadFile(f"cannot be read: {getattr(error, 'strerror', None) or error}", str(path)) from None

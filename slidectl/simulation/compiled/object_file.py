@@ -196,5 +196,5 @@ def loaded(path: Path, names: list[str]) -> tuple[Any, list[int]]:
     engine.finalize_object()
     addresses = [engine.get_function_address(name) for name in names]
     if not all(addresses):
-        raise RuntimeError(f"{path} is not what it should be; delete it")
+        raise RuntimeError(f"{path} lacks its functions; delete it")
     return engine, addresses

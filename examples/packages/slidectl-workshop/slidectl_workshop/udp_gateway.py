@@ -8,7 +8,7 @@ from slidectl.extensions.gateways import DaemonConnection, Gateway, GatewayOptio
 
 
 class UdpGateway(Gateway):
-    """Let programs in that send numbers over UDP.
+    """Accept numbers over UDP.
 
     Each number becomes a std_msgs/Float64 on the topic; the answer is ok, or what is wrong.
     """
@@ -31,7 +31,7 @@ class UdpGateway(Gateway):
         return f"udp://127.0.0.1:{self.socket.get_extra_info('sockname')[1]}"
 
     async def attach(self, paths):
-        permitted = (Effect.READS, Effect.WRITES)  # neither files nor code for who comes in here
+        permitted = (Effect.READS, Effect.WRITES)  # clients get neither files nor code
         self.connection = await DaemonConnection.open(paths, permitted, on_lost=self.lost.set)
         self.connection.advertise(self.options.topic, "std_msgs/Float64")
 

@@ -346,7 +346,7 @@ class Master:
 
     def shutdown(self, caller: str, _: Any) -> Answered:
         """Refuse: the master ends with its process. Any node could call this and cut the simulation off."""
-        _log.info("%s asks the master to shut down: it goes on", cut(caller, 120))
+        _log.info("%s asks the master to shut down: refused", cut(caller, 120))
         return -1, "the gateway ends with: slidectl gateway ros1 stop", 0
 
     def _all_types(self) -> dict[str, str]:

@@ -69,7 +69,7 @@ class Slave:
         if self._joined is not None and caller == "/master":
             self._joined.shut_down(str(reason))
             return 1, "shutdown", 0
-        _log.info("%s asks %s to shut down: it goes on", cut(caller, 120), node or "a node")
+        _log.info("%s asks %s to shut down: refused", cut(caller, 120), node or "a node")
         return -1, f"[{node}] is a node of slidectl; the simulation ends with: slidectl daemon stop", 0
 
     def getPid(self, _node: str, _: str) -> Answered:  # noqa: N802

@@ -151,7 +151,7 @@ class Process(Task):
         back_off = min(_LONGEST_BACK_OFF_S, _FIRST_BACK_OFF_S * 2.0 ** min(self._short_lives - 2, 10))
         if back_off > asked:
             times = f"ended {self._short_lives} times in a row within {_SHORT_LIFE_S:g} s of its start"
-            self.warn(run, f"{times}: it is started again in {back_off:g} s, and not at once as respawn says")
+            self.warn(run, f"{times}: it is started again in {back_off:g} s instead of at once")
         return max(asked, back_off)
 
     def _again(self, run: Run) -> None:

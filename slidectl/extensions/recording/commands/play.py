@@ -77,7 +77,7 @@ def play(
 ) -> None:
     """Publish the messages of recordings again.
 
-    Messages keep their distances in simulated time: a paused world pauses the playing, and in every run the same
+    Messages keep their intervals in simulated time: a paused world pauses the playback, and in every run the same
     cycles get the same messages. The first message is published 0.2 s from now. With --at-recorded-times each message
     is published at its recorded time: a recording of the commands, played into a world in its initial state, gives the
     same bits. The command returns after the last message; with --detach it prints the process id and returns when the
@@ -146,7 +146,7 @@ def _check_type(channel: RecordedTopic) -> None:
     """Raise UsageError when the type is unknown here, or has another definition."""
     topic, type_name, md5 = channel.topic, channel.type, channel.md5
     if not msgs.exists(type_name):
-        raise UsageError(f"{topic} has the type {type_name}, which is not known here", "leave it out: --topic")
+        raise UsageError(f"{topic} has the type {type_name}, which is unknown here", "leave it out: --topic")
     if md5 and msgs.md5(type_name) != md5:
         raise UsageError(
             f"{topic}: {type_name} is another type here ({msgs.md5(type_name)}) than in the recording ({md5})"

@@ -18,7 +18,7 @@ from slidectl.paths import install_command
               help="The port, or the next one that is free; 0 takes any.")  # fmt: skip
 @click.option("--host", default="127.0.0.1", show_default=True, metavar="ADDRESS",
               help="Address of this machine; others than loopback need --token.")  # fmt: skip
-@click.option("--token", envvar="SLIDECTL_TOKEN", metavar="WORD", help="Let in only browsers that have this word.")
+@click.option("--token", envvar="SLIDECTL_TOKEN", metavar="WORD", help="Require this token of browsers.")
 @click.option("--read-only", is_flag=True, help="Let browsers look, and change nothing.")
 @click.option("--allow", type=click.Choice(["files", "code"]), multiple=True,
               help="Let browsers also name files to read and write, or code to run; may repeat.")  # fmt: skip
