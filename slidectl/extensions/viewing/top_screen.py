@@ -16,10 +16,10 @@ _COLUMNS = {
     "controllers": ("name", "state", "claims", "type"),
     "joints": ("name", "position", "velocity", "effort", "set_point"),
     "topics": ("topic", "rate", "type"),
-    "log": ("line",),
+    "log": ("time", "severity", "message"),
 }
 """Section -> keys of its records. A narrow terminal omits the last ones."""
-_NUMBERS = {"position", "velocity", "effort", "set_point", "rate"}
+_NUMBERS = {"time", "position", "velocity", "effort", "set_point", "rate"}
 _CUT = {"type", "claims"}
 _LEAST_WIDTH = 14
 """Minimum width of the last column; below it the column is omitted."""
