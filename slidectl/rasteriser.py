@@ -66,7 +66,7 @@ class Shadows(NamedTuple):
     """The shadows that lie on planes."""
 
     corners: Array
-    """Triangles on the planes, shape (n, 3, 3)."""
+    """SeenTriangles on the planes, shape (n, 3, 3)."""
     left: float
     """The part of the light that a plane has in them."""
 
@@ -78,8 +78,8 @@ class Haze(NamedTuple):
     end: float
 
 
-class Triangles(NamedTuple):
-    """Triangles as they are seen."""
+class SeenTriangles(NamedTuple):
+    """SeenTriangles as they are seen."""
 
     edges: Array
     """Inverse matrices of the corners, shape (n, 3, 3): for pixels, barycentric coordinates divided by depth."""
@@ -116,6 +116,8 @@ class Rasteriser:
         self._sky, self._has_gradient = np.array(sky), sky[0] != sky[1]
         self._samples = samples
         self._rows = max(samples, _BAND // self._size[0] // samples * samples)
+        # numpy lets other threads run while it computes. Bands are drawn in any order, with the same result.
+        self._pool = ThreadPoolExecutor(os.cpu_count())
         self._seen_from = b""
         self._behind: dict[int, Band] = {}
         """The first row of each band, and its planes and sky."""
@@ -164,9 +166,8 @@ class Rasteriser:
             below = picture[top // samples : top // samples + rows]
             below[:] = np.moveaxis(np.rint(255.0 * mean.clip(0, 1)), 0, 2)
 
-        # numpy lets other threads run while it computes. Bands are drawn in any order, with the same result.
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
-            list(pool.map(draw_band, range(0, height, self._rows)))
+        for _ in self._pool.map(draw_band, range(0, height, self._rows)):
+            pass  # raises what was raised
         return picture
 
     def _background(
@@ -204,7 +205,7 @@ class Rasteriser:
             band.on_plane[hit] = True
         return band
 
-    def _seen(self, corners: Array, shades: Array, view: Viewpoint) -> Triangles:
+    def _seen(self, corners: Array, shades: Array, view: Viewpoint) -> SeenTriangles:
         """Those of the triangles with corners (n, 3, 3) and colours (n, 3) that may be seen."""
         width, height = self._size
         length = _length(height, view)
@@ -221,7 +222,7 @@ class Rasteriser:
         low, high = np.zeros((len(places), 2), int), np.tile(limits, (len(places), 1))
         low[is_ahead] = np.floor(spots.min(axis=1)).clip(0, limits)
         high[is_ahead] = np.ceil(spots.max(axis=1)).clip(0, limits)
-        return Triangles(np.linalg.inv(places), low, high, shades)
+        return SeenTriangles(np.linalg.inv(places), low, high, shades)
 
 
 def sky(size: tuple[int, int], view: Viewpoint, colours: tuple[Colour, Colour]) -> Array:
@@ -257,7 +258,7 @@ def _along(view: Viewpoint, across: Array, down: Array, axis: Array) -> Array:
     return way
 
 
-def _of_band(band: Band, triangles: Triangles) -> tuple[Indices, Indices, Indices]:
+def _of_band(band: Band, triangles: SeenTriangles) -> tuple[Indices, Indices, Indices]:
     """The triangles with pixels in a band: their numbers, their first rows in it, and the rows behind their last."""
     rows = band.nearness.shape[0]
     low, high = (triangles.low[:, 1] - band.top).clip(0, rows), (triangles.high[:, 1] - band.top).clip(0, rows)
@@ -265,7 +266,7 @@ def _of_band(band: Band, triangles: Triangles) -> tuple[Indices, Indices, Indice
     return inside, low[inside], high[inside]
 
 
-def _box_parts(band: Band, triangles: Triangles, number: int, low: int, high: int) -> tuple[Any, list[Array]]:
+def _box_parts(band: Band, triangles: SeenTriangles, number: int, low: int, high: int) -> tuple[Any, list[Array]]:
     """The box of a triangle in a band, and the barycentric coordinates divided by depth of its pixels."""
     left, right = triangles.low[number, 0], triangles.high[number, 0]
     columns, rows = np.arange(left, right) + 0.5, np.arange(band.top + low, band.top + high) + 0.5
@@ -274,14 +275,14 @@ def _box_parts(band: Band, triangles: Triangles, number: int, low: int, high: in
     return (slice(low, high), slice(left, right)), parts
 
 
-def _cover(band: Band, triangles: Triangles, covered: NDArray[np.bool_]) -> None:
+def _cover(band: Band, triangles: SeenTriangles, covered: NDArray[np.bool_]) -> None:
     """Set where a triangle is."""
     for number, low, high in zip(*_of_band(band, triangles), strict=True):
         box, parts = _box_parts(band, triangles, number, low, high)
         covered[box] |= (parts[0] >= 0) & (parts[1] >= 0) & (parts[2] >= 0)
 
 
-def _fill(band: Band, triangles: Triangles, view: Viewpoint) -> None:
+def _fill(band: Band, triangles: SeenTriangles, view: Viewpoint) -> None:
     """Draw triangles over a band."""
     numbers, low, high = _of_band(band, triangles)
     counts = (high - low) * (triangles.high[numbers, 0] - triangles.low[numbers, 0])
