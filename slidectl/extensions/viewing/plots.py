@@ -344,20 +344,24 @@ def _drawn(plot: Plot, form: str, size: tuple[int, int] | None) -> bytes:
 def _draw_curve(axis: Any, plot: Plot, label: str, curve: Curve, gid: str) -> None:
     """A line; of a banded curve that chatters, the line is the mean of each part, and a band has all values."""
     times, values = curve.points(plot.begin)
-    parts = [part for part, chatters in chatter(values) if chatters] if curve.is_banded else []
-    if not parts:
+    parts = list(chatter(values)) if curve.is_banded else []
+    if not any(chatters for _, chatters in parts):
         times, values = plot.points(curve, _BUCKETS)
         alone = {"marker": "."} if len(times) == 1 else {}
         axis.plot(times, values, label=label, gid=gid, linewidth=1.2, **alone)
         return
-    times, means = times - plot.origin, values.copy()
-    lows, highs = np.full((2, len(values)), np.nan)
-    for part in parts:
-        means[part] = values[part].mean()
-        lows[part], highs[part] = values[part].min(), values[part].max()
-    (line,) = axis.plot(times, means, label=f"{label}: mean", gid=gid, linewidth=1.2)
-    colour = line.get_color()
-    axis.fill_between(times, lows, highs, label="where it chatters", color=colour, alpha=0.3, linewidth=0)
+    # Times, means, lowest and highest values: two of each part that chatters, and all samples of the others.
+    columns: list[tuple[float, float, float, float]] = []
+    for part, chatters in parts:
+        here, now = values[part], times[part] - plot.origin
+        if chatters:
+            columns += [(moment, here.mean(), here.min(), here.max()) for moment in (now[0], now[-1])]
+        else:
+            columns += [(moment, value, math.nan, math.nan) for moment, value in zip(now, here, strict=True)]
+    now, means, lows, highs = np.array(columns).T
+    (line,) = axis.plot(now, means, label=f"{label}: mean", gid=gid, linewidth=1.2)
+    shown = {"label": "where it chatters", "color": line.get_color(), "alpha": 0.3, "linewidth": 0}
+    axis.fill_between(now, lows, highs, **shown)
 
 
 def _draw_readings(axis: Any, plot: Plot) -> None:
