@@ -12,7 +12,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -76,9 +76,10 @@ class Daemon:
 
 
 @contextmanager
-def daemon(*options: str) -> Iterator[Daemon]:
-    """A running daemon, stopped and its folder removed at the end."""
+def daemon(*options: str, environment: Mapping[str, str] | None = None) -> Iterator[Daemon]:
+    """A running daemon, stopped and its folder removed at the end. `environment`: further variables of it."""
     instance = Daemon()
+    instance.environment.update(environment or {})
     try:
         instance.run("daemon", "start", *options)
         yield instance

@@ -8,23 +8,33 @@ shade; transparent ones are drawn opaque. It knows neither robots nor worlds. Ar
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int32]
+Indices = NDArray[np.int64]
 Colour = tuple[float, float, float]
 """Red, green and blue, 0 to 1."""
-Light = Callable[[Array, Array], Array]
-"""The light on surfaces at points (n, 3) with normals (n, 3), as a factor of each colour: shape (n, 1) or (n, 3)."""
+Light = Callable[[Any, Any], Any]
+"""The light on surfaces at points (n, 3) with normals (n, 3), as a factor of each colour: shape (n, 1) or (n, 3).
+
+It is called by several threads, and with arrays of single or double precision.
+"""
 
 SIDES = 24
 """Sides of the polygon that approximates a circle."""
-_MOST_AT_ONCE = 1_000_000
-"""Pixels of triangles processed together, some 100 bytes each."""
+_BAND = 1 << 16
+"""Pixels of a band, which is drawn at once: what it needs fits a processor's cache."""
+_LARGE = 1 << 12
+"""Pixels of a triangle that is filled by itself, and not together with others."""
+_MOST_KEPT = 1 << 22
+"""Pixels of a picture, the planes and sky of which are kept for the next one."""
 _FLAT = 1e-12
 
 
@@ -52,91 +62,257 @@ class Plane(NamedTuple):
     """The two colours of its tiles, which are 1 m wide."""
 
 
+class Shadows(NamedTuple):
+    """The shadows that lie on planes."""
+
+    corners: Array
+    """SeenTriangles on the planes, shape (n, 3, 3)."""
+    left: float
+    """The part of the light that a plane has in them."""
+
+
+class Haze(NamedTuple):
+    """Planes fade into the colour of the horizon between these depths, m."""
+
+    begin: float
+    end: float
+
+
+class SeenTriangles(NamedTuple):
+    """SeenTriangles as they are seen."""
+
+    edges: Array
+    """Inverse matrices of the corners, shape (n, 3, 3): for pixels, barycentric coordinates divided by depth."""
+    low: Array
+    """The first column and row of each, shape (n, 2)."""
+    high: Array
+    """The column and row behind the last ones."""
+    shades: Array
+    """Colours, shape (n, 3)."""
+
+
+class Band(NamedTuple):
+    """Some rows of a picture."""
+
+    top: int
+    """The first row."""
+    pixels: NDArray[np.float32]
+    """Colours, shape (3, rows, columns)."""
+    nearness: Array
+    """1 / depth, shape (rows, columns)."""
+    on_plane: NDArray[np.bool_]
+    """Where a plane is seen behind all triangles."""
+
+
 class Rasteriser:
     """Draws pictures of one size."""
 
-    def __init__(self, size: tuple[int, int], sky: Colour) -> None:
-        """`size`: width and height in pixels. `sky`: the colour where nothing is."""
-        self._size = size
-        self._sky = sky
+    def __init__(self, size: tuple[int, int], sky: tuple[Colour, Colour], samples: int = 1) -> None:
+        """`size`: width and height in pixels. `sky`: its colours straight above (z), and at the horizon and below it.
+
+        `samples`: each pixel is the mean of so many samples from side to side, and from top to bottom.
+        """
+        self._size = size[0] * samples, size[1] * samples
+        self._sky, self._has_gradient = np.array(sky), sky[0] != sky[1]
+        self._samples = samples
+        self._rows = max(samples, _BAND // self._size[0] // samples * samples)
+        # numpy lets other threads run while it computes. Bands are drawn in any order, with the same result.
+        self._pool = ThreadPoolExecutor(os.cpu_count())
         self._seen_from = b""
+        self._behind: dict[int, Band] = {}
+        """The first row of each band, and its planes and sky."""
 
     def draw(
-        self, corners: Array, colours: Array, planes: Sequence[Plane], light: Light, view: Viewpoint
+        self,
+        corners: Array,
+        colours: Array,
+        planes: Sequence[Plane],
+        light: Light,
+        view: Viewpoint,
+        shadows: Shadows | None = None,
+        haze: Haze | None = None,
     ) -> NDArray[np.uint8]:
         """Draw triangles with corners (n, 3, 3) and colours (n, 3), and planes: RGB, shape (height, width, 3)."""
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normals /= np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None]
+        # Back faces are not drawn, as in OpenGL: a camera may be inside its housing.
+        front = np.einsum("ij,ij->i", normals, corners[:, 0] - view.eye) < 0
+        shades = (colours[front] * light(corners[front].mean(axis=1), normals[front])).clip(0.0, 1.0)
+        seen = self._seen(corners[front], shades, view)
+        shaded = None if shadows is None else self._seen(shadows.corners, np.zeros((len(shadows.corners), 3)), view)
         # In most videos, and for a camera that is fixed to the world, the viewpoint does not move.
-        seen_from = np.hstack([*view, *(np.hstack((one.place, one.axes.ravel(), *one.tiles)) for one in planes)])
-        if self._seen_from != seen_from.tobytes():
-            self._seen_from, self._behind = seen_from.tobytes(), self._background(planes, light, view)
-        pixels, nearness = self._behind[0].copy(), self._behind[1].copy()
-        if len(corners):
-            normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-            normals /= np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None]
-            # Back faces are not drawn, as in OpenGL: a camera may be inside its housing.
-            front = np.einsum("ij,ij->i", normals, corners[:, 0] - view.eye) < 0
-            shades = colours[front] * light(corners[front].mean(axis=1), normals[front])
-            self._fill(corners[front], shades, view, pixels, nearness)
-        width, height = self._size
-        return np.rint(255.0 * pixels.reshape(height, width, 3).clip(0, 1)).astype(np.uint8)
+        of_planes = (np.hstack((one.place, one.axes.ravel(), *one.tiles)) for one in planes)
+        fixed = np.hstack([*view, *(haze or ()), *of_planes]).tobytes()
+        is_kept = math.prod(self._size) <= _MOST_KEPT
+        if self._seen_from != fixed:
+            self._seen_from, self._behind = fixed if is_kept else b"", {}
+        (width, height), samples = self._size, self._samples
+        picture = np.empty((height // samples, width // samples, 3), np.uint8)
 
-    def _background(self, planes: Sequence[Plane], light: Light, view: Viewpoint) -> tuple[Array, Array]:
-        """Colour, and 1 / depth, of a plane or the sky in each pixel, row by row from the top."""
-        width, height = self._size
-        across, down = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-        length = _length(height, view)
-        rays = (
-            view.ahead
-            + (across.ravel() - width / 2)[:, None] / length * view.right
-            - (down.ravel() - height / 2)[:, None] / length * view.up
-        )
-        colours, nearness = np.tile(self._sky, (width * height, 1)), np.full(width * height, 1.0 / view.far)
+        def draw_band(top: int) -> None:
+            band = self._behind.get(top)
+            if band is None:
+                band = self._background(top, min(self._rows, height - top), planes, light, view, haze)
+                if is_kept:
+                    self._behind[top] = band
+            band = band._replace(pixels=band.pixels.copy(), nearness=band.nearness.copy())
+            if shadows is not None and shaded is not None:
+                covered = np.zeros(band.nearness.shape, bool)
+                _cover(band, shaded, covered)
+                band.pixels[:, covered & band.on_plane] *= np.float32(shadows.left)
+            _fill(band, seen, view)
+            rows = band.nearness.shape[0] // samples
+            mean = band.pixels.reshape(3, rows, samples, -1, samples).mean(axis=(2, 4)) if samples > 1 else band.pixels
+            below = picture[top // samples : top // samples + rows]
+            below[:] = np.moveaxis(np.rint(255.0 * mean.clip(0, 1)), 0, 2)
+
+        for _ in self._pool.map(draw_band, range(0, height, self._rows)):
+            pass  # raises what was raised
+        return picture
+
+    def _background(
+        self, top: int, rows: int, planes: Sequence[Plane], light: Light, view: Viewpoint, haze: Haze | None
+    ) -> Band:
+        """Planes and sky of some rows."""
+        across, down = _rays(self._size, view, top, rows)
+        pixels = np.empty((3, rows, self._size[0]), np.float32)
+        upwards = _upwards(view, across, down) if self._has_gradient else np.zeros((1, 1))
+        pixels[:] = self._sky[1][:, None, None] + upwards * (self._sky[0] - self._sky[1])[:, None, None]
+        band = Band(top, pixels, np.full(pixels.shape[1:], 1.0 / view.far), np.zeros(pixels.shape[1:], bool))
         for plane in planes:
             normal = plane.axes[:, 2]
-            above, slope = float((view.eye - plane.place) @ normal), rays @ normal
+            above = float((view.eye - plane.place) @ normal)
             if above <= 0:
                 continue
-            depths = np.divide(-above, slope, where=slope < 0, out=np.full(len(rays), np.inf))
-            hit = np.flatnonzero(1.0 / depths > nearness)
-            points = view.eye + depths[hit, None] * rays[hit]
-            tiles = np.floor((points - plane.place) @ plane.axes[:, :2]).astype(int).sum(axis=1) % 2
-            colours[hit] = np.array(plane.tiles)[tiles] * light(points, np.tile(normal, (len(hit), 1)))
-            nearness[hit] = 1.0 / depths[hit]
-        return colours, nearness
+            nearness = _along(view, across, down, normal) / -above
+            hit = nearness > band.nearness
+            # Half the digits take half the time, and place the tiles within a hundredth of a millimetre at 100 m.
+            depths = (1.0 / nearness[hit]).astype(np.float32)
+            spots = np.empty((len(depths), 3), np.float32)
+            odd = np.zeros(len(depths), np.int32)
+            for number, axis in enumerate(np.eye(3)):
+                spots[:, number] = _along(view, across, down, axis)[hit] * depths + np.float32(view.eye[number])
+            for axis in plane.axes.T[:2]:
+                along = _along(view, across, down, axis)[hit] * depths + np.float32((view.eye - plane.place) @ axis)
+                odd += np.floor(along).astype(np.int32)
+            shades = light(spots, np.broadcast_to(normal.astype(np.float32), spots.shape))
+            shades = shades * np.array(plane.tiles, np.float32)[odd & 1]
+            if haze is not None:
+                clear = ((haze.end - depths) / (haze.end - haze.begin)).clip(0.0, 1.0)[:, None]
+                shades = clear * shades + (1.0 - clear) * self._sky[1].astype(np.float32)
+            band.pixels[:, hit] = shades.T
+            band.nearness[hit] = nearness[hit]
+            band.on_plane[hit] = True
+        return band
 
-    def _fill(self, corners: Array, shades: Array, view: Viewpoint, colours: Array, nearness: Array) -> None:
-        """Draw triangles with corners (n, 3, 3) and colours (n, 3) over the picture."""
+    def _seen(self, corners: Array, shades: Array, view: Viewpoint) -> SeenTriangles:
+        """Those of the triangles with corners (n, 3, 3) and colours (n, 3) that may be seen."""
         width, height = self._size
         length = _length(height, view)
         x, y, depth = np.moveaxis((corners - view.eye) @ np.column_stack((view.right, -view.up, view.ahead)), 2, 0)
         # One row per corner: its pixel coordinates times its depth, and its depth.
         places = np.stack((length * x + width / 2 * depth, length * y + height / 2 * depth, depth), axis=2)
-        sizes = np.abs(places).max(axis=(1, 2)) ** 3
-        drawn = (depth.max(axis=1) > view.near) & (np.abs(np.linalg.det(places)) > _FLAT * sizes)
+        sizes = np.abs(places).max(axis=(1, 2), initial=0.0) ** 3
+        drawn = (depth.max(axis=1, initial=0.0) > view.near) & (np.abs(np.linalg.det(places)) > _FLAT * sizes)
         places, shades, depth = places[drawn], shades[drawn], depth[drawn]
-        edges = np.linalg.inv(places)
         # The pixel box of each triangle: the whole picture for those that reach behind the viewpoint.
-        is_ahead = depth.min(axis=1) > view.near
+        is_ahead = (depth > view.near).all(axis=1)
         limits = np.array((width, height))
         spots = places[is_ahead, :, :2] / depth[is_ahead, :, None]
         low, high = np.zeros((len(places), 2), int), np.tile(limits, (len(places), 1))
         low[is_ahead] = np.floor(spots.min(axis=1)).clip(0, limits)
         high[is_ahead] = np.ceil(spots.max(axis=1)).clip(0, limits)
-        counts = (high - low).prod(axis=1)
-        groups = np.cumsum(counts) // _MOST_AT_ONCE
-        for group in np.unique(groups[counts > 0]):
-            chosen = np.flatnonzero((groups == group) & (counts > 0))
-            owner = np.repeat(chosen, counts[chosen])
-            inside = np.arange(len(owner)) - np.repeat(np.cumsum(counts[chosen]) - counts[chosen], counts[chosen])
-            row, column = np.divmod(inside, (high - low)[owner, 0])
-            column, row = column + low[owner, 0], row + low[owner, 1]
-            # Barycentric coordinates divided by depth; their sum is 1 / depth.
-            parts = (column + 0.5)[:, None] * edges[owner, 0] + (row + 0.5)[:, None] * edges[owner, 1] + edges[owner, 2]
-            near, pixels = parts.sum(axis=1), row * width + column
-            seen = (parts >= 0).all(axis=1) & (near < 1.0 / view.near) & (near > nearness[pixels])
-            seen = np.flatnonzero(seen)
-            seen = seen[np.argsort(near[seen], kind="stable")]  # ascending: the nearest one is written last
-            nearness[pixels[seen]], colours[pixels[seen]] = near[seen], shades[owner[seen]]
+        return SeenTriangles(np.linalg.inv(places), low, high, shades)
+
+
+def sky(size: tuple[int, int], view: Viewpoint, colours: tuple[Colour, Colour]) -> Array:
+    """The sky in each pixel: from the colour at the horizon, and below it, to the one straight above (z).
+
+    `size`: width and height. `colours`: straight above, and at the horizon. Shape (height, width, 3).
+    """
+    above, horizon = np.array(colours)
+    sky: Array = horizon + _upwards(view, *_rays(size, view, 0, size[1]))[:, :, None] * (above - horizon)
+    return sky
+
+
+def _rays(size: tuple[int, int], view: Viewpoint, top: int, rows: int) -> tuple[Array, Array]:
+    """How far the rays of some rows go to the right, shape (1, width), and down, (rows, 1), while they go 1 m ahead."""
+    width, height = size
+    length = _length(height, view)
+    across = (np.arange(width, dtype=np.float64) + 0.5 - width / 2) / length
+    down = (np.arange(top, top + rows, dtype=np.float64) + 0.5 - height / 2) / length
+    return across[None, :], down[:, None]
+
+
+def _upwards(view: Viewpoint, across: Array, down: Array) -> Array:
+    """The sines of the angles of rays above the horizon; 0 below it."""
+    upwards: Array = _along(view, across, down, np.array((0.0, 0.0, 1.0))).clip(0.0) / np.sqrt(
+        1.0 + across**2 + down**2
+    )
+    return upwards
+
+
+def _along(view: Viewpoint, across: Array, down: Array, axis: Array) -> Array:
+    """The part along an axis of the way of a ray while it goes 1 m ahead, for all pixels."""
+    way: Array = (float(view.ahead @ axis) + across * float(view.right @ axis)) - down * float(view.up @ axis)
+    return way
+
+
+def _of_band(band: Band, triangles: SeenTriangles) -> tuple[Indices, Indices, Indices]:
+    """The triangles with pixels in a band: their numbers, their first rows in it, and the rows behind their last."""
+    rows = band.nearness.shape[0]
+    low, high = (triangles.low[:, 1] - band.top).clip(0, rows), (triangles.high[:, 1] - band.top).clip(0, rows)
+    inside = np.flatnonzero((low < high) & (triangles.low[:, 0] < triangles.high[:, 0]))
+    return inside, low[inside], high[inside]
+
+
+def _box_parts(band: Band, triangles: SeenTriangles, number: int, low: int, high: int) -> tuple[Any, list[Array]]:
+    """The box of a triangle in a band, and the barycentric coordinates divided by depth of its pixels."""
+    left, right = triangles.low[number, 0], triangles.high[number, 0]
+    columns, rows = np.arange(left, right) + 0.5, np.arange(band.top + low, band.top + high) + 0.5
+    edges = triangles.edges[number]
+    parts = [edges[0, part] * columns + (edges[1, part] * rows + edges[2, part])[:, None] for part in range(3)]
+    return (slice(low, high), slice(left, right)), parts
+
+
+def _cover(band: Band, triangles: SeenTriangles, covered: NDArray[np.bool_]) -> None:
+    """Set where a triangle is."""
+    for number, low, high in zip(*_of_band(band, triangles), strict=True):
+        box, parts = _box_parts(band, triangles, number, low, high)
+        covered[box] |= (parts[0] >= 0) & (parts[1] >= 0) & (parts[2] >= 0)
+
+
+def _fill(band: Band, triangles: SeenTriangles, view: Viewpoint) -> None:
+    """Draw triangles over a band."""
+    numbers, low, high = _of_band(band, triangles)
+    counts = (high - low) * (triangles.high[numbers, 0] - triangles.low[numbers, 0])
+    is_large = counts > _LARGE
+    for number, first, last in zip(numbers[is_large], low[is_large], high[is_large], strict=True):
+        box, parts = _box_parts(band, triangles, number, first, last)
+        near = parts[0] + parts[1] + parts[2]
+        is_seen = (parts[0] >= 0) & (parts[1] >= 0) & (parts[2] >= 0)
+        is_seen &= (near < 1.0 / view.near) & (near > band.nearness[box])
+        np.copyto(band.nearness[box], near, where=is_seen)
+        for channel, shade in zip(band.pixels, triangles.shades[number], strict=True):
+            np.copyto(channel[box], np.float32(shade), where=is_seen)
+    small, counts, low = numbers[~is_large], counts[~is_large], low[~is_large]
+    groups = np.cumsum(counts) // _BAND
+    for group in np.unique(groups):
+        here = np.flatnonzero(groups == group)
+        owner = np.repeat(here, counts[here])
+        inside = np.arange(len(owner)) - np.repeat(np.cumsum(counts[here]) - counts[here], counts[here])
+        number = small[owner]
+        first = triangles.low[number, 0]
+        row, column = np.divmod(inside, triangles.high[number, 0] - first)
+        row, column = row + low[owner], column + first
+        edges = triangles.edges[number]
+        parts = (column + 0.5)[:, None] * edges[:, 0] + (row + band.top + 0.5)[:, None] * edges[:, 1] + edges[:, 2]
+        near = parts.sum(axis=1)
+        is_seen = (parts >= 0).all(axis=1) & (near < 1.0 / view.near) & (near > band.nearness[row, column])
+        seen = np.flatnonzero(is_seen)
+        seen = seen[np.argsort(near[seen], kind="stable")]  # ascending: the nearest one is written last
+        band.nearness[row[seen], column[seen]] = near[seen]
+        band.pixels[:, row[seen], column[seen]] = triangles.shades[number[seen]].T
 
 
 def _length(height: int, view: Viewpoint) -> float:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Collection, Sequence, Sized
+from collections.abc import Callable, Mapping, Sequence, Sized
 from time import monotonic, monotonic_ns
 from typing import Any
 
@@ -226,7 +226,7 @@ def measure(
         heard = stream.monotonic()
         period = _REPORT_PERIOD_S if stream.sim_seconds is None or reports is not None else math.inf
         due = heard + period
-        cameras = [meter.topic for meter in meters if meter.is_camera]
+        cameras = {meter.topic: meter for meter in meters if meter.is_camera}
         try:
             while left > 0 and not stream.ended:
                 event = stream.next(min(due, heard + patience))
@@ -240,7 +240,7 @@ def measure(
                     left -= 1
                     _report(ctx, meters, text)
                     if cameras and _warn_slow_cameras(ctx, cameras):
-                        cameras = []  # once
+                        cameras = {}  # once
         except (KeyboardInterrupt, NoDaemon):
             if any(meter.new for meter in meters):  # the pending report, which rostopic prints on Ctrl-C, too
                 _report(ctx, meters, text)
@@ -249,13 +249,12 @@ def measure(
         raise Refused(f"no messages on {', '.join(by_topic)}", "is the simulation paused? see: slidectl sim status")
 
 
-def _warn_slow_cameras(ctx: Context, topics: Collection[str]) -> bool:
-    """Warn of cameras that drawing does not keep up with. True when there was one."""
+def _warn_slow_cameras(ctx: Context, cameras: Mapping[str, Meter]) -> bool:
+    """Warn of cameras that drawing does not keep up with, with the rates measured here. True when there was one."""
     status = ctx.call("/slidectl/status")
     found = False
-    rates = status["cameras_asked"], status["cameras_reached"]
-    for topic, asked, reached, advice in zip(status["cameras"], *rates, status["cameras_advice"], strict=True):
-        if topic in topics and advice:
+    for topic, asked, advice in zip(status["cameras"], status["cameras_asked"], status["cameras_advice"], strict=True):
+        if advice and topic in cameras and (reached := cameras[topic].record()["rate"]) is not None:
             found = True
             ctx.warn(f"{topic}: {asked:.3g} Hz asked, {reached:.3g} reached; {advice}")
     return found

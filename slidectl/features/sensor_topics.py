@@ -182,13 +182,16 @@ _TO_KEEP_UP = (
     "or a slower world (slidectl sim speed) help"
 )
 _LEAST_COUNTED = 10
+_MOST_AT_ONCE = 2
+"""Pictures of a camera that are under way. With one alone, a picture that takes a little longer than the period would
+halve the rate."""
 
 
 class CameraTopics:
     """The picture and the geometry of one camera, on their topics until the robot is deleted.
 
-    A picture is published when it is rendered; while one is being rendered, the next ones are skipped. So the number of
-    pictures depends on the machine, but their content does not.
+    A picture is published when it is rendered; while one is being rendered and another one waits, the next ones are
+    skipped. So the number of pictures depends on the machine, but their content does not.
     """
 
     saved_attributes: ClassVar[tuple[str, ...]] = ("_pictures", "_info")
@@ -203,8 +206,8 @@ class CameraTopics:
         """Pictures that were due, and those of them that were skipped, since the rate was counted last."""
         self._reached_hz: float | None = None
         self._has_warned = False
-        self._rendering: Pending | None = None
-        """The picture that is being rendered."""
+        self._rendering: list[Pending] = []
+        """The picture that is being rendered, and the one that waits for it."""
         node = names.join(robot.namespace, "gazebo")
         period_ns = period_ns_of(camera.rate_hz)
         self._asked_hz = 1e9 / (period_ns or simulation.timestep_ns)
@@ -222,13 +225,14 @@ class CameraTopics:
     def _render(self) -> None:
         """Start to render the present state; the picture is published when it is done."""
         self._count()
-        if self._rendering is not None or self._is_broken:
+        if len(self._rendering) >= _MOST_AT_ONCE or self._is_broken:
             return
         simulation, camera, robot = self._simulation, self._camera, self._robot.name
         pose = sensing.sensor_pose(simulation.world, robot, camera)
         header, seed = self._header(), zlib.crc32(f"{robot}/{camera.name}/{simulation.time_ns}".encode())
-        self._rendering = simulation.host.render(simulation.world, camera, pose, seed)
-        self._rendering.then(lambda done: self._publish(header, done))
+        picture = simulation.host.render(simulation.world, camera, pose, seed)
+        self._rendering.append(picture)
+        picture.then(lambda done: self._publish(header, done))
 
     def _count(self) -> None:
         """Count a picture that is due, and once in a simulated second the rate; warn when it is too low.
@@ -238,7 +242,7 @@ class CameraTopics:
         if not self._drawn_by:
             return
         self._due += 1
-        self._skipped += self._rendering is not None
+        self._skipped += len(self._rendering) >= _MOST_AT_ONCE
         if self._due < max(_LEAST_COUNTED, self._asked_hz):
             return
         self._reached_hz = self._asked_hz * (self._due - self._skipped) / self._due
@@ -259,11 +263,11 @@ class CameraTopics:
         return self._asked_hz, self._reached_hz, _TO_KEEP_UP if is_slow else ""
 
     def _cancel(self) -> None:
-        if self._rendering is not None:
-            self._rendering.cancel()
+        for picture in self._rendering:
+            picture.cancel()
 
     def _publish(self, header: Message, done: Pending) -> None:
-        self._rendering = None
+        self._rendering.remove(done)
         if done.error is not None:  # a killed render process is started again, once
             self._has_failed, self._is_broken = True, self._has_failed
             last = "; it makes no more pictures" if self._is_broken else ""

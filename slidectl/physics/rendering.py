@@ -14,8 +14,10 @@ import pickle
 import subprocess
 import sys
 from contextlib import suppress
+from functools import lru_cache
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
+from statistics import NormalDist
 from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 
 import mujoco
@@ -36,6 +38,10 @@ if TYPE_CHECKING:
 INSTALL = "install OpenGL for programs without a screen: apt install libegl1 (with a driver: libgl1-mesa-dri)"
 _LIBRARIES = {"egl": ("libEGL.so.1",), "osmesa": ("libOSMesa.so.8", "libOSMesa.so.6")}
 BY_OPENGL, BY_SOFTWARE = "OpenGL", "software"
+_PROCESSOR_DRIVERS = (b"llvmpipe", b"softpipe", b"swrast", b"software")
+"""What Mesa's names of drivers without a graphics card contain."""
+_GREY = np.array([0.299, 0.587, 0.114])
+"""The parts of red, green and blue in a grey picture, as of ITU-R BT.601."""
 _AMBIENT = 0.4
 """Ambient light, as in Gazebo's worlds."""
 
@@ -214,14 +220,15 @@ class _CameraPictures:
         if frame.model is not None:
             self._set_model(frame)
         camera = frame.camera
-        pixels = self._draw(frame).astype(np.float64)
+        pixels = self._draw(frame)
         if camera.encoding == "mono8":
-            pixels = pixels @ np.array([0.299, 0.587, 0.114])
+            pixels = np.rint(pixels @ _GREY).astype(np.uint8)
         elif camera.encoding == "bgr8":
             pixels = pixels[:, :, ::-1]
         if camera.noise > 0.0 or camera.mean:
-            pixels = pixels + 255.0 * np.random.default_rng(frame.seed).normal(camera.mean, camera.noise, pixels.shape)
-        content: bytes = np.clip(np.rint(pixels), 0, 255).astype(np.uint8).tobytes()
+            drawn = np.random.default_rng(frame.seed).integers(1 << 16, size=pixels.shape, dtype=np.uint16)
+            pixels = (pixels + _noise_levels(camera.mean, camera.noise)[drawn]).clip(0, 255).astype(np.uint8)
+        content: bytes = pixels.tobytes()
         return content
 
     def _draw(self, frame: PictureRequest) -> Any:
@@ -245,8 +252,24 @@ class _CameraPictures:
         self._model.vis.headlight.specular[:] = 0.0
 
 
+@lru_cache
+def _noise_levels(mean: float, deviation: float) -> Any:
+    """65536 values of equal probability of a normal distribution, of which the whole range of a pixel is 1.
+
+    Pixels are whole numbers, and so are these: nothing is lost, and a picture has its noise in a fifth of the time.
+    """
+    normal = NormalDist(mean, deviation) if deviation > 0.0 else None
+    parts = (np.arange(1 << 16) + 0.5) / (1 << 16)
+    values = np.array([normal.inv_cdf(part) for part in parts]) if normal else np.full(1 << 16, mean)
+    return np.rint(255.0 * values).clip(-255, 255).astype(np.int16)
+
+
 class _OpenGlDrawer:
-    """Draws a model by MuJoCo, with a renderer for each size."""
+    """Draws a model by MuJoCo, with a renderer for each size.
+
+    Without a graphics card OpenGL computes shadows on the processor, in three quarters of the time of a picture: there
+    are none then, so that cameras keep their rates.
+    """
 
     def __init__(self, model: Any) -> None:
         self._model = model
@@ -262,7 +285,8 @@ class _OpenGlDrawer:
         if size not in self._renderers:
             screen = self._model.vis.global_
             screen.offheight, screen.offwidth = size  # the size of the renderer's buffers
-            self._renderers[size] = mujoco.Renderer(self._model, *size)
+            made = self._renderers[size] = mujoco.Renderer(self._model, *size)
+            made.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = not _is_without_card()
         renderer = self._renderers[size]
         renderer.update_scene(data)
         top = camera.near * np.tan(camera.field_of_view / 2) * camera.height / camera.width
@@ -281,6 +305,14 @@ class _OpenGlDrawer:
         """Free what the renderers hold."""
         for renderer in self._renderers.values():
             renderer.close()
+
+
+def _is_without_card() -> bool:
+    """Whether the OpenGL of the current context computes on the processor."""
+    from OpenGL import GL
+
+    name = GL.glGetString(GL.GL_RENDERER) or b""
+    return any(software in name.lower() for software in _PROCESSOR_DRIVERS)
 
 
 def main(request: str, answers: str, why: str) -> None:

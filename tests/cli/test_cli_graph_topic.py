@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from cli_graph_world import COMMAND, JOINT_STATES, World, slider_world
+from command_line import CommandLine
 from daemon_fixture import running_daemon
 
 
@@ -186,3 +189,24 @@ def test_a_topic_that_says_nothing_while_it_is_measured_is_exit_code_1() -> None
         done = World(daemon, client).slidectl("topic", "hz", "/silent", "--for", "0.1")
     assert done.returncode == 1
     assert "no messages on /silent" in done.stderr
+
+
+CAMERA = """<robot name="watcher"><link name="base"><inertial><mass value="1"/>
+  <inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>
+  <gazebo reference="base"><sensor type="camera" name="eye"><update_rate>1000</update_rate><camera>
+  <image><width>320</width><height>240</height></image></camera>
+  <plugin name="c" filename="libgazebo_ros_camera.so"/></sensor></gazebo></robot>"""
+
+
+def test_hz_of_a_camera_that_drawing_does_not_keep_up_with_warns_once_with_the_rate_that_it_reports(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "watcher.urdf").write_text(CAMERA)
+    with running_daemon() as daemon:
+        slidectl = CommandLine(daemon.folder)
+        slidectl.ok("spawn", str(tmp_path / "watcher.urdf"))
+        done = slidectl("hz", "/watcher/image_raw", "--for", "4", "--json")
+    _, warning = done.stderr.splitlines()  # behind: subscribed to ...
+    reached = re.fullmatch(r"warning: /watcher/image_raw: 1e\+03 Hz asked, ([\d.]+) reached; .*", warning)
+    assert reached is not None
+    assert float(reached[1]) == pytest.approx(json.loads(done.stdout)["rate"], rel=0.01)

@@ -9,18 +9,22 @@ import math
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from command_line import CommandLine
 from daemon_fixture import running_daemon
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.transforms import Bbox
 from terminal import Terminal
 from waiting import eventually
 
 from slidectl import traces
 from slidectl.extensions.recording.codec import of
 from slidectl.extensions.recording.recording_files import create, opened
-from slidectl.extensions.viewing.plots import Curve, Plot, as_file
+from slidectl.extensions.viewing.plots import Curve, Plot, as_file, as_text
 
 STATES = "/slider/joint_states"
 STATE = "/slider/joint1_position_controller/state"
@@ -272,7 +276,9 @@ def test_a_plot_is_live_on_a_terminal_and_stays_there_at_the_end(moving: Command
     moving.ok("sim", "speed", "1")
     try:
         seen = moving.on_a_terminal("plot", fields, "--for", "1.5").decode()
-        narrow = moving.on_a_terminal("plot", fields, "--for", "1", COLUMNS="20", LINES="12", NO_COLOR="1").decode()
+        narrow = moving.on_a_terminal(
+            "plot", "-q", fields, "--for", "1", COLUMNS="20", LINES="12", NO_COLOR="1"
+        ).decode()
     finally:
         moving.ok("sim", "speed", "max")
     live, _, last = seen.partition("\x1b[?1049l")
@@ -342,11 +348,85 @@ def test_the_response_of_a_controller_to_a_step_is_one_picture_with_its_measures
     assert measured["effort_peak"] == 100
     svg = picture.read_text()
     assert len(drawn_paths(svg)) == 4
-    for text in ("set_point", "process_value (position of joint1)", "error", "effort (joint1)", "m", "N"):
+    # The effort chatters at the speed limit: its mean, and a band.
+    curves = ("set_point", "process_value (position of joint1)", "error", "effort (joint1): mean", "where it chatters")
+    readings = ("10 %", f"90 %: rise {measured['rise']:.3g} s", f"settling {measured['settling']:.3g} s")
+    for text in (*curves, *readings, "m", "N", "0", "12", "time from the step (s)"):
         assert f">{text}</text>" in svg
+    assert "overshoot 0 %</text>" not in svg
     assert re.search(r">rise [\d.]+ s, overshoot ", svg)
     moving.ok("controller", "stop", "joint1_position_controller")
     stopped = moving(*words)
     moving.ok("controller", "start", "joint1_position_controller")
     assert stopped.returncode == 1
     assert "does not run" in stopped.stderr
+
+
+def test_measures_of_a_step_are_marked_in_the_terminal_and_a_table_keeps_simulated_time(
+    moving: CommandLine, tmp_path: Path
+) -> None:
+    words = ("controller", "plot", "joint1_position_controller", "--for", "12")
+    lines = moving.ok(*words, "--step", "0.5", COLUMNS="100", LINES="40").splitlines()
+    key = next(number for number, line in enumerate(lines) if "● 10 %, 90 %: rise, settling" in line)
+    panel = lines[key + 1 : next(n for n, line in enumerate(lines) if line.startswith("error  ["))]
+    assert sum(line.count("●") for line in panel) == 3
+    assert any(line.split() == ["0", "2", "4", "6", "8", "10", "12"] for line in panel)
+    table = tmp_path / "step.csv"
+    began = json.loads(moving.ok(*words, "--step", "0.4", "--save", str(table), "--json"))["start"]
+    assert int(table.read_text().splitlines()[1].split(",")[0]) * 1e-9 == pytest.approx(began, abs=0.01)
+
+
+def test_a_plot_of_what_is_at_rest_says_how_to_see_a_motion(moving: CommandLine, tmp_path: Path) -> None:
+    moving.ok("sim", "step", "20s")
+    moving.ok("sim", "resume")
+    field, saved = f"{STATES}/position[0]", str(tmp_path / "rest.svg")
+    told = moving("plot", field, "--for", "1", "--save", saved).stderr
+    assert "all values stood still" in told
+    assert f"slidectl record {STATES} -O run.bag, then slidectl plot run.bag '{field}'" in told
+    process = moving.start("plot", field, "--for", "2000", "--save", saved)
+    moving.until_subscribed(STATES)
+    moving.ok("pub", COMMAND, "0.1")
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 0
+    assert "stood still" not in err
+
+
+def legend(axis: Axes) -> Bbox:
+    """Where the legend of a panel is, in pixels."""
+    found = axis.get_legend()
+    assert found is not None
+    return found.get_window_extent()
+
+
+@pytest.mark.parametrize("count", [1, 5, 12])
+def test_legends_are_beside_the_panels(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: list[Figure] = []
+    save = Figure.savefig
+
+    def noted(figure: Figure, *args: Any, **more: Any) -> None:
+        drawn.append(figure)
+        save(figure, *args, **more)
+
+    monkeypatch.setattr(Figure, "savefig", noted)
+    names = [f"/robot/joint_states/position[{number}] (joint{number})" for number in range(count)]
+    as_file(Plot("", [Curve(name, times=np.arange(9.0), values=np.arange(9.0)) for name in names]), ".png")
+    (axis,) = drawn[0].axes
+    assert legend(axis).y0 >= axis.get_window_extent().y1 - 1
+    assert legend(axis).x1 <= 960
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "texts"),
+    [
+        (0.0, 12.0, ["0.0", "2.5", "5.0", "7.5", "10.0"]),
+        (1210.31, 1214.3, ["1211", "1212", "1213", "1214"]),
+        (-1.431, 0.7306, ["-1.0", "-0.5", "0.0", "0.5"]),
+        (0.5, 0.5, ["0.46", "0.48", "0.50", "0.52", "0.54"]),
+        (0.0, 4e9, ["0", "1e+09", "2e+09", "3e+09", "4e+09"]),
+        (1e-7, 9e-7, ["2e-07", "4e-07", "6e-07", "8e-07"]),
+    ],
+)
+def test_ticks_in_the_terminal_are_round(low: float, high: float, texts: list[str]) -> None:
+    curve = Curve("/a/b", times=np.array([low, high]), values=np.zeros(2))
+    lines = as_text(Plot("", [curve]), 80, 20, colour=False).splitlines()
+    assert lines[-2].split() == texts

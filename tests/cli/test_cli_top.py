@@ -58,6 +58,25 @@ def test_it_shows_controllers_joints_rates_and_the_log_in_80_columns_and_24_line
         assert terminal.output.endswith("\x1b[?1049l")
 
 
+def test_the_log_has_simulated_times_and_whole_lines(run: CommandLine) -> None:
+    text = "/gazebo: /slider/joint1_position_controller/pid: i = 0.01 has no effect without i_clamp"
+    with Terminal(run, "top") as terminal:
+        terminal.resize(60, 40)
+        screen = terminal.shows("i_clamp")
+        assert max(map(len, screen)) <= 60
+        first = next(number for number, line in enumerate(screen) if "/gazebo:" in line and "warn" in line)
+        last = next(number for number, line in enumerate(screen) if line.rstrip().endswith("i_clamp"))
+        assert last > first
+        time, level, *message = " ".join(screen[first : last + 1]).split()
+        assert 0 < float(time) < 60
+        assert (level, " ".join(message)) == ("warn", text)
+        terminal.press("q")
+        assert terminal.ended() == 0
+    once = run.ok("top", "--once")
+    assert re.search(rf"^[\d.]+ +warn +{re.escape(text)}$", once, re.MULTILINE)
+    assert not re.search(r"\d{4}-\d\d-\d\d", once)
+
+
 def test_its_keys_switch_controllers_pause_and_step_the_world(run: CommandLine) -> None:
     with Terminal(run, "top") as terminal, run.client() as client:
         terminal.shows(CONTROLLER)

@@ -12,6 +12,7 @@ import pytest
 
 from slidectl import description
 from slidectl.errors import AmbiguousName, UnknownName
+from slidectl.extensions.viewing import drawn_scene
 from slidectl.extensions.viewing.drawing import WorldView
 from slidectl.extensions.viewing.drawn_scene import ViewpointChoice
 from slidectl.extensions.viewing.gl_renderer import GlRenderer
@@ -185,3 +186,41 @@ def test_a_colour_beyond_white_is_white() -> None:
     scene = Watched(simulation, "iso").view.scene
     picture = SoftwareRenderer(SIZE).draw(scene, ViewpointChoice(scene, "iso", SIZE).of(scene))
     assert picture[SIZE[1] // 2, SIZE[0] // 2].tolist() == [255, 255, 255]
+
+
+@pytest.fixture(params=[GlRenderer, SoftwareRenderer])
+def drawer(request: pytest.FixtureRequest) -> Any:
+    """The class that draws the pictures of the test."""
+    if request.param is GlRenderer and not rendering.gl_backend():
+        pytest.skip("there is no OpenGL on this machine")
+    return request.param
+
+
+def test_a_robot_has_a_shadow_on_the_ground_away_from_the_sun(drawer: Any) -> None:
+    simulation = Simulation()
+    simulation.robots.spawn(body(), "crate", pose=pose(0, 0, 0.6))
+    scene = Watched(simulation, "top").view.scene
+    view = ViewpointChoice(scene, "top", SIZE).of(scene)
+    picture = drawer(SIZE).draw(scene, view).astype(int)
+    x, y = (0.6 * part / -drawn_scene.SUN[2] for part in drawn_scene.SUN[:2])
+    pixels_a_metre = SIZE[1] / 2 / math.tan(view.field_of_view / 2) / float(view.eye[2])
+    shade, opposite = (
+        picture[round(SIZE[1] / 2 - way * y * pixels_a_metre), round(SIZE[0] / 2 + way * x * pixels_a_metre)]
+        for way in (1, -1)
+    )
+    assert np.ptp(shade) < 10  # it is grey
+    assert shade.max() < 0.8 * opposite.min()
+
+
+def test_the_sky_is_bluer_above_and_edges_before_it_are_smooth(drawer: Any) -> None:
+    simulation = Simulation(ground=False)
+    simulation.robots.spawn(body(), "crate", pose=pose(0, 0, 1))
+    scene = Watched(simulation, "side").view.scene
+    choice = ViewpointChoice(scene, "side", SIZE).of(scene)
+    upwards = np.array((0.0, math.cos(0.3), math.sin(0.3)))
+    view = choice._replace(up=np.array((0.1, -math.sin(0.3), math.cos(0.3))), ahead=upwards)
+    picture = drawer(SIZE).draw(scene, view).astype(int)
+    blueness = picture[:, 0, 2] - picture[:, 0, 0]
+    assert blueness[0] > blueness[SIZE[1] // 2] > blueness[-1]
+    edges = (picture[:, :, 1] > 40) & (picture[:, :, 1] < 150)  # between the sky and the crate, which has no green
+    assert edges.sum() > 20

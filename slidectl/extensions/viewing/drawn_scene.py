@@ -26,7 +26,8 @@ from slidectl.rotations import Vector
 if TYPE_CHECKING:
     from slidectl.msgs.typed import SceneResponseMsg
 
-SKY = (0.62, 0.75, 0.90)
+SKY = ((0.42, 0.58, 0.80), (0.86, 0.91, 0.96))
+"""Colours of the sky straight above, and at the horizon, into which the far ground fades."""
 TILES = ((0.80, 0.80, 0.80), (0.86, 0.86, 0.86))
 """Colours of the ground's tiles, which are 1 m wide."""
 SUN = (-0.37, 0.46, -0.81)
@@ -45,6 +46,11 @@ VIEWS: dict[str, Vector] = {
 """Direction from the centre of the world to the viewpoint. In `side` x points right, in `top` y points up."""
 _FIELD_OF_VIEW = math.radians(40.0)
 _MARGIN = 1.05
+_FARTHEST = 1000.0
+"""The last depth that is drawn, in distances from the eye to the middle.
+
+The slack with which OpenGL compares the depths of shadows grows with it: with less the ground shades itself.
+"""
 
 
 class ColouredSurface(NamedTuple):
@@ -116,6 +122,12 @@ class DrawnScene:
             return np.zeros(3), 1.0
         low, high = np.min([one.min(axis=0) for one in seen], axis=0), np.max([one.max(axis=0) for one in seen], axis=0)
         return (low + high) / 2, max(_MISSING_M, float(np.linalg.norm(high - low)) / 2)
+
+    def haze(self, view: Viewpoint) -> tuple[float, float]:
+        """The depths (m, from the eye) where the haze of the far ground begins, behind all robots, and is complete."""
+        centre, radius = self.bounds()
+        begin = max(0.0, float((centre - view.eye) @ view.ahead)) + 3.0 * radius
+        return begin, begin + 30.0 * radius
 
     def _surfaces(self, name: str, robot: Robot, link: Link, collisions: bool) -> Iterator[ColouredSurface]:
         """The visuals of a link; the collision shapes if the robot has no visuals, or with `collisions`."""
@@ -192,7 +204,8 @@ class ViewpointChoice:
         right = np.cross(ahead, (0.0, 1.0, 0.0) if abs(ahead[2]) > 0.99 else (0.0, 0.0, 1.0))
         right /= np.linalg.norm(right)
         eye = self._centre - distance * ahead
-        return Viewpoint(eye, right, np.cross(right, ahead), ahead, _FIELD_OF_VIEW, 0.01 * distance, 100.0 * distance)
+        near, far = 0.01 * distance, _FARTHEST * distance
+        return Viewpoint(eye, right, np.cross(right, ahead), ahead, _FIELD_OF_VIEW, near, far)
 
     def _of_model(self, scene: DrawnScene, camera: Camera) -> Viewpoint:
         """The viewpoint of a robot's camera. It looks along its x axis; its own field of view is horizontal."""

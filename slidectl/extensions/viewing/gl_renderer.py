@@ -8,6 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from slidectl import rasteriser
 from slidectl.errors import Refused
 from slidectl.extensions.viewing import drawn_scene
 from slidectl.extensions.viewing.drawn_scene import DrawnScene
@@ -16,6 +17,8 @@ from slidectl.physics import rendering
 from slidectl.rasteriser import Viewpoint
 
 _MOST_SHAPES = 10_000
+_SHADOW_PIXELS = 2048
+"""Width of the map of shadows. Without a graphics card one of 4096 takes as long as all else."""
 
 
 class GlRenderer:
@@ -46,15 +49,22 @@ class GlRenderer:
             data.mocap_quat[mocap] = w, x, y, z
         data.mocap_pos[self._eye] = view.eye
         mujoco.mju_mat2Quat(data.mocap_quat[self._eye], np.column_stack((view.right, view.up, -view.ahead)).ravel())
+        # Shadows reach as far as the robots do now.
+        centre, radius = scene.bounds()
+        model.light_pos[0], self._drawer.shadowClip = centre - 2.0 * radius * np.array(drawn_scene.SUN), 1.1 * radius
         model.cam_fovy[0] = np.degrees(view.field_of_view)
         mujoco.mj_kinematics(model, data)
         mujoco.mj_camlight(model, data)
         mujoco.mjv_updateScene(model, data, self._option, None, self._camera, mujoco.mjtCatBit.mjCAT_ALL, self._drawn)
         box = mujoco.MjrRect(0, 0, *self._size)
         mujoco.mjr_render(box, self._drawn, self._drawer)
-        pixels = np.empty((self._size[1], self._size[0], 3), np.uint8)
-        mujoco.mjr_readPixels(pixels, None, box, self._drawer)
-        return np.ascontiguousarray(pixels[::-1])
+        pixels, depths = np.empty((self._size[1], self._size[0], 3), np.uint8), np.empty(self._size[::-1], np.float32)
+        mujoco.mjr_readPixels(pixels, depths, box, self._drawer)
+        end = (1.0 / view.near - 1.0 / model.vis.map.fogend) / (1.0 / view.near - 1.0 / view.far)
+        pixels, is_sky = np.ascontiguousarray(pixels[::-1]), depths[::-1] >= end
+        if is_sky.any():  # MuJoCo's fog hides its sky, too
+            pixels[is_sky] = np.rint(255.0 * rasteriser.sky(self._size, view, drawn_scene.SKY)[is_sky])
+        return pixels
 
     def _take(self, scene: DrawnScene, view: Viewpoint) -> None:
         try:
@@ -62,15 +72,19 @@ class GlRenderer:
         except (ValueError, mujoco.FatalError) as error:
             raise Refused(f"MuJoCo cannot draw the world: {error}") from None
         model = self._model
-        model.vis.map.znear, model.vis.map.zfar = view.near, view.far  # times the extent, which is 1
+        lengths = model.vis.map  # times the extent, which is 1
+        lengths.znear, lengths.zfar = view.near, view.far
+        lengths.fogstart, lengths.fogend = scene.haze(view)
+        model.vis.rgba.fog[:3] = drawn_scene.SKY[1]
+        model.vis.quality.shadowsize = _SHADOW_PIXELS
         model.vis.global_.offwidth, model.vis.global_.offheight = self._size
         self._scene, self._data = scene, mujoco.MjData(model)
         mujoco.mj_forward(model, self._data)
         self._mocaps = {link: int(model.body(link).mocapid[0]) for link in {one.link for one in scene.surfaces}}
         self._eye = int(model.body("eye").mocapid[0])
         self._option, self._drawn = mujoco.MjvOption(), mujoco.MjvScene(model, _MOST_SHAPES)
-        self._drawn.flags[mujoco.mjtRndFlag.mjRND_HAZE] = False
-        self._drawn.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False  # without a GPU, shadows take as long as all else
+        self._drawn.flags[mujoco.mjtRndFlag.mjRND_HAZE] = False  # it begins where MuJoCo's plane ends: a fog does not
+        self._drawn.flags[mujoco.mjtRndFlag.mjRND_FOG] = True
         self._camera = mujoco.MjvCamera()
         self._camera.type, self._camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, 0
         self._drawer = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
@@ -85,12 +99,12 @@ def _spec(scene: DrawnScene) -> Any:
     head.ambient, head.diffuse = [drawn_scene.AMBIENT] * 3, [drawn_scene.FROM_EYE] * 3
     head.specular = [0.0] * 3
     spec.worldbody.add_light(
-        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, dir=drawn_scene.SUN, pos=[0, 0, 10], ambient=[0, 0, 0],
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, dir=drawn_scene.SUN, ambient=[0, 0, 0],
         diffuse=[drawn_scene.FROM_SUN] * 3, specular=[0, 0, 0],
     )  # fmt: skip
-    spec.add_texture(
+    spec.add_texture(  # edges are smoothed against it
         name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT, width=8,
-        height=48, rgb1=drawn_scene.SKY, rgb2=drawn_scene.SKY,
+        height=48, rgb1=drawn_scene.SKY[1], rgb2=drawn_scene.SKY[1],
     )  # fmt: skip
     if scene.ground:
         spec.add_texture(

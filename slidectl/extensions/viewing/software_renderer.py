@@ -10,9 +10,11 @@ from slidectl.extensions.viewing import drawn_scene
 from slidectl.extensions.viewing.drawn_scene import DrawnScene
 from slidectl.extensions.viewing.picture_files import Pixels
 from slidectl.measures import Array
-from slidectl.rasteriser import Plane, Rasteriser, Viewpoint
+from slidectl.rasteriser import Haze, Light, Plane, Rasteriser, Shadows, Viewpoint
 
 _GROUND = Plane(np.zeros(3), np.eye(3), drawn_scene.TILES)
+_SAMPLES = 2
+"""Samples of a pixel from side to side, so that edges are smooth."""
 
 
 class SoftwareRenderer:
@@ -21,7 +23,7 @@ class SoftwareRenderer:
     name = "software"
 
     def __init__(self, size: tuple[int, int]) -> None:
-        self._rasteriser = Rasteriser(size, drawn_scene.SKY)
+        self._rasteriser = Rasteriser(size, drawn_scene.SKY, _SAMPLES)
 
     def draw(self, scene: DrawnScene, view: Viewpoint) -> Pixels:
         """Draw a picture: RGB, shape (height, width, 3)."""
@@ -29,8 +31,11 @@ class SoftwareRenderer:
         corners = np.concatenate([np.zeros((0, 3, 3)), *(scene.vertices(one)[one.faces] for one in surfaces)])
         of_surfaces = np.array([one.colour[:3] for one in surfaces]).reshape(-1, 3)
         colours = np.repeat(of_surfaces, [len(one.faces) for one in surfaces], axis=0)
-        planes = [_GROUND] if scene.ground else []
-        return self._rasteriser.draw(corners, colours, planes, partial(_light, view.ahead), view)
+        light = partial(_light, view.ahead)
+        planes, shadows = [], None
+        if scene.ground:
+            planes, shadows = [_GROUND], _shadows(corners, light)
+        return self._rasteriser.draw(corners, colours, planes, light, view, shadows, Haze(*scene.haze(view)))
 
 
 def _light(ahead: Array, _: Array, normals: Array) -> Array:
@@ -40,3 +45,12 @@ def _light(ahead: Array, _: Array, normals: Array) -> Array:
         drawn_scene.AMBIENT + drawn_scene.FROM_EYE * from_eye.clip(0) + drawn_scene.FROM_SUN * from_sun.clip(0)
     )
     return light[:, None]
+
+
+def _shadows(corners: Array, light: Light) -> Shadows:
+    """The shadows of triangles with corners (n, 3, 3) on the ground."""
+    up, sun = np.array([[0.0, 0.0, 1.0]]), np.array(drawn_scene.SUN)
+    casting = corners[(corners[:, :, 2] > 0.0).any(axis=1)].copy()
+    casting[:, :, 2] = casting[:, :, 2].clip(0.0)
+    lit = float(light(np.zeros((1, 3)), up)[0, 0])
+    return Shadows(casting - casting[:, :, 2:] / sun[2] * sun, 1.0 + drawn_scene.FROM_SUN * float(sun[2]) / lit)

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from slidectl import names, traces
+from slidectl import measures, names, traces
 from slidectl.client import Client
 from slidectl.errors import Refused, UsageError
-from slidectl.extensions.viewing.plots import Curve, Plot
+from slidectl.extensions.viewing.plots import Curve, Plot, Reading
 from slidectl.measures import Array, Measured, NoMeasure, measure_text
+from slidectl.traces import JointOrFieldTrace
 
 _CONTROLLED = {"JointPositionController": "position", "JointVelocityController": "velocity"}
 MEASURES = ("rise", "overshoot", "settling", "error", "effort-peak")
@@ -73,8 +76,33 @@ def step_response(
     curves = [
         Curve(f"{space}/set_point", "", trace.unit, now, wanted),
         Curve(f"{space}/process_value", f"{quantity} of {about['joint']}", trace.unit, now, trace.values),
-        Curve(f"{space}/error", "", trace.unit, now, wanted - trace.values),
-        Curve(f"{space}/effort", str(about["joint"]), trace.effort_unit, now, efforts),
+        Curve(f"{space}/error", "", trace.unit, now, wanted - trace.values, "error"),
+        Curve(f"{space}/effort", str(about["joint"]), trace.effort_unit, now, efforts, is_banded=True),
     ]
-    drawn = Plot(f"{space}: step to {set_point:g}", curves, notes=[", ".join(texts[:3]), ", ".join(texts[3:])])
+    drawn = Plot(
+        f"{space}: step to {set_point:g}", curves, notes=[", ".join(texts[:3]), ", ".join(texts[3:])],
+        x_label="time from the step (s)", origin=start,
+    )  # fmt: skip
+    with suppress(NoMeasure):
+        step = measures.step(now, trace.values, set_point, start)
+        half = abs(measures.BAND * step.size)
+        drawn.tolerance = (step.final - half, step.final + half, f"\N{PLUS-MINUS SIGN}{100 * measures.BAND:g} %")
+        drawn.readings = list(_readings(trace, measured))
     return StepResponse(drawn, start, measured, trace.unit)
+
+
+def _readings(trace: JointOrFieldTrace, measured: dict[str, Measured | None]) -> Iterator[Reading]:
+    """Where rise, overshoot and settling are read, as far as they were reached; there is none of no overshoot."""
+
+    def reading(time: float, text: str, name: str) -> Reading:
+        return Reading(time, float(np.interp(time, trace.times, trace.values)), text, name)
+
+    rise, overshoot, settling = (measured[name] for name in MEASURES[:3])
+    if rise is not None and rise < math.inf:
+        yield reading(rise.time - rise, f"{100 * measures.LOW:g} %", f"{100 * measures.LOW:g} %")
+        text = f"{100 * measures.HIGH:g} %"
+        yield reading(rise.time, f"{text}: rise {rise:.3g} s", f"{text}: rise")
+    if overshoot:
+        yield reading(overshoot.time, f"overshoot {overshoot:.3g} %", "overshoot")
+    if settling is not None and settling < math.inf:
+        yield reading(settling.time, f"settling {settling:.3g} s", "settling")

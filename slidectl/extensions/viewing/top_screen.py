@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -16,7 +17,7 @@ _COLUMNS = {
     "controllers": ("name", "state", "claims", "type"),
     "joints": ("name", "position", "velocity", "effort", "set_point"),
     "topics": ("topic", "rate", "type"),
-    "log": ("line",),
+    "log": ("time", "level", "message"),
 }
 """Section -> keys of its records. A narrow terminal omits the last ones."""
 _NUMBERS = {"position", "velocity", "effort", "set_point", "rate"}
@@ -199,6 +200,8 @@ class TopScreen:
         """The sections, each with a title line. If not all fit, the active section comes first."""
         sections = sorted(_COLUMNS, key=lambda section: section != self._section)[: max(1, room // 2)]
         rows = {section: self._rows(section) for section in _COLUMNS if section in sections}
+        if "log" in rows:
+            rows["log"] = _wrapped(rows["log"], width)
         shares = dict.fromkeys(rows, 2)
         while sum(shares.values()) < room:
             short = [section for section in rows if shares[section] < 1 + len(rows[section])]
@@ -240,7 +243,7 @@ class TopScreen:
         titles[0] = section.upper()
         cells = [[_cell(row[key]) for key in keys] for row in rows]
         widths = [max(len(line[index]) for line in [titles, *cells]) for index in range(len(keys))]
-        while (over := sum(widths) + 2 * (len(widths) - 1) - width) > 0:
+        while section != "log" and (over := sum(widths) + 2 * (len(widths) - 1) - width) > 0:
             last = len(widths) - 1
             if last > 1 and keys[last] in _CUT and widths[last] > _LEAST_WIDTH:
                 widths[last] = max(widths[last] - over, _LEAST_WIDTH)
@@ -251,13 +254,26 @@ class TopScreen:
         lines = [Text(style="bold"), *(Text() for _ in rows)]
         for line, row in zip(lines, [titles, *cells], strict=True):
             for key, text, size in zip(keys, row, widths, strict=False):  # a narrow terminal has fewer columns
-                shown = text if len(text) <= size or section == "log" else f"…{text[len(text) - size + 1 :]}"
+                shown = text if len(text) <= size else f"…{text[len(text) - size + 1 :]}"
                 style = "underline" if line is lines[0] and key == by else _STYLES.get(text, "")
                 line.append(shown.rjust(size) if key in _NUMBERS else shown.ljust(size), style=style).append("  ")
         return lines
 
 
-_STYLES = {"running": "green", "waiting": "yellow", "aborted": "red"}
+_STYLES = {
+    "running": "green", "waiting": "yellow", "aborted": "red", "warn": "yellow", "error": "red", "fatal": "red",
+}  # fmt: skip
+
+
+def _wrapped(rows: list[Record], width: int) -> list[Record]:
+    """The lines of the log with messages of more than one row where they are wider than the screen."""
+    before = sum(max([len(key), *(len(_cell(row[key])) for row in rows)]) + 2 for key in ("time", "level"))
+    room = max(_LEAST_WIDTH, width - before)
+    return [
+        {**(row if number == 0 else dict.fromkeys(row, "")), "message": part}
+        for row in rows
+        for number, part in enumerate(textwrap.wrap(row["message"], room, break_on_hyphens=False) or [""])
+    ]
 
 
 def _cell(value: Any) -> str:

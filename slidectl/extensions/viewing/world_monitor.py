@@ -6,6 +6,7 @@ It polls a daemon and stores the newest answers. Rates are in simulated time.
 from __future__ import annotations
 
 import os
+import re
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
@@ -27,6 +28,7 @@ _GRAPH_EVERY = 4
 """Refreshes between two reads of the graph, which take one call per node."""
 _RATE_WINDOW_NS = 5 * 10**9
 _LOG_BYTES = 8192
+_LOG_LINE = re.compile(r"\d{4}-\d\d-\d\d [\d:.]+ (?P<level>[a-z]+) +(?:\[(?P<time>[\d.]+)\] )?(?P<message>.*)")
 _UNMEASURED = {
     "rosgraph_msgs/Clock", "gazebo_msgs/LinkStates", "gazebo_msgs/ModelStates",
     "sensor_msgs/CameraInfo", "sensor_msgs/Image", "sensor_msgs/LaserScan", "tf2_msgs/TFMessage",
@@ -42,7 +44,8 @@ class WorldMonitor:
         controllers: manager, name (in full), state, type, claims (joints).
         joints: name (in full), position, velocity, effort (SI units), set_point (None if no controller publishes it).
         topics: topic, type, rate (Hz; None if it is not measured, or fewer than two messages came).
-        log: line; the last ones of the daemon's log.
+        log: time (simulated, s; None where the line has none), level, message, line (in full, with the date); the last
+            ones of the daemon's log.
     """
 
     def __init__(self, client: Client, period_s: float) -> None:
@@ -164,5 +167,12 @@ def _last_lines(log: str, begin: str) -> list[Record]:
         lines = file.read().decode("utf-8", "replace").splitlines()
         lines = lines[size > _LOG_BYTES :]
         first = max((number for number, line in enumerate(lines) if line.endswith(begin)), default=0)
-        return [{"line": line} for line in lines[first:]]
+        return [_log_record(line) for line in lines[first:]]
     return []
+
+
+def _log_record(line: str) -> Record:
+    """A line of the log in parts. A line of another form, as of a traceback, is a message."""
+    found = _LOG_LINE.fullmatch(line)
+    time, level, message = ("", "", line) if found is None else found.group("time", "level", "message")
+    return {"time": float(time) if time else None, "level": level, "message": message, "line": line}

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+import shlex
 import shutil
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -29,6 +30,8 @@ from slidectl.writing import CannotWrite, file_kind, write_whole
 _LIVE_S = 10.0
 """The window of a live plot, and how long the topics of a plot drawn once are followed; simulated seconds."""
 _REDRAW_S = 0.2
+_FAST = 1.5
+"""A world that is quicker than real time by this factor is likely to have ended a motion before a plot of it begins."""
 _QUEUE = 1_000_000
 _LEAST_PLAIN_ROWS = 12
 _ENTER, _HOME, _LEAVE = "\033[?1049h\033[?25l", "\033[H", "\033[?25h\033[?1049l"
@@ -124,8 +127,22 @@ def plot(
             ended = click.exceptions.Exit(EXIT_INTERRUPTED)
         if curves := _arrived(ctx, found, bool(xy), f"in {length:g} s" if ended is None else ""):
             show(ctx, made(curves), save, size)
+            if not any(map(plots.moves, curves)):
+                ctx.say(_rest_remark(ctx, curves, found, wanted) if ended is None else "")
     if ended is not None:
         raise ended
+
+
+def _rest_remark(ctx: Context, curves: list[Curve], topics: Iterable[str], wanted: list[str]) -> str:
+    """That all values stood still, why a motion may have been missed, and how to see it."""
+    begin, end = min(curve.times[0] for curve in curves), max(curve.times[-1] for curve in curves)
+    speed = ctx.call("/slidectl/status")["speed_reached"] or 0.0
+    fast = f" (at {speed:.3g} times real time they take {(end - begin) / speed:.2g} s)" if speed > _FAST else ""
+    fields = " ".join(map(shlex.quote, wanted))
+    return (
+        f"all values stood still from {begin:.3f} s to {end:.3f} s{fast}: to see a motion, start the plot before it, "
+        f"or record it: slidectl record {' '.join(topics)} -O run.bag, then slidectl plot run.bag {fields}"
+    )
 
 
 # --- output: a file, text, or records ---------------------------------------------------------------------------------
@@ -197,7 +214,7 @@ def _phase(drawn: Plot, wanted: list[str]) -> Plot:
         ys = np.interp(times, *other.points(), left=math.nan, right=math.nan)
     x_label, y_label = (f"{label} ({curve.unit})" if curve.unit else label for label, curve in drawn.labelled())
     curve = Curve(f"{other.name} over {one.name.rpartition('/')[2]}", unit=other.unit, times=xs, values=ys)
-    return replace(drawn, curves=[curve], x_label=x_label, y_label=y_label, window=None)
+    return replace(drawn, curves=[curve], x_label=x_label, y_label=y_label, window=None, is_phase=True)
 
 
 # --- where the curves are from ----------------------------------------------------------------------------------------
