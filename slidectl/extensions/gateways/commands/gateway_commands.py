@@ -30,7 +30,8 @@ _ACTIONS = ("run", "start", "stop", "status")
 class _GatewayGroup(Group):
     """The group of the gateways, with those that installed packages add.
 
-    One of ours has a command of its own in this file where its options need more than `Options` says.
+    One of ours has a command of its own in this file where its options need more than `Options` says, or where a
+    library of it may be missing: a help imports the class of any other.
     """
 
     def list_commands(self, ctx: click.Context) -> list[str]:
