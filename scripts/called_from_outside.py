@@ -1,39 +1,15 @@
 """Names that the package does not use itself, for vulture: what calls them, group by group.
 
-Lines are never run. A name that nothing calls belongs out of the package, not in here.
+Lines are never run. A name that nothing calls belongs out of the package, not in here. Commands, controllers and
+gateways need no line: `[tool.vulture]` of pyproject.toml knows them by their decorators and names.
 """
 
 # ruff: noqa
 
-# click calls these of a command, and looks commands up by name.
+# click calls these of a command.
 get_help_option_names
 format_options
 command_class
-(
-    assert_,
-    list_actions,
-    list_controllers,
-    list_daemons,
-    list_faults,
-    doctor,
-    reindex,
-    filter_command,
-    export,
-    play,
-    unspawn,
-    logs,
-    clean,
-    ros,
-    ros_commands,
-    type_,
-    list_frames,
-    find_topics,
-    video,
-    teleop,
-    ros1,
-    websocket,
-    foxglove,
-)
 
 # The table in simulation/feature.py names these by text.
 Actions
@@ -63,17 +39,11 @@ readall
 roslaunch, roscore, rosbag, rosmsg, rossrv, rosnode, rosrun, rosservice, rostopic
 
 # Registered by their decorators, or as subclasses that are looked up by type.
-ForwardEffortController, ForwardVelocityController, ForwardPositionController
-ForwardGroupEffortController, ForwardGroupVelocityController, ForwardGroupPositionController
-EffortJointPositionController, VelocityJointPositionController, EffortJointGroupPositionController
-PositionJointTrajectoryController, EffortJointTrajectoryController, VelocityJointTrajectoryController
-PosVelAccJointTrajectoryController, PositionGripperActionController, EffortGripperActionController, DiffDriveController
-AckermannSteeringController, FourWheelSteeringController
 Unspawner, GroupScript, StaticTransform, Viewer, Window, JointStatePublisher
 Throttle, Mux, TwistMux
 
-# For authors of controllers and of hardware.
-ONGOING, set_joint_effort
+# For authors of controllers, of hardware and of scripts.
+ONGOING, set_joint_effort, unspawn
 
 # Transmissions, limits and PIDs of ros_control: compared with the original by vectors, used when transmissions are applied.
 SimpleTransmission, DifferentialTransmission, FourBarLinkageTransmission
@@ -85,8 +55,8 @@ reset_to
 _advertise, _unadvertise, _subscribe, _unsubscribe, _call_service, _advertise_service, _unadvertise_service
 _service_response, _set_level, _set_node, _restrict, _cancel_call, handleError
 
-# gateways.process finds these by their names; asyncio calls a protocol.
-Ros1Gateway, WebSocketGateway, FoxgloveGateway, data_received
+# asyncio calls a protocol.
+data_received
 
 # xacro and ast call these of its adapter and of the evaluator.
 eval_all, check_attrs, handle_macro_call, process_include, print_location, safe_eval, load_yaml

@@ -6,7 +6,6 @@ import ast
 import re
 import subprocess
 import sys
-from collections import Counter
 from collections.abc import Iterator
 from functools import cache
 from graphlib import TopologicalSorter
@@ -350,11 +349,15 @@ def test_no_files_import_each_other_in_a_circle() -> None:
 
 
 def test_a_class_name_and_a_module_name_stand_once_in_the_package() -> None:
-    classes = Counter(
-        node.name
-        for path in modules()
-        for node in ast.walk(tree_of(path))
-        if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
-    )
-    stems = Counter(path.stem for path in modules() if not path.stem.startswith("__"))
-    assert [name for name, count in (classes + stems).items() if count > 1] == []
+    """A class inside of another one has the name of that one before its own."""
+    places: dict[str, list[str]] = {}
+    for path in modules():
+        file = str(path.relative_to(PACKAGE))
+        tree = tree_of(path)
+        inner = {node for outer in ast.walk(tree) if isinstance(outer, ast.ClassDef) for node in outer.body}
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_") and node not in inner:
+                places.setdefault(node.name, []).append(file)
+        if not path.stem.startswith("__"):
+            places.setdefault(path.stem, []).append(file)
+    assert not {name: files for name, files in places.items() if len(files) > 1}, "give one of them another name"

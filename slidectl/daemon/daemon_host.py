@@ -13,7 +13,7 @@ from importlib import import_module
 from slidectl.daemon.mesh_reader import MeshReader
 from slidectl.daemon.options import DaemonOptions
 from slidectl.daemon.time_limit import TimeLimit
-from slidectl.description.robot import Camera
+from slidectl.description.sensors import Camera
 from slidectl.errors import Refused
 from slidectl.event_loop import READ, EventLoop
 from slidectl.logfile import LogFile

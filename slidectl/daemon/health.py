@@ -118,8 +118,8 @@ def _mujoco() -> _Found:
 
 def _cameras() -> _Found:
     """Render a picture, in a process as cameras of robots have it."""
-    from slidectl.description.robot import Camera
     from slidectl.description.robot import Pose as Origin
+    from slidectl.description.sensors import Camera
     from slidectl.physics import World, rendering
     from slidectl.rotations import ORIGIN
     from slidectl.simulation.host import Host

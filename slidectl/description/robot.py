@@ -9,11 +9,13 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import ClassVar, Literal
+from typing import TYPE_CHECKING, Literal
 
 from slidectl import names
-from slidectl.description.xml_tree import Element
 from slidectl.errors import Refused
+
+if TYPE_CHECKING:
+    from slidectl.description.sensors import Sensor
 
 Vector = tuple[float, float, float]
 JointType = Literal["revolute", "continuous", "prismatic", "fixed", "floating", "planar"]
@@ -233,109 +235,6 @@ class ControlPlugin:
     line: int | None = None
     file: str | None = None
     transmissions: Transmissions | None = None
-
-
-@dataclass(frozen=True)
-class Sensor:
-    """The common fields of all kinds of sensors."""
-
-    name: str
-    link: str
-    """The link that carries it."""
-    topic: str
-    """Relative to the robot's namespace, unless it begins with a slash. Empty: only controllers read the sensor."""
-    frame: str
-    rate_hz: float
-    """Rate, Hz; 0: in each step of the world."""
-    origin: Pose
-    """The sensor's pose in the link's frame."""
-    noise: float
-    """Standard deviation of the Gaussian noise, in the unit of what is measured."""
-    mean: float = 0.0
-    """Mean of the noise."""
-
-
-@dataclass(frozen=True)
-class OtherSensor(Sensor):
-    """A sensor of a kind that an installed package adds."""
-
-    kind: str = ""
-    """Its `type`."""
-    tags: Element = field(default_factory=lambda: Element("sensor", {}, "", 0))
-
-
-@dataclass(frozen=True)
-class Laser(Sensor):
-    """A planar laser scanner: `<sensor type="ray">` with libgazebo_ros_laser.so. sensor_msgs/LaserScan."""
-
-    samples: int = 640
-    min_angle: float = 0.0
-    """Angle of the first ray, rad, about the sensor's z axis from its x axis."""
-    max_angle: float = 0.0
-    min_range: float = 0.0
-    """Shortest distance, m."""
-    max_range: float = math.inf
-
-
-@dataclass(frozen=True)
-class Camera(Sensor):
-    """`<sensor type="camera">` with libgazebo_ros_camera.so. It looks along its x axis. sensor_msgs/Image, CameraInfo.
-
-    The noise is added to each channel, whose range is 0 to 1.
-    """
-
-    MOST_PIXELS: ClassVar[int] = 4096
-    """The largest width and height."""
-    info_topic: str = "camera_info"
-    width: int = 320
-    height: int = 240
-    field_of_view: float = 1.047
-    """Horizontal field of view, rad."""
-    near: float = 0.1
-    """Near clipping distance, m."""
-    far: float = 100.0
-    encoding: str = "rgb8"
-    baseline: float = 0.0
-    """Distance to the first camera of a stereo pair, m."""
-
-
-@dataclass(frozen=True)
-class Imu(Sensor):
-    """libgazebo_ros_imu_sensor.so in a `<sensor type="imu">`, or a plugin of a model. sensor_msgs/Imu."""
-
-    feels_gravity: bool = True
-    """True when the acceleration includes the reaction to gravity; libgazebo_ros_imu.so leaves it out."""
-
-
-@dataclass(frozen=True)
-class GroundTruth(Sensor):
-    """libgazebo_ros_p3d.so: exact position and velocity of a link. nav_msgs/Odometry."""
-
-
-@dataclass(frozen=True)
-class Bumper(Sensor):
-    """`<sensor type="contact">` with libgazebo_ros_bumper.so. gazebo_msgs/ContactsState."""
-
-
-@dataclass(frozen=True)
-class ForceTorque(Sensor):
-    """`<sensor type="force_torque">` of a joint, or libgazebo_ros_ft_sensor.so. geometry_msgs/WrenchStamped.
-
-    It measures the wrench through the joint, by default in the axes of the child link, which `link` names.
-    """
-
-    joint: str = ""
-    in_parent: bool = False
-    """True: in the axes of the parent link."""
-    on_child: bool = False
-    """True: the wrench of the parent on the child; False: that of the child on the parent."""
-
-
-@dataclass(frozen=True)
-class JointStates(Sensor):
-    """libgazebo_ros_joint_state_publisher.so. sensor_msgs/JointState."""
-
-    joints: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,7 @@
 """The services of `/slidectl` on time, parameters, names and robots. `shutdown` is the daemon's.
 
-These are not in ROS: status, step, sleep, set_speed, set_params, given_params, spawn, list_robots, scene, joint_states,
-sources, resolve, estop, rest_joints, start_joints, load_controller_file, reload_controller, update_times, graph. Other
-features have services there too: snapshots, faults, lock-step, traces.
+These are not in ROS; `attach` has all of them. Other features have services there too: snapshots, faults, lock-step,
+traces, waits.
 """
 
 from __future__ import annotations

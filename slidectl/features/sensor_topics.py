@@ -22,7 +22,7 @@ from slidectl.control.controllers.sensor_controllers import (
 )
 from slidectl.control.duration import header_of
 from slidectl.control.node_handle import Message
-from slidectl.description.robot import (
+from slidectl.description.sensors import (
     Bumper,
     Camera,
     ForceTorque,

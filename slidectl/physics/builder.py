@@ -24,7 +24,6 @@ from slidectl.description.rigid_bodies import lumped, rigid_bodies, surroundings
 from slidectl.description.robot import (
     Box,
     Cylinder,
-    ForceTorque,
     Inertial,
     Joint,
     Link,
@@ -35,6 +34,7 @@ from slidectl.description.robot import (
     Surface,
     TransmissionInfo,
 )
+from slidectl.description.sensors import ForceTorque
 from slidectl.description.transmissions import driving
 from slidectl.errors import Refused, SlidectlError
 from slidectl.physics import surfaces

@@ -32,7 +32,7 @@ from slidectl.physics.software_pictures import SoftwareDrawer
 from slidectl.rotations import Pose, rotate
 
 if TYPE_CHECKING:
-    from slidectl.description.robot import Camera
+    from slidectl.description.sensors import Camera
     from slidectl.physics.world import World
 
 INSTALL = "install OpenGL for programs without a screen: apt install libegl1 (with a driver: libgl1-mesa-dri)"

@@ -42,7 +42,8 @@ from slidectl.control.params import BadParameter
 from slidectl.control.pid import Pid, ReconfigurablePid, next_command, next_command_from
 from slidectl.control.user_classes import is_of_a_user
 from slidectl.description import interfaces
-from slidectl.description.robot import ForceTorque, Imu, Joint, Robot, Sensor, TransmissionInfo, TransmissionJoint
+from slidectl.description.robot import Joint, Robot, TransmissionInfo, TransmissionJoint
+from slidectl.description.sensors import ForceTorque, Imu, Sensor
 from slidectl.description.transmissions import driving
 from slidectl.errors import Refused, SlidectlError, closest, listing, quoted
 from slidectl.physics import sensing

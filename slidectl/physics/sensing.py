@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slidectl.control.hardware_interface import ForceTorqueData, ImuData
-from slidectl.description.robot import ForceTorque, Imu, Sensor
+from slidectl.description.sensors import ForceTorque, Imu, Sensor
 from slidectl.physics.collisions import link_of
 from slidectl.rotations import (
     ORIGIN,

@@ -19,7 +19,7 @@ from slidectl.rasteriser import Plane, Rasteriser, Viewpoint
 from slidectl.rotations import Pose, matrix
 
 if TYPE_CHECKING:
-    from slidectl.description.robot import Camera
+    from slidectl.description.sensors import Camera
 
 _NOTHING = ((0.0, 0.0, 0.0),) * 2
 """The colours where nothing is, as by MuJoCo."""

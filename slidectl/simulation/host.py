@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from slidectl.control.node_handle import Message
 from slidectl.control.user_modules import CodeHost, CodeLimit
-from slidectl.description.robot import Camera
+from slidectl.description.sensors import Camera
 from slidectl.errors import Refused, SlidectlError
 from slidectl.physics import World, hulls
 from slidectl.physics.hulls import MeshSource

@@ -13,7 +13,7 @@ from slidectl.control.duration import header_of
 from slidectl.control.node_handle import Message
 from slidectl.description import sensors
 from slidectl.description.element_values import parse_number
-from slidectl.description.robot import OtherSensor
+from slidectl.description.sensors import OtherSensor
 from slidectl.description.xml_tree import Element, below
 from slidectl.entry_points import WrongPart
 from slidectl.errors import Refused, SlidectlError, UnknownName

@@ -13,6 +13,8 @@ from command_line import ROOT, CommandLine, Done
 from daemon_fixture import Runtime
 from installed_package import WORKSHOP, install, write_package
 
+from slidectl.extensions.gateways.gateway_kinds import OURS
+
 COMMANDS, GATEWAYS, STEPS = "slidectl.commands", "slidectl.gateways", "slidectl.steps"
 HELLO = """
 import click
@@ -145,7 +147,7 @@ def test_a_gateway_of_a_package_starts_and_stops_with_the_daemon(workshop: Insta
 
 def test_an_unknown_gateway_starts_no_daemon(packages: Installed) -> None:
     assert refused(packages("daemon", "start", "--gateway", "udp")) == (
-        "error: no gateway 'udp'.\ngateways: foxglove, ros1, websocket\n"
+        f"error: no gateway 'udp'.\ngateways: {', '.join(sorted(OURS))}\n"
     )
     assert packages("daemon", "status").returncode == 3
 

@@ -8,13 +8,18 @@ import signal
 import socket
 import sys
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
+import click
 import pytest
 from daemon_fixture import Runtime
 from waiting import eventually
+
+from slidectl.extensions.gateways import Gateway, GatewayOptions, gateway_kinds
+from slidectl.extensions.gateways.commands.gateway_commands import gateway
 
 sys.path.append(str(Path(__file__).parent.parent / "cli"))
 from command_line import CommandLine
@@ -33,6 +38,27 @@ def slidectl() -> Iterator[CommandLine]:
 def gateways(slidectl: CommandLine) -> dict[str, dict[str, Any]]:
     told = map(json.loads, slidectl.ok("gateway", "status", "--json").splitlines())
     return {one["kind"]: one for one in told}
+
+
+class Telegraph(Gateway):
+    """Let telegraphs in."""
+
+    @dataclass(frozen=True)
+    class Options(GatewayOptions):
+        speed: int = field(default=20, metadata={"help": "Words a minute."})
+
+
+def test_a_line_in_the_table_of_kinds_makes_a_gateway_a_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(gateway_kinds.OURS, "telegraph", f"{__name__}:Telegraph")
+    context = click.Context(gateway)
+    assert "telegraph" in gateway.list_commands(context)
+    command = gateway.get_command(context, "telegraph")
+    assert command is not None
+    text = command.get_help(click.Context(command))
+    assert "Let telegraphs in." in text
+    assert "--speed N" in text
+    assert "--any-user" in text
+    assert gateway_kinds.load("telegraph").kind == "telegraph"
 
 
 def test_gateways_are_started_with_the_daemon_and_end_with_it(slidectl: CommandLine) -> None:

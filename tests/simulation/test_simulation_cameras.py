@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from slidectl import Simulation, description
-from slidectl.description.robot import Camera
+from slidectl.description.sensors import Camera
 from slidectl.errors import BadFile
 from slidectl.physics import World, rendering
 from slidectl.rotations import Pose

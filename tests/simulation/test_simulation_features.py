@@ -30,6 +30,27 @@ EXAMPLE = Path(__file__).parent.parent.parent / "examples" / "spawn_counter"
 ENGINES = ["plain", *(["compiled"] if object_file.is_possible() else [])]
 
 
+class Ticking(Feature):
+    """Counts calls of a timer, the third of which fails."""
+
+    def attach(self, _: Simulation) -> None:
+        self.ticks = 0
+        self.node.call_every(10_000_000, self.tick)
+
+    def tick(self) -> None:
+        self.ticks += 1
+        if self.ticks == 3:
+            raise ValueError("the third")
+
+
+def test_an_error_in_a_timer_of_a_feature_is_in_the_log_and_the_world_goes_on() -> None:
+    simulation = Simulation(features=[Ticking])
+    simulation.step(100)
+    assert simulation.feature(Ticking).ticks == 10
+    [line] = [line for line in simulation.host.lines if "ValueError" in line]
+    assert line.startswith("error [0.030] /slidectl: /slidectl/Ticking: ValueError: the third (")
+
+
 class Diary(Feature):
     """Notes which of its hooks were called."""
 

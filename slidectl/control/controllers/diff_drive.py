@@ -307,7 +307,7 @@ class DiffDriveController(BaseController, Controller[VelocityJointInterface]):
         if odometry_is_due(self.topics, time_ns):
             self.publish(time_ns, period_s)
 
-    def publish(self, time_ns: int, period_s: float) -> None:  # noqa: ARG002
+    def publish(self, time_ns: int, period_s: float) -> None:
         """Publish the odometry."""
         odometry = self.odometry
         place = odometry.x, odometry.y, odometry.heading

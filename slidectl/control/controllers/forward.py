@@ -32,14 +32,14 @@ def hand_on(goal: ForwardController, joint: JointHandle) -> None:
 
 
 @law
-def update_forward(goal: Any, tables: LawTables, time_ns: int, period_s: float) -> bool:  # noqa: ARG001
+def update_forward(goal: Any, tables: LawTables, time_ns: int, period_s: float) -> bool:
     """The update on rows."""
     hand_on(goal, tables.joints[goal.joint])
     return False
 
 
 @law
-def update_group(group: Any, tables: LawTables, time_ns: int, period_s: float) -> bool:  # noqa: ARG001
+def update_group(group: Any, tables: LawTables, time_ns: int, period_s: float) -> bool:
     """The update of a group on rows; its numbers are the set points."""
     for k in range(len(tables.members)):
         tables.joints[tables.members[k].joint].command = tables.numbers[k]
@@ -63,14 +63,14 @@ class ForwardController(ScalarController):
         self.set_point = 0.0
         self._listen(node, "std_msgs/Float64", self._receive)
 
-    def starting(self, time_ns: int) -> None:  # noqa: ARG002
+    def starting(self, time_ns: int) -> None:
         self.set_point = first_command(self.interface_type, self._joint)
 
     def set_command(self, value: float) -> None:
         """Command this value from the next update on."""
         self.set_point = value
 
-    def update(self, time_ns: int, period_s: float) -> None:  # noqa: ARG002
+    def update(self, time_ns: int, period_s: float) -> None:
         hand_on(self, self._joint)
 
     def parts(self) -> Parts:
@@ -110,7 +110,7 @@ class ForwardGroupController(GroupController):
         self.set_points = array("d", [0.0] * len(self._joints))
         self._listen(node, "std_msgs/Float64MultiArray", self._receive)
 
-    def starting(self, time_ns: int) -> None:  # noqa: ARG002
+    def starting(self, time_ns: int) -> None:
         self.set_points = array("d", [first_command(self.interface_type, joint) for joint in self._joints])
 
     def set_commands(self, values: list[float]) -> None:
@@ -125,7 +125,7 @@ class ForwardGroupController(GroupController):
         if len(self.set_points) != len(self._joints):
             raise Refused(f"there are {len(self.set_points)} set points for {len(self._joints)} joints")
 
-    def update(self, time_ns: int, period_s: float) -> None:  # noqa: ARG002
+    def update(self, time_ns: int, period_s: float) -> None:
         for joint, value in zip(self._joints, self.set_points, strict=True):
             joint.command = value
 

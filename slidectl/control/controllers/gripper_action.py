@@ -38,7 +38,7 @@ def judged(gripper: Any, joint: Any, error: float, time_ns: int) -> int:
 
 
 @law
-def grip_by_position(gripper: Any, tables: LawTables, time_ns: int, period_s: float) -> int:  # noqa: ARG001
+def grip_by_position(gripper: Any, tables: LawTables, time_ns: int, period_s: float) -> int:
     """The update of a position joint on rows."""
     joint = tables.joints[gripper.joint]
     if gripper.is_judged and judged(gripper, joint, gripper.position - joint.position, time_ns) != UNDECIDED:
@@ -186,7 +186,7 @@ class PositionGripperActionController(GripperActionController):
     compiled = Compiled(grip_by_position, GRIPPER, instead_of="_command")
     interface_type = PositionJointInterface
 
-    def _command(self, error: float, period_s: float) -> float:  # noqa: ARG002
+    def _command(self, error: float, period_s: float) -> float:
         self._joint.command = self.position
         return self.max_effort
 

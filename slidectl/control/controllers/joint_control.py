@@ -71,14 +71,14 @@ def track_position(goal: JointPositionController | PositionGoal, pid: Pid, joint
 
 
 @law
-def update_position(goal: Any, tables: LawTables, time_ns: int, period_s: float) -> bool:  # noqa: ARG001
+def update_position(goal: Any, tables: LawTables, time_ns: int, period_s: float) -> bool:
     """The update on rows."""
     track_position(goal, tables.pids[goal.pid], tables.joints[goal.joint], period_s)
     return state_is_due(goal) and goal.wanted != 0
 
 
 @law
-def update_positions(group: Any, tables: LawTables, time_ns: int, period_s: float) -> bool:  # noqa: ARG001
+def update_positions(group: Any, tables: LawTables, time_ns: int, period_s: float) -> bool:
     """The update of a group on rows."""
     for k in range(len(tables.members)):
         goal = tables.members[k]
@@ -108,7 +108,7 @@ class JointPositionController(PidController):
         self.lower, self.upper, self.turns = range_of(joint_of_model(node, name))
         self._listen(node, "std_msgs/Float64", self._receive)
 
-    def starting(self, time_ns: int) -> None:  # noqa: ARG002
+    def starting(self, time_ns: int) -> None:
         """Hold the measured position."""
         self.set_command(self._joint.position)
         self._pid.reset()
@@ -162,7 +162,7 @@ class EffortJointGroupPositionController(GroupController):
         self._pids = [ReconfigurablePid(node.child(f"{joint.name}/pid")).pid for joint in self._joints]
         self._listen(node, "std_msgs/Float64MultiArray", self._receive)
 
-    def starting(self, time_ns: int) -> None:  # noqa: ARG002
+    def starting(self, time_ns: int) -> None:
         """Hold the measured positions."""
         self.set_commands([joint.position for joint in self._joints])
         for pid in self._pids:
@@ -181,7 +181,7 @@ class EffortJointGroupPositionController(GroupController):
         """The parts of the compiled form."""
         return Parts(members=list(map(Member, self._goals, self._joints, self._pids)))
 
-    def update(self, time_ns: int, period_s: float) -> None:  # noqa: ARG002
+    def update(self, time_ns: int, period_s: float) -> None:
         for goal, pid, joint in zip(self._goals, self._pids, self._joints, strict=True):
             track_position(goal, pid, joint, period_s)
             if pid.observer is not None:
@@ -196,7 +196,7 @@ def track_velocity(goal: JointVelocityController, pid: Pid, joint: JointHandle, 
 
 
 @law
-def update_velocity(goal: Any, tables: LawTables, time_ns: int, period_s: float) -> bool:  # noqa: ARG001
+def update_velocity(goal: Any, tables: LawTables, time_ns: int, period_s: float) -> bool:
     """The update on rows."""
     track_velocity(goal, tables.pids[goal.pid], tables.joints[goal.joint], period_s)
     return state_is_due(goal) and goal.wanted != 0
@@ -220,7 +220,7 @@ class JointVelocityController(PidController):
         self._offer_pid(node)
         self._listen(node, "std_msgs/Float64", self._receive)
 
-    def starting(self, time_ns: int) -> None:  # noqa: ARG002
+    def starting(self, time_ns: int) -> None:
         """Set the set point to 0."""
         self.set_point = 0.0
         self._pid.reset()

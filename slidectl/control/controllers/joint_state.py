@@ -38,7 +38,7 @@ def states_are_due(rhythm: JointStateController, time_ns: int) -> bool:
 
 
 @law
-def update_states(rhythm: Any, tables: LawTables, time_ns: int, period_s: float) -> bool:  # noqa: ARG001
+def update_states(rhythm: Any, tables: LawTables, time_ns: int, period_s: float) -> bool:
     """The update on rows."""
     return states_are_due(rhythm, time_ns) and rhythm.wanted != 0
 
@@ -101,7 +101,7 @@ class JointStateController(Controller[JointStateInterface]):
         if states_are_due(self, time_ns) and self._publisher.wanted:
             self.publish(time_ns, period_s)
 
-    def publish(self, time_ns: int, period_s: float) -> None:  # noqa: ARG002
+    def publish(self, time_ns: int, period_s: float) -> None:
         """Publish the states of this cycle."""
         self._publisher.sequence = self.messages - 1
         joints = self._shown

@@ -448,7 +448,7 @@ class JointTrajectoryController(ActionController[Any]):
         for motion in self.motions:
             motion.reached = False
 
-    def publish(self, time_ns: int, period_s: float) -> None:  # noqa: ARG002
+    def publish(self, time_ns: int, period_s: float) -> None:
         """Publish the states of the last update."""
         self._state.sequence = self.states - 1
         self._state.publish(self._message())
@@ -718,7 +718,7 @@ class PositionJointTrajectoryController(JointTrajectoryController):
         for joint in self._joints:
             joint.command = joint.position
 
-    def _command(self, period_s: float) -> None:  # noqa: ARG002
+    def _command(self, period_s: float) -> None:
         for joint, motion in zip(self._joints, self.motions, strict=True):
             joint.command = motion.position
 
@@ -774,7 +774,7 @@ class PosVelJointTrajectoryController(JointTrajectoryController):
     interface_type: type[ResourceManager[Any]] = PosVelJointInterface
     _joints: tuple[JointHandle, ...]
 
-    def _command(self, period_s: float) -> None:  # noqa: ARG002
+    def _command(self, period_s: float) -> None:
         for motion, joint in zip(self.motions, self._joints, strict=True):
             joint.command, joint.command_velocity = motion.position, motion.velocity
 

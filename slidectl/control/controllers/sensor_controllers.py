@@ -61,7 +61,7 @@ class SensorController(Controller[I]):
         """Set the time of the start. The first messages are due a period later."""
         self._published_ns = time_ns
 
-    def update(self, time_ns: int, period_s: float) -> None:  # noqa: ARG002
+    def update(self, time_ns: int, period_s: float) -> None:
         if self._period_ns is None or self._published_ns + self._period_ns >= time_ns:
             return
         self._published_ns += self._period_ns

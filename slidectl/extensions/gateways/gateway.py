@@ -33,6 +33,7 @@ class Gateway:
     """A server of another protocol for the daemon. `open` comes first; then `attach` and `detach` alternate."""
 
     kind: ClassVar[str]
+    """Its name in the table of gateway_kinds.py, or that of the entry point; set when the class is loaded."""
 
     def __init__(self) -> None:
         self.lost = asyncio.Event()

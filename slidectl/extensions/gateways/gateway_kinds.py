@@ -49,10 +49,12 @@ def find(kind: str) -> Part | None:
 def load(kind: str) -> Any:
     """The class of a gateway. Raises Refused: a library of one of ours is missing. Else as `find`, and PartError."""
     part = find(kind)
-    if part is not None:
-        gateway_class = GATEWAYS.load(part)
-        gateway_class.kind = kind
-        return gateway_class
+    gateway_class = _own_class(kind) if part is None else GATEWAYS.load(part)
+    gateway_class.kind = kind
+    return gateway_class
+
+
+def _own_class(kind: str) -> Any:
     from importlib import import_module
 
     module, _, name = OURS[kind].partition(":")

@@ -26,7 +26,7 @@ from slidectl.control.node_handle import Message
 from slidectl.control.user_modules import UserModule
 from slidectl.daemon.options import DaemonOptions
 from slidectl.description.meshes import BadMesh
-from slidectl.description.robot import Camera
+from slidectl.description.sensors import Camera
 from slidectl.effects import Effect
 from slidectl.errors import BadFile, Refused, UsageError, cut, listing
 from slidectl.names import OWN_NODE

@@ -21,7 +21,7 @@ from slidectl.daemon.options import DaemonOptions
 from slidectl.daemon.outbox import Outbox, Publications
 from slidectl.daemon.session import Session
 from slidectl.daemon.time_limit import TimeLimit
-from slidectl.description.robot import Camera
+from slidectl.description.sensors import Camera
 from slidectl.errors import BadFile, Refused, SlidectlError
 from slidectl.extensions.journal import journal
 from slidectl.extensions.journal.journal import Contents, invalid_entry, mesh_of

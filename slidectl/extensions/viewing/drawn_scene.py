@@ -17,7 +17,8 @@ from slidectl import description, rasteriser, rotations
 from slidectl.description import link_colours, meshes
 from slidectl.description.link_colours import Colour
 from slidectl.description.meshes import BadMesh, Triangles
-from slidectl.description.robot import Box, Camera, Cylinder, Geometry, Link, Robot, Shape, Sphere
+from slidectl.description.robot import Box, Cylinder, Geometry, Link, Robot, Shape, Sphere
+from slidectl.description.sensors import Camera
 from slidectl.errors import AmbiguousName, UnknownName
 from slidectl.measures import Array
 from slidectl.rasteriser import Viewpoint

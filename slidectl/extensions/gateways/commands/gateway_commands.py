@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -27,7 +28,14 @@ _ACTIONS = ("run", "start", "stop", "status")
 
 
 class _GatewayGroup(Group):
-    """The group of the gateways, with those that installed packages add."""
+    """The group of the gateways, with those that installed packages add.
+
+    One of ours has a command of its own in this file where its options need more than `Options` says, or where a
+    library of it may be missing: a help imports the class of any other.
+    """
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return sorted({*super().list_commands(ctx), *gateway_kinds.OURS})
 
     def installed(self) -> dict[str, Part]:
         return GATEWAYS.parts() | super().installed()
@@ -36,8 +44,9 @@ class _GatewayGroup(Group):
         return GATEWAYS.refused() + super().refused()
 
     def find_installed(self, name: str) -> click.Command | None:
-        part = GATEWAYS.find(name)
-        return super().find_installed(name) if part is None else _command_of(part)
+        part = None if name in gateway_kinds.OURS else GATEWAYS.find(name)
+        known = part is not None or name in gateway_kinds.OURS
+        return _command_of(name, part) if known else super().find_installed(name)
 
 
 @group(
@@ -157,17 +166,20 @@ _FORMS: dict[Any, dict[str, Any]] = {
 
 
 @cache
-def _command_of(part: Part) -> click.Command:
-    """The command of a gateway of an installed package; its options are the fields of `Options`. Raises PartError."""
+def _command_of(kind: str, part: Part | None) -> click.Command:
+    """The command of a gateway, ours or `part` of an installed package; its options are the fields of `Options`.
+
+    Raises Refused: a library of ours is missing. PartError.
+    """
     import dataclasses
     import inspect
     from typing import get_type_hints
 
     from slidectl.extensions.gateways.gateway import GatewayOptions
 
-    gateway_class: Any = gateway_kinds.load(part.name)
+    gateway_class: Any = gateway_kinds.load(kind)
     options: list[click.Parameter] = []
-    with GATEWAYS.running(part):
+    with nullcontext() if part is None else GATEWAYS.running(part):
         of_all = {field.name for field in dataclasses.fields(GatewayOptions)}
         types = get_type_hints(gateway_class.Options)
         for field in dataclasses.fields(gateway_class.Options):
@@ -183,15 +195,15 @@ def _command_of(part: Part) -> click.Command:
 
     @click.pass_obj
     def run(ctx: Context, /, action: str, **given: Any) -> None:
-        _act(ctx, part.name, action, given)
+        _act(ctx, kind, action, given)
 
     for option in reversed(_TRUST):
         run = option(run)
     action = click.Argument(["action"], type=click.Choice(_ACTIONS), default="run")
-    about = inspect.cleandoc(gateway_class.__doc__ or part.owner)
+    about = inspect.cleandoc(gateway_class.__doc__ or (part.owner if part else kind))
     text = f"{about}\n\nACTION is run (until Ctrl-C, the default), start (in the background), stop or status."
-    example = f"slidectl gateway {part.name} start"
-    return cli_command(part.name, params=[action, *options], help=text, examples=[example])(run)
+    example = f"slidectl gateway {kind} start"
+    return cli_command(kind, params=[action, *options], help=text, examples=[example])(run)
 
 
 @gateway.command("status", examples=["slidectl gateway status", "slidectl gateway status --json"])

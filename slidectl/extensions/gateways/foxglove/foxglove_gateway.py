@@ -95,7 +95,6 @@ class FoxgloveOptions(ListenerOptions):
 class FoxgloveGateway(Gateway):
     """Makes the daemon's graph available to Foxglove apps."""
 
-    kind = "foxglove"
     Options: ClassVar = FoxgloveOptions
 
     def __init__(self, options: FoxgloveOptions) -> None:

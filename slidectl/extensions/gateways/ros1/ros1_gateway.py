@@ -52,8 +52,6 @@ class Ros1Options(GatewayOptions):
 class Ros1Gateway(Gateway):
     """Two XML-RPC servers, for the master and for the daemon's nodes, and the data plane."""
 
-    kind = "ros1"
-
     Options = Ros1Options
 
     def __init__(self, options: Ros1Options) -> None:

@@ -11,7 +11,7 @@ import os
 from dataclasses import dataclass
 from functools import partial
 from itertools import count
-from typing import Any, ClassVar
+from typing import Any
 
 from websockets.asyncio.server import ServerConnection, broadcast
 
@@ -52,7 +52,6 @@ class WebSocketOptions(ListenerOptions):
 class WebSocketGateway(Gateway):
     """Accepts browsers and runs a session for each."""
 
-    kind: ClassVar[str] = "websocket"
     Options = WebSocketOptions
 
     def __init__(self, options: WebSocketOptions) -> None:
