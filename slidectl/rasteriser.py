@@ -162,7 +162,10 @@ class Rasteriser:
                 band.pixels[:, covered & band.on_plane] *= np.float32(shadows.left)
             _fill(band, seen, view)
             rows = band.nearness.shape[0] // samples
-            mean = band.pixels.reshape(3, rows, samples, -1, samples).mean(axis=(2, 4)) if samples > 1 else band.pixels
+            mean = band.pixels[:, ::samples, ::samples].copy()
+            for number in range(1, samples**2):
+                mean += band.pixels[:, number // samples :: samples, number % samples :: samples]
+            mean *= np.float32(1.0 / samples**2)
             below = picture[top // samples : top // samples + rows]
             below[:] = np.moveaxis(np.rint(255.0 * mean.clip(0, 1)), 0, 2)
 

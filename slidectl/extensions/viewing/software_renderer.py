@@ -24,9 +24,13 @@ class SoftwareRenderer:
 
     def __init__(self, size: tuple[int, int]) -> None:
         self._rasteriser = Rasteriser(size, drawn_scene.SKY, _SAMPLES)
+        self._scene: DrawnScene | None = None
+        self._haze = Haze(0.0, 0.0)
 
     def draw(self, scene: DrawnScene, view: Viewpoint) -> Pixels:
         """Draw a picture: RGB, shape (height, width, 3)."""
+        if self._scene is not scene:  # the haze stays where it is, and with it the picture of the ground
+            self._scene, self._haze = scene, Haze(*scene.haze(view))
         surfaces = scene.surfaces
         corners = np.concatenate([np.zeros((0, 3, 3)), *(scene.vertices(one)[one.faces] for one in surfaces)])
         of_surfaces = np.array([one.colour[:3] for one in surfaces]).reshape(-1, 3)
@@ -35,7 +39,7 @@ class SoftwareRenderer:
         planes, shadows = [], None
         if scene.ground:
             planes, shadows = [_GROUND], _shadows(corners, light)
-        return self._rasteriser.draw(corners, colours, planes, light, view, shadows, Haze(*scene.haze(view)))
+        return self._rasteriser.draw(corners, colours, planes, light, view, shadows, self._haze)
 
 
 def _light(ahead: Array, _: Array, normals: Array) -> Array:

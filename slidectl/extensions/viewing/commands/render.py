@@ -86,7 +86,7 @@ def render(ctx: Context, /, file: str, **given: Any) -> None:
 def video(ctx: Context, /, file: str, seconds: float | None, fps: float, **given: Any) -> None:
     """Draw the world into a video.
 
-    It is an .mp4 or a .gif, with exactly so many pictures in a simulated second. A world that is paused is stepped, as
+    It is an .mp4 or a .gif, with exactly --fps pictures in a simulated second. A world that is paused is stepped, as
     fast as the pictures can be drawn, and is paused afterwards. One that runs goes on at its speed, and waits for a
     picture that takes longer: clients that go by simulated time see nothing of that. Views and drawing are those of
     'slidectl render'; a fixed view stays where it was at the beginning. At Ctrl-C, and when the daemon ends, the file
