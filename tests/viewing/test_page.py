@@ -178,7 +178,15 @@ def test_a_base_that_is_not_driven_any_more_stops(world: CommandLine, page: str)
 def test_a_base_stands_when_the_page_ends() -> None:
     with running_daemon() as runtime:
         command = CommandLine(runtime.folder)
-        command.ok("spawn", "cart", "--controllers", "config/cart_control.yaml", "--start", "base_controller")
+        command.ok(
+            "spawn",
+            "cart",
+            "drive:=controller",
+            "--controllers",
+            "config/cart_control.yaml",
+            "--start",
+            "base_controller",
+        )
         topic = "/cart/base_controller/cmd_vel"
         forwards = {"linear": {"x": 0.5, "y": 0.0, "z": 0.0}, "angular": {"x": 0.0, "y": 0.0, "z": 0.0}}
         with command.client() as client, client.subscribe(topic) as twists:
