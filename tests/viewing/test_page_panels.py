@@ -204,6 +204,7 @@ def test_fields_are_plotted_paused_and_saved(world: CommandLine, tab: PanelsTab)
         legend = tab.page.locator(".u-legend")
         eventually(lambda: moved(0.7) and legend.count() == 1)  # set point and process value of the first controller
         expect(legend).to_contain_text("set_point, m")
+        expect(tab.page.get_by_text("No message has come yet")).to_have_count(0)
         field = tab.page.get_by_label("Plot field")
         for text, told in (("", "No field to plot"), ("joint_states/no_field", "no field no_field"),
                            ("joint_states/name", "which is not a number"), ("no_topic/x", "no topic")):  # fmt: skip
