@@ -324,7 +324,12 @@ def test_topics_show_fields_with_units_and_pictures(world: CommandLine, tab: Pan
                 return text in tab.page.locator(".overlay figcaption").inner_text()
 
             eventually(is_drawn)
-    expect(tab.page.locator(".overlay")).to_contain_text(re.compile(r"No picture for \d+ s: the world is paused"))
+        overlay = tab.page.locator(".overlay")
+        expect(overlay).to_contain_text(re.compile(r"No picture for \d+ s: the world is paused"))
+        client.resume()
+        expect(overlay).to_contain_text(re.compile(r"No picture for \d+ s: the camera has stopped"))
+        client.pause()
+    expect(overlay).to_contain_text(re.compile(r"No picture for \d+ s: the camera has gone"))
 
 
 def test_messages_are_published_and_services_called_by_forms(world: CommandLine, tab: PanelsTab) -> None:

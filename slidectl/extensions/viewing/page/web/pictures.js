@@ -128,7 +128,8 @@ export function Picture({ topic, type }) {
     };
   }, [topic, type]);
   const paused = useStore((s) => s.status?.paused);
-  const why = paused ? "the world is paused" : "the camera has stopped";
+  const isPublished = useStore((s) => (s.topics[topic]?.publishers.length ?? 0) > 0);
+  const why = !isPublished ? "the camera has gone" : paused ? "the world is paused" : "the camera has stopped";
   return html`<figure class=${`picture ${lateS ? "late" : ""}`}><canvas ref=${canvas} role="img" aria-label=${`Picture of ${topic}`} />
     <figcaption>${lateS ? `No picture for ${lateS} s: ${why}` : text || "Waiting for a picture"}</figcaption></figure>`;
 }
