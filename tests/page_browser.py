@@ -14,6 +14,7 @@ from typing import Any
 from urllib.parse import urljoin
 
 import msgspec.msgpack
+import numpy as np
 import viser
 import zstandard
 from waiting import DEADLINE_S
@@ -53,7 +54,8 @@ class PageBrowser:
         """Topic -> the newest message that the panels have got."""
         self._answers: dict[str, dict[str, Any]] = {}
         self._serial = count(1)
-        camera = {"wxyz": [1, 0, 0, 0], "position": [3, 3, 3], "fov": 1.0, "near": 0.01, "far": 1000.0}
+        looks = [0.1759199, -0.33985114, -0.82047324, 0.4247082]  # from there at the origin
+        camera = {"wxyz": looks, "position": [3, 3, 3], "fov": 1.0, "near": 0.01, "far": 1000.0}
         more = {"image_height": 600, "image_width": 800, "look_at": [0, 0, 0], "up_direction": [0, 0, 1]}
         self._send({"type": "ViewerCameraMessage", **camera, **more})
 
@@ -78,8 +80,13 @@ class PageBrowser:
             assert isinstance(frame, bytes)
             size = int.from_bytes(frame[8:16], "little")
             told = msgspec.msgpack.decode(zstandard.ZstdDecompressor().decompress(frame[16 : 16 + size]))
+            buffers, place = [], 16 + size
+            for length in told["binaryBufferLengths"]:
+                place += -place % 8
+                buffers.append(frame[place : place + length])
+                place += length
             for message in told["messages"]:
-                self._take(message)
+                self._take(_with_arrays(message, buffers))
 
     def _take(self, message: dict[str, Any]) -> None:
         kind = message["type"]
@@ -165,6 +172,15 @@ class PageBrowser:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+def _with_arrays(value: Any, buffers: list[bytes]) -> Any:
+    """What viser sent, with flat arrays of numpy where it refers to one of the buffers."""
+    if isinstance(value, dict):
+        if "__binary_index" in value:
+            return np.frombuffer(buffers[value["__binary_index"]], dtype=value["dtype"])
+        return {key: _with_arrays(one, buffers) for key, one in value.items()}
+    return value
 
 
 @contextmanager

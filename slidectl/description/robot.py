@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
-from slidectl import names
+from slidectl import names, rotations
 from slidectl.errors import Refused
 
 if TYPE_CHECKING:
@@ -185,6 +185,15 @@ class Joint:
     mimic: Mimic | None = None
     line: int | None = None
     file: str | None = None
+
+    def child_pose(self, position: float) -> rotations.Pose:
+        """The pose of the child in the parent at a position (m or rad) along or about the axis."""
+        x, y, z = self.axis
+        displacement: rotations.Pose = (x * position, y * position, z * position), rotations.IDENTITY
+        if self.type in ("revolute", "continuous"):
+            sine = math.sin(position / 2)
+            displacement = (0.0, 0.0, 0.0), (x * sine, y * sine, z * sine, math.cos(position / 2))
+        return rotations.compose((self.origin.xyz, rotations.from_rpy(self.origin.rpy)), displacement)
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,6 @@ below `/<ns>/robot_state_publisher`, publish_frequency, tf_prefix and enabled, t
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
 from slidectl import names
@@ -15,7 +14,7 @@ from slidectl.control.duration import header_of
 from slidectl.control.node_handle import Message
 from slidectl.description.robot import Joint
 from slidectl.features.gazebo_frames import transform_message
-from slidectl.rotations import IDENTITY, Pose, compose, from_rpy, relative
+from slidectl.rotations import Pose, from_rpy, relative
 from slidectl.simulation.clock import SECOND, period_ns_of
 from slidectl.simulation.feature import Feature
 from slidectl.simulation.spawned_robots import SpawnedRobot
@@ -137,7 +136,7 @@ class StatePublisher:
         world, robot = self._simulation.world, self._robot.name
         if joint.name not in world.robot(robot).joints:
             return relative(world.link_pose(robot, joint.child), world.link_pose(robot, joint.parent))
-        return compose(_origin(joint), _displacement(joint, world.joint_state(robot, joint.name)[0]))
+        return joint.child_pose(world.joint_state(robot, joint.name)[0])
 
     def _transform(self, joint: Joint, place: Pose) -> Message:
         header = header_of(self._simulation.time_ns, self._frame(joint.parent))
@@ -146,15 +145,6 @@ class StatePublisher:
 
 def _origin(joint: Joint) -> Pose:
     return joint.origin.xyz, from_rpy(joint.origin.rpy)
-
-
-def _displacement(joint: Joint, position: float) -> Pose:
-    """The displacement by the joint's position (m or rad) along or about its axis."""
-    x, y, z = joint.axis
-    if joint.type in ("revolute", "continuous"):
-        sine = math.sin(position / 2)
-        return (0.0, 0.0, 0.0), (x * sine, y * sine, z * sine, math.cos(position / 2))
-    return (x * position, y * position, z * position), IDENTITY
 
 
 def tf_prefix(simulation: Simulation, robot: SpawnedRobot) -> str:

@@ -46,9 +46,9 @@ def test_the_view_shows_what_was_chosen_in_all_browsers(page: str, browser: Page
     with PageBrowser(page) as other:
         browser.page("view", frames=True)
         for one in (browser, other):
-            one.wait_for(lambda one=one: one.nodes.get(f"{LINK}/name", {}).get("visible"))
+            one.wait_for(lambda one=one: one.nodes.get("/labels/slider.link2", {}).get("visible"))
         browser.page("view", frames=False, trace="slider::link2")
-        other.wait_for(lambda: other.nodes.get(f"{LINK}/name", {}).get("visible") is False)
+        other.wait_for(lambda: "/labels/slider.link2" not in other.nodes)
         assert other.page("state")["view"]["trace"] == "slider::link2"
         browser.page("view", trace="", collisions=True)
         browser.page("view", collisions=False)
@@ -97,7 +97,7 @@ def test_a_page_that_only_looks_changes_nothing(world: CommandLine) -> None:
         ):  # fmt: skip
             assert "this page is read-only" in browser.refusal(what, **args)
         browser.page("view", frames=True)
-        browser.wait_for(lambda: browser.nodes.get(f"{LINK}/name", {}).get("visible"))
+        browser.wait_for(lambda: browser.nodes.get("/labels/slider.link2", {}).get("visible"))
         assert client.call("/slidectl/status")["cycles"] == cycles
 
 
@@ -178,7 +178,15 @@ def test_a_base_that_is_not_driven_any_more_stops(world: CommandLine, page: str)
 def test_a_base_stands_when_the_page_ends() -> None:
     with running_daemon() as runtime:
         command = CommandLine(runtime.folder)
-        command.ok("spawn", "cart", "--controllers", "config/cart_control.yaml", "--start", "base_controller")
+        command.ok(
+            "spawn",
+            "cart",
+            "drive:=controller",
+            "--controllers",
+            "config/cart_control.yaml",
+            "--start",
+            "base_controller",
+        )
         topic = "/cart/base_controller/cmd_vel"
         forwards = {"linear": {"x": 0.5, "y": 0.0, "z": 0.0}, "angular": {"x": 0.0, "y": 0.0, "z": 0.0}}
         with command.client() as client, client.subscribe(topic) as twists:

@@ -107,11 +107,29 @@ def test_nonsense_harms_nobody(page: str, frame: bytes | str) -> None:
     [
         None, [], "x", {"view": 1}, {"frames": {"a": []}}, {"topic": 1, "texts": 2, "rate": "x"}, {"file": ["x"]},
         {"topic": "/clock", "texts": {"a.b.c": 1}, "rate": 1}, {"namespace": {}}, {"of": "x" * 100_000}, {"robot": []},
-        {"topic": "/clock", "twist": 5}, {"trace": {}},
+        {"topic": "/clock", "twist": 5}, {"trace": {}}, {"topic": "/clock", "shown": True},
+        {"robot": "slider", "positions": {"joint1": None}}, {"robot": "slider", "positions": [1]},
+        {"robot": "slider", "positions": {"joint1": 1e308}}, {"browser": {}, "pixel_ratio": -1e308},
     ],
 )  # fmt: skip
 def test_requests_of_the_page_that_are_not_valid_are_refused_or_do_nothing(page: str, args: Any) -> None:
-    services = ("view", "camera", "fill", "graph", "gains_file", "record", "publish", "drive", "place", "no", "", "a/b")
+    services = (
+        "state",
+        "view",
+        "sensor",
+        "ghost",
+        "camera",
+        "fill",
+        "graph",
+        "gains_file",
+        "record",
+        "publish",
+        "drive",
+        "place",
+        "no",
+        "",
+        "a/b",
+    )
     with PageBrowser(page) as hostile:
         for service in services:
             assert "result" in hostile.ask(f"/slidectl_page/{service}", args)

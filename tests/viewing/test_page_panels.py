@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 from daemon_fixture import running_daemon
-from page_browser import CommandLine, served_page, spawn_slider
+from page_browser import CommandLine, PageBrowser, served_page, spawn_slider
 from panels_tab import CHROMIUM, PanelsTab, chromium, eventually
 from playwright.sync_api import Browser, expect
 
@@ -202,6 +204,7 @@ def test_fields_are_plotted_paused_and_saved(world: CommandLine, tab: PanelsTab)
         legend = tab.page.locator(".u-legend")
         eventually(lambda: moved(0.7) and legend.count() == 1)  # set point and process value of the first controller
         expect(legend).to_contain_text("set_point, m")
+        expect(tab.page.get_by_text("No message has come yet")).to_have_count(0)
         field = tab.page.get_by_label("Plot field")
         for text, told in (("", "No field to plot"), ("joint_states/no_field", "no field no_field"),
                            ("joint_states/name", "which is not a number"), ("no_topic/x", "no topic")):  # fmt: skip
@@ -321,7 +324,12 @@ def test_topics_show_fields_with_units_and_pictures(world: CommandLine, tab: Pan
                 return text in tab.page.locator(".overlay figcaption").inner_text()
 
             eventually(is_drawn)
-    expect(tab.page.locator(".overlay")).to_contain_text("No picture comes")
+        overlay = tab.page.locator(".overlay")
+        expect(overlay).to_contain_text(re.compile(r"No picture for \d+ s: the world is paused"))
+        client.resume()
+        expect(overlay).to_contain_text(re.compile(r"No picture for \d+ s: the camera has stopped"))
+        client.pause()
+    expect(overlay).to_contain_text(re.compile(r"No picture for \d+ s: the camera has gone"))
 
 
 def test_messages_are_published_and_services_called_by_forms(world: CommandLine, tab: PanelsTab) -> None:
@@ -417,14 +425,76 @@ def test_a_trajectory_is_sent_and_succeeds(world: CommandLine, browser: Browser,
             duration.fill("-1")
             assert tab.button("Send").is_disabled()
             duration.fill("0.5")
-            tab.button("Send").click()
-            expect(tab.page.get_by_text("Goal: active")).to_be_visible()
-            eventually(lambda: client.step(200) and tab.page.get_by_text("Goal: succeeded").count())
+            with PageBrowser(page) as scene:
+                scene.wait_for(lambda: scene.nodes.get("/ghost/flange", {}).get("visible"), "the goal has no ghost")
+                tab.button("Send").click()
+                expect(tab.page.get_by_text("Goal: active")).to_be_visible()
+                eventually(lambda: client.step(200) and tab.page.get_by_text("Goal: succeeded").count())
+                scene.wait_for(lambda: "/ghost/flange" not in scene.nodes, "the ghost stays")
+                goal.press("ArrowLeft")
+                scene.wait_for(lambda: "/ghost/flange" in scene.nodes)
+                tab.panel("View")
+                scene.wait_for(lambda: "/ghost/flange" not in scene.nodes, "the ghost stays when the panel is closed")
+                tab.panel("Robot")
             tab.button("Set to the present positions").click()
             tab.button("Hold").click()
         tab.close()
     finally:
         world.ok("delete", "arm")
+
+
+def test_a_sensor_is_switched_on_in_the_panel_of_the_view(world: CommandLine, page: str, tab: PanelsTab) -> None:
+    tab.panel("View")
+    with world.client() as client, PageBrowser(page) as scene:
+        expect(tab.page.get_by_label("Shadows")).to_have_value("auto")
+        expect(tab.page.get_by_text("Off: a browser draws by software.")).to_be_visible()
+        expect(tab.page.get_by_text("Sensors and paths")).to_have_count(0)  # there are none
+        client.advertise("/sonar", "sensor_msgs/Range")
+        client.flush()
+        tab.page.get_by_label("/sonar").check()
+        expect(tab.page.get_by_text("No message has come yet.")).to_be_visible()
+        message = {"header": {"frame_id": "no_link"}, "field_of_view": 0.4, "max_range": 4.0, "range": 1.0}
+        eventually(lambda: client.call("/rosapi/subscribers", {"topic": "/sonar"})["subscribers"])
+        client.publish("/sonar", message)
+        client.flush()
+        expect(tab.page.get_by_text("There is no frame 'no_link'")).to_be_visible()
+        client.publish("/sonar", {**message, "header": {"frame_id": "link2"}})
+        client.flush()
+        scene.wait_for(lambda: scene.nodes.get("/sensors/sonar", {}).get("visible"))
+        expect(tab.page.get_by_text("There is no frame")).to_have_count(0)
+        tab.page.get_by_label("/sonar").uncheck()
+        scene.wait_for(lambda: "/sensors/sonar" not in scene.nodes)
+
+
+def test_a_robot_that_goes_while_it_is_shown_is_named(world: CommandLine, browser: Browser, page: str) -> None:
+    world.ok("spawn", "arm", "--at", "2", "0", "0", "--controllers", "config/arm_control.yaml", "--start",
+             "joint_state_controller", "arm_controller")  # fmt: skip
+    tab = PanelsTab(browser, page, "&robot=arm")
+    goal = tab.page.get_by_role("slider", name="Goal of").first
+    goal.focus()
+    goal.press("ArrowRight")
+    world.ok("delete", "arm")
+    expect(tab.page.get_by_text("There is no robot arm with joints: this is slider.")).to_be_visible()
+    tab.page.get_by_text("joint1_position_controller").first.wait_for()
+    tab.close()
+
+
+def test_twenty_browsers_at_once_see_the_same(world: CommandLine, browser: Browser, page: str) -> None:
+    with ExitStack() as stack, world.client() as client:
+        many = [stack.enter_context(PageBrowser(page)) for _ in range(17)]
+        tabs = [PanelsTab(browser, page) for _ in range(3)]
+        for one in tabs:
+            one.page.get_by_text("joint1_position_controller").first.wait_for()
+        exact = [one.page.get_by_label("Command of joint1, m") for one in tabs]
+        for number, one in enumerate(many):
+            one.call("/slidectl/step", cycles=1)
+            assert one.page("state")["view"]["frames"] is False, number
+        exact[0].fill("0.625")
+        exact[0].press("Enter")
+        for one in exact[1:]:
+            eventually(lambda one=one: client.step(10) and one.input_value() == "0.625")
+        for one in tabs:
+            one.close()
 
 
 def test_a_base_is_driven_by_keys_and_stops_when_they_are_let_go(

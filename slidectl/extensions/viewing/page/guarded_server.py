@@ -14,6 +14,7 @@ import logging
 import math
 import secrets
 import socket
+import warnings
 from contextlib import contextmanager, redirect_stdout
 from functools import partial
 from html import escape
@@ -176,6 +177,8 @@ class GuardedServer(viser.ViserServer):
         """`endpoint` serves the panels."""
         return_large_blocks()
         logging.getLogger("websockets.server").addFilter(_is_no_handshake)
+        # A browser may go while the names of frames are placed for its camera.
+        warnings.filterwarnings("ignore", r"Queued a \w+ on a closed connection")
         with _guarded(guard, self, endpoint), redirect_stdout(io.StringIO()):
             super().__init__(host=host, port=port, label="slidectl", verbose=False)
         self.gui.configure_theme(show_logo=False, show_share_button=False)

@@ -69,8 +69,10 @@ class Page:
     def _reading_services(self) -> dict[str, Callable[[Message], Message | None]]:
         """The services that change nothing in the world, and no file."""
         return {
-            "state": lambda _: self._state(),
+            "state": self._state,
             "view": self.scene.choose,
+            "sensor": self.scene.sensors.choose,
+            "ghost": self.scene.show_ghost,
             "camera": self.scene.look_from,
             "fill": lambda request: filled(self.client, request),
             "graph": lambda request: reports.graph_picture(self.client, request),
@@ -87,7 +89,9 @@ class Page:
             "place": self.scene.choose_placed,
         }
 
-    def _state(self) -> Message:
+    def _state(self, request: Message) -> Message:
+        """What browsers show of the page, which read it each second."""
+        self.scene.quality.seen(request)
         return {
             "read_only": self.read_only,
             "view": self.scene.options(),
@@ -189,6 +193,7 @@ class Page:
             self.attempt(self._publications.update)
             self.attempt(self._recorder.update)
         if not self.server.get_clients():
+            self.scene.rest()
             for _ in islice(self._client.events(0.0), _MOST_TAKEN):  # also notices the end of the daemon
                 pass
             return

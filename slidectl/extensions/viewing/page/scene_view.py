@@ -12,6 +12,10 @@ from viser import SceneNodeHandle
 from slidectl.description.robot import MOVING, Robot
 from slidectl.errors import UnknownName
 from slidectl.extensions.viewing.drawn_scene import VIEWS, DrawnScene
+from slidectl.extensions.viewing.page.drawing_quality import DrawingQuality
+from slidectl.extensions.viewing.page.frame_labels import FrameLabels
+from slidectl.extensions.viewing.page.goal_ghost import GoalGhost
+from slidectl.extensions.viewing.page.sensor_drawings import SensorDrawings
 from slidectl.measures import Array
 from slidectl.rotations import IDENTITY, Vector, compose, conjugate, relative, rotate
 
@@ -23,7 +27,7 @@ FRAMES, AXES, MASSES, CONTACTS = "frames", "axes", "masses", "contacts"
 _DISTANCE = 3.2
 """The distance of the camera, in radii of what it looks at."""
 _EXTRAS_S = 0.1
-"""Wall seconds between two drawings of what follows the robots: traces and pushes."""
+"""Wall seconds between two drawings of what follows the robots: names, traces, pushes and the ghost of a goal."""
 _MOST_TRACED = 2000
 _STIFFNESS = 50.0
 """Stiffness of a push with the mouse, N per m and per kg of the robot."""
@@ -55,11 +59,14 @@ class SceneView:
         self._told: set[str] = set()
         self._is_looked_at = False
         self._extras_due = 0.0
-        # Browsers without a graphics card draw shadows slowly.
-        page.server.scene.configure_default_lights(cast_shadow=False)
+        self.sensors = SensorDrawings(page)
+        self.quality = DrawingQuality(page)
+        self._ghost = GoalGhost(page)
+        self._labels = FrameLabels(page)
         self._ground = page.server.scene.add_grid(
             "/ground", 40.0, 40.0, cell_size=1.0, section_size=5.0, plane="xy",
             cell_color=(150, 158, 170), section_color=(120, 128, 140), cell_thickness=0.6, section_thickness=0.9,
+            shadow_opacity=0.3,
         )  # fmt: skip
 
     # --- what browsers choose -----------------------------------------------------------------------------------
@@ -67,7 +74,12 @@ class SceneView:
     def options(self) -> dict[str, Any]:
         """What is shown."""
         more = {"collisions": self._collisions, "trace": self._traced, "placed": self._placed_name}
-        return {**self._shown, **more}
+        looks = {
+            "shadows": self.quality.shadows,
+            "has_shadows": self.quality.has_shadows,
+            "sensors": self.sensors.state(),
+        }
+        return {**self._shown, **more, **looks}
 
     def choose(self, request: dict[str, Any]) -> None:
         """Change some of the options. Raises UnknownName."""
@@ -77,10 +89,12 @@ class SceneView:
             elif name == "collisions":
                 self._collisions = bool(value)
                 self._look()
+            elif name == "shadows":
+                self.quality.choose_shadows(str(value))
             elif name in self._shown:
                 self._show(name, bool(value))
             else:
-                raise UnknownName("option of the view", name, [*self.options()])
+                raise UnknownName("option of the view", name, [*self._shown, "trace", "collisions", "shadows"])
 
     def look_from(self, request: dict[str, Any]) -> None:
         """Move the cameras of all browsers to the `view`, as of `slidectl render`, of a `robot` or of the whole world.
@@ -110,10 +124,21 @@ class SceneView:
         self._held.clear()
         self.page.server.scene.remove_by_name("/push")
         self._place("")
+        self.sensors.leave()
+        self._ghost.leave()
         self._remove_robots()
         self._scene = None
 
+    def rest(self) -> None:
+        """Let go of what is subscribed: no browser has the page open."""
+        self.sensors.rest()
+
+    def show_ghost(self, request: dict[str, Any]) -> None:
+        """Show the goal of a trajectory, as `GoalGhost.show` does. Raises UnknownName, Refused."""
+        self._ghost.show(request, self._scene)
+
     def _remove_robots(self) -> None:
+        self._labels.clear()
         for link in self._links.values():
             link.remove()
         self._links.clear()
@@ -126,6 +151,8 @@ class SceneView:
             node.visible = value
         if what == CONTACTS and not value:
             self.page.server.scene.remove_by_name("/contacts")
+        if what == FRAMES and not value:
+            self._labels.clear()
 
     def _choose_traced(self, link: str) -> None:
         if link and (self._scene is None or link not in self._scene.poses):
@@ -153,6 +180,7 @@ class SceneView:
                     frame.position = place
                     frame.wxyz = (turn[3], *turn[:3])
             self._draw_contacts(answer)
+            self.sensors.update(self._scene)
         here = self._scene.poses.get(self._traced, (None,))[0]
         if here is not None and (not self._trace or self._trace[-1] != here):
             self._trace.append(here)
@@ -161,6 +189,9 @@ class SceneView:
         if now >= self._extras_due:
             self._extras_due = now + _EXTRAS_S
             self._draw_trace()
+            self._ghost.update(self._scene)
+            if self._shown[FRAMES]:
+                self._labels.update(self._scene, self.quality.pixel_ratio)
             for link in list(self._held):
                 self._push(link)
 
@@ -190,6 +221,7 @@ class SceneView:
                     self._pushable(mesh, surface.link)
             for name, robot in scene.robots.items():
                 self._add_extras(name, robot, 2 * scene.bounds(name)[1])
+        self.sensors.robots_changed()
         self._ground.visible = scene.ground
         if self._traced and self._traced not in scene.poses:
             self._choose_traced("")
@@ -206,10 +238,8 @@ class SceneView:
             path = _path(f"{name}::{link.name}")
             if f"{name}::{link.name}" not in self._links:
                 continue
-            self._extra[FRAMES] += [
-                scene.add_frame(f"{path}/frame", axes_length=length, axes_radius=0.06 * length),
-                scene.add_label(f"{path}/name", link.name),
-            ]
+            axes = scene.add_frame(f"{path}/frame", axes_length=length, axes_radius=0.06 * length)
+            self._extra[FRAMES].append(axes)
             if link.inertial is not None:
                 ball = scene.add_icosphere(
                     f"{path}/mass", 0.2 * length, color=_YELLOW, position=link.inertial.origin.xyz

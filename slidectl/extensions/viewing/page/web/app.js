@@ -25,6 +25,18 @@ const LEFT = { robot: controllersPanel, world: worldPanel, view: viewPanel };
 const RIGHT = { plots: plotsPanel, topics: topicsPanel, send: sendPanel, log: logPanel, graph: graphPanel };
 const PANELS = { ...LEFT, ...RIGHT };
 
+// What slidectl view judges by whether the scene has shadows, and which names of frames overlap.
+const BROWSER = { browser: `${Math.random()}`, draws_by_software: drawsBySoftware() };
+
+function drawsBySoftware() {
+  const gl = document.createElement("canvas").getContext("webgl2");
+  if (!gl) return true;
+  const about = gl.getExtension("WEBGL_debug_renderer_info");
+  const name = gl.getParameter(about ? about.UNMASKED_RENDERER_WEBGL : gl.RENDERER);
+  gl.getExtension("WEBGL_lose_context")?.loseContext();
+  return /swiftshader|llvmpipe|softpipe|software|basic render/i.test(name);
+}
+
 const address = new URLSearchParams(location.search);
 const asked = address.get("panel");
 
@@ -65,7 +77,7 @@ function readWorld() {
     await undefined;
     try {
       const [status, robots, pageState] = await Promise.all([
-        call("/slidectl/status"), call("/slidectl/list_robots", { name: "" }), page("state"),
+        call("/slidectl/status"), call("/slidectl/list_robots", { name: "" }), page("state", { ...BROWSER, pixel_ratio: devicePixelRatio }),
       ]);
       const spaces = robots.robots.filter((one) => one.kind === "robot").map((one) => one.namespace);
       const lists = await Promise.all(spaces.map((space) =>

@@ -55,7 +55,8 @@ export function steps(path) {
     for (const [, inside] of match[2].matchAll(/\[([^\]]*)\]/g)) {
       const bounds = inside.split(":").map((text) => text.trim());
       const isIndex = bounds.length <= 3 && bounds.every((text) => /^-?\d+$/.test(text) || (!text && bounds.length > 1));
-      if (!isIndex || Number(bounds[2] || 1) === 0) throw new Error(`[${inside}] is not an index: write [0], [-1], [1:3] or [::2]`);
+      if (Number(bounds[2] || 1) === 0) throw new Error(`[${inside}] is not an index: the step of a slice cannot be 0`);
+      if (!isIndex) throw new Error(`[${inside}] is not an index: write [0], [-1], [1:3] or [::2]`);
       const [begin, end] = bounds.map((text) => (text ? Number(text) : null));
       found.push(bounds.length === 1 ? begin : { begin, end, step: Number(bounds[2] || 1) });
     }

@@ -5,6 +5,7 @@ import { Button, html, store, useEffect, useRef, useState, useStore } from "./pa
 const RAW = "sensor_msgs/Image";
 const COMPRESSED = "sensor_msgs/CompressedImage";
 const PERIOD_MS = 100;
+const LATE_S = 3;
 
 export const isPicture = (type) => type === RAW || type === COMPRESSED;
 
@@ -90,7 +91,7 @@ async function drawCompressed(canvas, message) {
 export function Picture({ topic, type }) {
   const canvas = useRef();
   const [text, setText] = useState("");
-  const [isLate, setLate] = useState(false);
+  const [lateS, setLateS] = useState(0); // seconds without a picture, once they are too many
   useEffect(() => {
     let count = 0;
     let last = performance.now();
@@ -114,17 +115,23 @@ export function Picture({ topic, type }) {
       } catch (error) {
         setText(`this picture cannot be drawn: ${error.message}`);
       }
-      setLate(false);
+      setLateS(0);
       isBusy = false;
     }, { throttle: PERIOD_MS });
-    const timer = setInterval(() => setLate(performance.now() - last > 3000), 1000);
+    const timer = setInterval(() => {
+      const passed = Math.floor((performance.now() - last) / 1000);
+      setLateS(passed >= LATE_S ? passed : 0);
+    }, 1000);
     return () => {
       clearInterval(timer);
       end();
     };
   }, [topic, type]);
-  return html`<figure class="picture"><canvas ref=${canvas} role="img" aria-label=${`Picture of ${topic}`} />
-    <figcaption>${isLate ? "No picture comes: the world is paused, or the camera has stopped" : text || "Waiting for a picture"}</figcaption></figure>`;
+  const paused = useStore((s) => s.status?.paused);
+  const isPublished = useStore((s) => (s.topics[topic]?.publishers.length ?? 0) > 0);
+  const why = !isPublished ? "the camera has gone" : paused ? "the world is paused" : "the camera has stopped";
+  return html`<figure class=${`picture ${lateS ? "late" : ""}`}><canvas ref=${canvas} role="img" aria-label=${`Picture of ${topic}`} />
+    <figcaption>${lateS ? `No picture for ${lateS} s: ${why}` : text || "Waiting for a picture"}</figcaption></figure>`;
 }
 
 /** The pictures that lie over the view. */

@@ -186,6 +186,9 @@ function Panel() {
   const wanted = useStore((s) => s.robot);
   const moving = robots.filter((one) => one.joints.some((joint) => joint.position !== null) || one.kind === "robot");
   const robot = moving.find((one) => one.name === wanted) ?? moving[0];
+  useEffect(() => {
+    if (robot && !wanted) store.set({ robot: robot.name }); // when it has gone, the panel says so
+  }, [robot?.name, wanted]);
   if (!robot) {
     return html`<${Empty}>${robots.length ? "No robot with joints." : "The world is empty."} <code>slidectl spawn slider</code><//>`;
   }
@@ -202,6 +205,7 @@ function Panel() {
         : html`<h1 title=${robot.namespace}>${robot.name}</h1>`}
       ${robot.kind === "robot" && html`<${Estop} robot=${robot} />`}
     </header>
+    ${wanted && wanted !== robot.name && html`<p class="hint" role="status">There is no robot ${wanted} with joints: this is ${robot.name}.</p>`}
     <${Drive} key=${`d${robot.name}`} robot=${robot} />
     ${robot.kind === "robot" && html`<${Controllers} key=${`c${robot.name}`} robot=${robot} />`}
     <${Joints} key=${`j${robot.name}`} robot=${robot} />

@@ -101,6 +101,7 @@ class LivePlot {
           curve = new Curve(`${topic}/${one}${about ? ` (${about})` : ""}`, unitOf(topic, types, type, one, about));
           curves.set(one, curve);
           this.curves.push(curve);
+          if (this.curves.length === 1) changed(); // the plot is not empty any more
         }
         curve.add(now, Number.isFinite(sample) && Math.abs(sample) < 1e300 ? sample : null);
       }

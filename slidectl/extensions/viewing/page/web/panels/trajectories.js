@@ -1,13 +1,14 @@
 // Goals for the trajectory controllers of a robot: where the joints are to be, and when.
 
 import {
-  act, Act, attempt, call, Field, Group, html, isUnder, jointUnit, number, Select, store, useEffect, useMessage, useRef, useState,
+  act, Act, attempt, call, Field, Group, html, isUnder, jointUnit, number, page, Select, store, useEffect, useMessage, useRef, useState,
   useStore,
 } from "../parts.js";
 import { bounds, placed, stepOf } from "./joints.js";
 
 const GOAL = "control_msgs/FollowJointTrajectoryActionGoal";
 const RESULTS = { 2: "preempted", 3: "succeeded", 4: "aborted", 5: "rejected", 8: "recalled", 9: "lost" };
+const GHOST_MS = 1000; // slidectl view removes a ghost that is not shown again within 3 s
 let serial = 0;
 
 const time = (seconds) => {
@@ -27,20 +28,34 @@ function Goal({ robot, controller, action }) {
   const [targets, setTargets] = useState(null);
   const [duration, setDuration] = useState("2");
   const [told, setTold] = useState("");
+  const [isEdited, setEdited] = useState(false);
   const goal = useRef("");
   const state = useMessage(`${controller}/state`, { throttle: 100 });
   const joints = Object.fromEntries(robot.joints.map((joint) => [joint.name, joint]));
   const ranges = Object.fromEntries(Object.keys(targets ?? {}).map((name) => [name, bounds(joints[name], "Position")]));
-  const takePresent = async () => setTargets(Object.fromEntries(Object.entries(await desired(controller)).map(([name, value]) =>
-    [name, placed(value, bounds(joints[name], "Position"))])));
+  const takePresent = async () => {
+    const now = Object.entries(await desired(controller));
+    setEdited(false);
+    setTargets(Object.fromEntries(now.map(([name, value]) => [name, placed(value, bounds(joints[name], "Position"))])));
+  };
   useEffect(() => {
     attempt(takePresent);
     return store.values.ros.subscribe(`${action}/result`, (msg) => {
       if (msg.status.goal_id.id !== goal.current) return;
       const text = msg.status.text || msg.result.error_string;
+      if (msg.status.status === 3) setEdited(false);
       setTold([RESULTS[msg.status.status] ?? "ended", text].filter(Boolean).join(": "));
     }, { queue: 10 });
   }, [controller]);
+  // The ghost of the goal in the scene, from the first change until the goal is reached.
+  useEffect(() => {
+    if (!isEdited) return undefined;
+    const show = () => document.hidden || page("ghost", { robot: robot.name, positions: targets }).catch(() => {});
+    show();
+    const timer = setInterval(show, GHOST_MS);
+    return () => clearInterval(timer);
+  }, [isEdited, targets]);
+  useEffect(() => (isEdited ? () => page("ghost", { robot: "" }).catch(() => {}) : undefined), [isEdited]);
   if (!targets) return null;
   const seconds = Number(duration);
   const isGood = duration.trim() !== "" && seconds >= timestep && seconds <= 1e6;
@@ -63,7 +78,7 @@ function Goal({ robot, controller, action }) {
       <div class="row"><span class="name" title=${name}>${name}</span><span class="value">${number(value)} ${jointUnit(joints[name], "position")}</span></div>
       <input type="range" aria-label=${`Goal of ${name}`} min=${ranges[name][0]} max=${ranges[name][1]} step=${stepOf(ranges[name])}
         value=${value} disabled=${readOnly} style=${{ "--part": `${(100 * (value - ranges[name][0])) / (ranges[name][1] - ranges[name][0])}%` }}
-        onInput=${(event) => setTargets({ ...targets, [name]: Number(event.target.value) })} /></div>`)}
+        onInput=${(event) => { setTargets({ ...targets, [name]: Number(event.target.value) }); setEdited(true); }} /></div>`)}
     <${Field} label="Duration, s" error=${isGood ? "" : `A number from ${timestep} to 1e6`}>
       <input inputmode="decimal" value=${duration} onInput=${(event) => setDuration(event.target.value)} /><//>
     <div class="line"><${Act} kind="primary" disabled=${!isGood} onClick=${send}>Send<//>

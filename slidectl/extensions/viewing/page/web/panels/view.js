@@ -10,10 +10,28 @@ const BOXES = [
   ["contacts", "Contacts and their forces"],
 ];
 
-const choose = (changes) => attempt(async () => {
-  await page("view", changes);
+const SENSORS = [
+  "sensor_msgs/LaserScan", "sensor_msgs/PointCloud2", "sensor_msgs/Range", "geometry_msgs/WrenchStamped", "nav_msgs/Odometry",
+  "nav_msgs/Path",
+];
+
+const ask = (what, request) => attempt(async () => {
+  await page(what, request);
   await store.values.readWorld();
 });
+const choose = (changes) => ask("view", changes);
+
+/** The topics that can be drawn in the scene, where there are any. */
+function Sensors({ shown }) {
+  const topics = useStore((s) => s.topics);
+  const found = Object.values(topics).filter((one) => SENSORS.includes(one.type) && (one.publishers.length || one.name in shown));
+  if (!found.length) return null;
+  return html`<${Group} title="Sensors and paths">
+    ${found.map(({ name, type }) => html`<div key=${name}><${Check} checked=${name in shown}
+        onChange=${(value) => ask("sensor", { topic: name, shown: value })}><span title=${type}>${name}</span><//>
+      ${shown[name] && html`<p class="hint" role="status">${shown[name]}</p>`}</div>`)}
+  <//>`;
+}
 
 function Panel() {
   const view = useStore((s) => s.pageState?.view);
@@ -27,14 +45,20 @@ function Panel() {
       ${BOXES.filter(([key]) => key in view).map(([key, text]) => html`<${Check} key=${key} checked=${view[key]}
         onChange=${(value) => choose({ [key]: value })}>${text}<//>`)}
     <//>
+    <${Sensors} shown=${view.sensors} />
     <${Group} title="Trace">
       <${Field} label="Trace of a link"><${Select} label="Trace of a link" value=${view.trace} options=${[["", "none"], ...links]}
         onChange=${(trace) => choose({ trace })} /><//>
     <//>
+    <${Group} title="Quality">
+      <${Field} label="Shadows" hint="Half of the frames of a browser that draws by software"><${Select} label="Shadows" value=${view.shadows}
+        options=${[["auto", view.shadows === "auto" ? `auto (${view.has_shadows ? "on" : "off"})` : "auto"], "on", "off"]} onChange=${(shadows) => choose({ shadows })} /><//>
+      ${view.shadows === "auto" && !view.has_shadows && html`<p class="hint">Off: a browser draws by software.</p>`}
+    <//>
     ${!readOnly && html`<${Group} title="Mouse">
-      <${Field} label="Place with the mouse"><${Select} label="Place with the mouse" value=${view.placed} disabled=${!free.length}
+      <${Field} label="Place a robot"><${Select} label="Place with the mouse" value=${view.placed} disabled=${!free.length}
         options=${[["", free.length ? "none" : "no free robot"], ...free]}
-        onChange=${(robot) => attempt(async () => { await page("place", { robot }); await store.values.readWorld(); })} /><//>
+        onChange=${(robot) => ask("place", { robot })} /><//>
       <p class="hint">Shift and drag pushes a link.</p>
     <//>`}`;
 }
