@@ -24,6 +24,7 @@ _LARGEST_DESCRIPTOR = 2**31 - 1
 _PIECE = 1 << 20
 _GRACE_S = 1
 """CPU time between the signal that code may handle and the end, s."""
+_OF_TERMINALS = (signal.SIGINT, signal.SIGHUP)
 _MAY_LIST = ("os.listdir", "os.scandir", "os.walk")
 _REFUSED = ("os.", "subprocess.", "socket.", "ctypes.", "shutil.", "pty.")
 
@@ -67,10 +68,13 @@ def _fork() -> int:
 def _confine(limits: Limits, writing: int, parent: int) -> None:
     """Restrict this process, a fork of `parent`: limits, and no inherited descriptor but `writing` and the first three.
 
-    It ends with its parent, also when that is killed.
+    It ends with its parent, also when that is killed. A terminal sends its signals to both: the parent says how both
+    end, which it could not if this process had ended before it.
     """
     signal.set_wakeup_fd(-1)
-    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGXCPU, signal.SIGALRM):
+    for number in _OF_TERMINALS:
+        signal.signal(number, signal.SIG_IGN)
+    for number in (signal.SIGTERM, signal.SIGXCPU, signal.SIGALRM):
         signal.signal(number, signal.SIG_DFL)
     if not end_with(parent, signal.SIGKILL):
         os._exit(1)
@@ -97,20 +101,30 @@ def start(work: Callable[[BinaryIO], object], limits: Limits, only_reads: bool =
     """
     parent = os.getpid()
     reading, writing = os.pipe()
+    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, _OF_TERMINALS)  # until the process has chosen what they do
     try:
         pid = _fork()
     except OSError:
+        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
         os.close(reading)
         os.close(writing)
         raise
     if pid:
         os.close(writing)
+        try:
+            signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+        except BaseException:  # KeyboardInterrupt, from a signal that has waited
+            os.kill(pid, signal.SIGKILL)
+            os.close(reading)
+            os.waitpid(pid, 0)
+            raise
         return pid, reading
     code = 1
     try:
         while writing < 3:  # the parent has closed a standard stream, and its number was free
             writing = os.dup(writing)
         _confine(limits, writing, parent)
+        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
         gc.freeze()  # a collection that looks at the parent's objects would copy all their memory
         if only_reads:
             nowhere = os.open(os.devnull, os.O_RDWR)

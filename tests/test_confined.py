@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -143,6 +144,16 @@ def test_an_exception_that_is_being_handled_changes_nothing_and_a_thread_may_run
     assert results == [b"done", b"done"]
 
 
+def test_a_signal_of_the_terminal_is_for_its_parent() -> None:
+    def work() -> bytes:
+        for number in (signal.SIGINT, signal.SIGHUP):
+            os.kill(os.getpid(), number)
+        return b"done"
+
+    assert run(work, LIMITS, 100) == b"done"
+
+
+@pytest.mark.skipif(shutil.which("ps") is None, reason="ps is not installed")
 def test_it_ends_with_its_parent_and_does_not_hold_its_output(tmp_path: Path) -> None:
     program = """
 import signal

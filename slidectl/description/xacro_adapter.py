@@ -45,7 +45,7 @@ from slidectl.description.robot import Notice
 from slidectl.description.xml_tree import Comment, Element
 from slidectl.errors import BadFile, NoFileThere, NotThere, Refused, SlidectlError, listing
 
-LIMITS = Limits(cpu_s=15, wall_s=60, new_bytes=1 << 30)
+LIMITS = Limits(cpu_s=10, wall_s=60, new_bytes=1 << 30)
 """Of a run. A humanoid takes about a second."""
 _MOST_RESULT = 256 << 20
 """The most bytes of a result: the elements with their files and lines."""

@@ -21,10 +21,10 @@ MOMENTS = [1, 2, 40, 400, 2000, *range(3040, 3120, 20), 3500, 5000, 7000, 9000, 
 INTERRUPTING = """
 import os, signal, sys
 left = int(os.environ.pop("INTERRUPT_AFTER", 0))
-is_begun = False
+is_begun, process = False, os.getpid()
 def count(frame, event, _):
     global is_begun, left
-    if event == "call" and "/slidectl/" in frame.f_code.co_filename:
+    if event == "call" and "/slidectl/" in frame.f_code.co_filename and os.getpid() == process:
         left -= is_begun
         is_begun = is_begun or frame.f_code.co_name == "entry"
         if left == 0:
