@@ -588,7 +588,7 @@ class MujocoRobotHW(RobotHW):
                 continue  # another interface drives the joint now
             if hold and joint.quantity == "effort":
                 raise Refused(
-                    f"{name} is commanded by effort, which cannot hold it without a controller",
+                    f"{name} is commanded by its effort, which cannot hold it without a controller",
                     "leave a controller of positions running, or let the joint go: --zero",
                 )
             if not hold and joint.quantity == "position":
