@@ -10,7 +10,7 @@ slidectl daemon start --rtf "${RTF:-1}"
 slidectl spawn cart
 
 # The plugin diff_drive holds a command until the next one comes.
-slidectl pub /cart/cmd_vel geometry_msgs/Twist '{linear: {x: 0.5}, angular: {z: 0.2}}'
+slidectl pub /cart/cmd_vel geometry_msgs/Twist '{linear: {x: 0.5}}'
 slidectl wait /cart/odom/pose/pose/position/x --above 0.5 --within 5
 slidectl pub /cart/cmd_vel geometry_msgs/Twist '{}'
 slidectl echo /cart/odom -n 1

@@ -41,10 +41,13 @@ class PageBrowser:
         """`url` is that which `slidectl view` prints; `options` are those of websockets' `connect`."""
         address = url.replace("http", "ws", 1)
         self._socket: ClientConnection = connect(
-            address, subprotocols=[f"viser-v{viser.__version__}"], max_size=None, **options
+            address, subprotocols=[f"viser-v{viser.__version__}"], max_size=None, ping_interval=None, **options
         )
         self.panels: ClientConnection = connect(
-            urljoin(address, "/rosbridge"), max_size=None, additional_headers=options.get("additional_headers")
+            urljoin(address, "/rosbridge"),
+            max_size=None,
+            ping_interval=None,
+            additional_headers=options.get("additional_headers"),
         )
         self.nodes: dict[str, dict[str, Any]] = {}
         """Name in the scene -> the newest properties, `position` and `wxyz` among them."""

@@ -55,7 +55,7 @@ def fail() -> bytes:
         (lambda: b"", "the process that read it failed"),
         (lambda: b"x" * (3 << 20), "its result exceeds 1 MiB"),
         pytest.param(
-            lambda: bytes(1 << 29),
+            lambda: bytes(1 << 32),  # more than a worker of tests can have free
             "the process that read it failed",
             marks=pytest.mark.skipif(not LINUX, reason="the memory of a process is not bounded here"),
         ),
