@@ -220,7 +220,6 @@ world: {{engine: plain}}
 cases:
 {cases}
 steps:
-  - sim step: 20
   - urdf: slider -o {mark}_${{number}}
   - {{echo: "/clock -n ${{number}}0000"}}
 """)  # fmt: skip
