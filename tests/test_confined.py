@@ -15,6 +15,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from waiting import eventually
 
 from slidectl.confined import EndedError, Limits, run
 from slidectl.operating_system import LINUX
@@ -171,9 +172,7 @@ run(lambda: signal.pause() or b"", Limits(50, 50, 1 << 30), 1)
         started.kill()
         assert started.stdout is not None
         assert started.stdout.read() == b""  # the end of the output, without waiting for the child
-        while time.monotonic() < end and is_running(int(children[0])):
-            time.sleep(0.01)
-        assert not is_running(int(children[0]))
+        eventually(lambda: not is_running(int(children[0])), "it is still running")
     finally:
         started.kill()
         started.wait()

@@ -73,7 +73,7 @@ def status_text(answer: StatusResponseMsg) -> str:
 def camera_rates(answer: StatusResponseMsg) -> list[str]:
     """For each camera that draws pictures, its topic and rate, from the answer of /slidectl/status."""
     rates = zip(answer["cameras"], answer["cameras_asked"], answer["cameras_reached"], strict=True)
-    return [f"{topic}: {asked:.3g} Hz asked, {reached:.3g} reached" for topic, asked, reached in rates]
+    return [f"{topic}: {asked:.4g} Hz asked, {reached:.4g} reached" for topic, asked, reached in rates]
 
 
 def speed_text(speed: float) -> str:

@@ -256,7 +256,7 @@ def _warn_slow_cameras(ctx: Context, cameras: Mapping[str, Meter]) -> bool:
     for topic, asked, advice in zip(status["cameras"], status["cameras_asked"], status["cameras_advice"], strict=True):
         if advice and topic in cameras and (reached := cameras[topic].record()["rate"]) is not None:
             found = True
-            ctx.warn(f"{topic}: {asked:.3g} Hz asked, {reached:.3g} reached; {advice}")
+            ctx.warn(f"{topic}: {asked:.4g} Hz asked, {reached:.4g} reached; {advice}")
     return found
 
 

@@ -18,7 +18,7 @@ from slidectl.control.node_handle import Message
 from slidectl.description import interfaces, source_note
 from slidectl.description.robot import MOVING, Joint
 from slidectl.effects import Effect
-from slidectl.errors import Reason, Refused, SlidectlError, UnknownName, Unused, UsageError, closest, listing
+from slidectl.errors import Reason, Refused, UnknownName, Unused, UsageError, closest, listing
 from slidectl.features.entities import Entities
 from slidectl.features.gazebo_frames import pose_message, vector_message
 from slidectl.features.rosapi import absolute, check_size, from_json, typedefs
@@ -288,7 +288,7 @@ class OwnServices(Feature):
             try:
                 if joints:
                     self._robots.set_joints(robots[0].name, joints, positions, is_start=True)
-            except SlidectlError:
+            except BaseException:
                 for robot in reversed(robots):
                     self._robots.delete(robot.name)
                 raise

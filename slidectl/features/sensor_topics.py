@@ -249,7 +249,7 @@ class CameraTopics:
         self._due = self._skipped = 0
         if self._reached_hz < _KEEPS_UP * self._asked_hz and not self._has_warned:
             self._has_warned = True
-            rates = f"{self._asked_hz:.3g} Hz asked, {self._reached_hz:.3g} reached"
+            rates = f"{self._asked_hz:.4g} Hz asked, {self._reached_hz:.4g} reached"
             self._robot.node.log("warn", f"{self.topic}: {rates}; {_TO_KEEP_UP}")
 
     def rates(self) -> tuple[float, float, str] | None:

@@ -428,7 +428,10 @@ class Robots:
         owner = next((robot for robot in controlled if robot.namespace == namespace), None)
         if owner is not None:
             text = f"the namespace {namespace} belongs to robot {owner.name!r} already"
-            raise Refused(text, "a model with an xacro argument `namespace` gets its own with -n NAME")
+            hint = (
+                "give this one another namespace; a model with an xacro argument `namespace` gets its own with -n NAME"
+            )
+            raise Refused(text, hint)
 
 
 def _set_description(robot: SpawnedRobot, parameters: Parameters) -> None:

@@ -14,7 +14,7 @@ CONTROLLERS = str(ROOT / "config" / "slider_control.yaml")
 STARTED = ("joint_state_controller", "joint1_position_controller")
 
 
-def test_a_spawn_with_two_controllers_is_eight_requests(daemon: Runtime, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_spawn_with_two_controllers_is_six_requests(daemon: Runtime, monkeypatch: pytest.MonkeyPatch) -> None:
     with daemon.client() as client:
         client.resume()
         sent: list[bytes] = []
