@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
@@ -66,7 +66,7 @@ class Shadows(NamedTuple):
     """The shadows that lie on planes."""
 
     corners: Array
-    """SeenTriangles on the planes, shape (n, 3, 3)."""
+    """Triangles on the planes, shape (n, 3, 3)."""
     left: float
     """The part of the light that a plane has in them."""
 
@@ -79,7 +79,7 @@ class Haze(NamedTuple):
 
 
 class SeenTriangles(NamedTuple):
-    """SeenTriangles as they are seen."""
+    """Triangles as they are seen."""
 
     edges: Array
     """Inverse matrices of the corners, shape (n, 3, 3): for pixels, barycentric coordinates divided by depth."""
@@ -278,27 +278,23 @@ def _box_parts(band: Band, triangles: SeenTriangles, number: int, low: int, high
     return (slice(low, high), slice(left, right)), parts
 
 
-def _cover(band: Band, triangles: SeenTriangles, covered: NDArray[np.bool_]) -> None:
-    """Set where a triangle is."""
-    for number, low, high in zip(*_of_band(band, triangles), strict=True):
-        box, parts = _box_parts(band, triangles, number, low, high)
-        covered[box] |= (parts[0] >= 0) & (parts[1] >= 0) & (parts[2] >= 0)
-
-
-def _fill(band: Band, triangles: SeenTriangles, view: Viewpoint) -> None:
-    """Draw triangles over a band."""
+def _large_parts(band: Band, triangles: SeenTriangles) -> Iterator[tuple[int, Any, list[Array]]]:
+    """Each large triangle with pixels in a band: its number, and what `_box_parts` returns."""
     numbers, low, high = _of_band(band, triangles)
-    counts = (high - low) * (triangles.high[numbers, 0] - triangles.low[numbers, 0])
-    is_large = counts > _LARGE
+    is_large = _counts(triangles, numbers, low, high) > _LARGE
     for number, first, last in zip(numbers[is_large], low[is_large], high[is_large], strict=True):
-        box, parts = _box_parts(band, triangles, number, first, last)
-        near = parts[0] + parts[1] + parts[2]
-        is_seen = (parts[0] >= 0) & (parts[1] >= 0) & (parts[2] >= 0)
-        is_seen &= (near < 1.0 / view.near) & (near > band.nearness[box])
-        np.copyto(band.nearness[box], near, where=is_seen)
-        for channel, shade in zip(band.pixels, triangles.shades[number], strict=True):
-            np.copyto(channel[box], np.float32(shade), where=is_seen)
-    small, counts, low = numbers[~is_large], counts[~is_large], low[~is_large]
+        yield number, *_box_parts(band, triangles, number, first, last)
+
+
+def _small_parts(band: Band, triangles: SeenTriangles) -> Iterator[tuple[Indices, Indices, Indices, Array]]:
+    """The pixels of the boxes of many small triangles of a band at a time.
+
+    Their triangles, rows, columns, and barycentric coordinates divided by depth, shape (n, 3).
+    """
+    numbers, low, high = _of_band(band, triangles)
+    counts = _counts(triangles, numbers, low, high)
+    is_small = counts <= _LARGE
+    small, counts, low = numbers[is_small], counts[is_small], low[is_small]
     groups = np.cumsum(counts) // _BAND
     for group in np.unique(groups):
         here = np.flatnonzero(groups == group)
@@ -310,12 +306,40 @@ def _fill(band: Band, triangles: SeenTriangles, view: Viewpoint) -> None:
         row, column = row + low[owner], column + first
         edges = triangles.edges[number]
         parts = (column + 0.5)[:, None] * edges[:, 0] + (row + band.top + 0.5)[:, None] * edges[:, 1] + edges[:, 2]
-        near = parts.sum(axis=1)
-        is_seen = (parts >= 0).all(axis=1) & (near < 1.0 / view.near) & (near > band.nearness[row, column])
+        yield number, row, column, parts
+
+
+def _counts(triangles: SeenTriangles, numbers: Indices, low: Indices, high: Indices) -> Indices:
+    """The pixels in the box of each triangle, between its rows `low` and `high`."""
+    counts: Indices = (high - low) * (triangles.high[numbers, 0] - triangles.low[numbers, 0])
+    return counts
+
+
+def _cover(band: Band, triangles: SeenTriangles, covered: NDArray[np.bool_]) -> None:
+    """Set where a triangle is."""
+    for _, box, parts in _large_parts(band, triangles):
+        covered[box] |= (parts[0] >= 0) & (parts[1] >= 0) & (parts[2] >= 0)
+    for _, row, column, of_pixels in _small_parts(band, triangles):
+        inside = (of_pixels >= 0).all(axis=1)
+        covered[row[inside], column[inside]] = True
+
+
+def _fill(band: Band, triangles: SeenTriangles, view: Viewpoint) -> None:
+    """Draw triangles over a band."""
+    for number, box, parts in _large_parts(band, triangles):
+        near = parts[0] + parts[1] + parts[2]
+        is_seen = (parts[0] >= 0) & (parts[1] >= 0) & (parts[2] >= 0)
+        is_seen &= (near < 1.0 / view.near) & (near > band.nearness[box])
+        np.copyto(band.nearness[box], near, where=is_seen)
+        for channel, shade in zip(band.pixels, triangles.shades[number], strict=True):
+            np.copyto(channel[box], np.float32(shade), where=is_seen)
+    for owners, row, column, of_pixels in _small_parts(band, triangles):
+        near = of_pixels.sum(axis=1)
+        is_seen = (of_pixels >= 0).all(axis=1) & (near < 1.0 / view.near) & (near > band.nearness[row, column])
         seen = np.flatnonzero(is_seen)
         seen = seen[np.argsort(near[seen], kind="stable")]  # ascending: the nearest one is written last
         band.nearness[row[seen], column[seen]] = near[seen]
-        band.pixels[:, row[seen], column[seen]] = triangles.shades[number[seen]].T
+        band.pixels[:, row[seen], column[seen]] = triangles.shades[owners[seen]].T
 
 
 def _length(height: int, view: Viewpoint) -> float:

@@ -430,3 +430,8 @@ def test_ticks_in_the_terminal_are_round(low: float, high: float, texts: list[st
     curve = Curve("/a/b", times=np.array([low, high]), values=np.zeros(2))
     lines = as_text(Plot("", [curve]), 80, 20, colour=False).splitlines()
     assert lines[-2].split() == texts
+
+
+def test_a_topic_that_begins_with_an_underscore_is_drawn_without_a_legend() -> None:
+    curve = Curve("_x/data", times=np.arange(9.0), values=np.arange(9.0))
+    assert as_file(Plot("", [curve]), ".svg").startswith(b"<?xml")

@@ -13,6 +13,8 @@ from command_line import CommandLine
 from daemon_fixture import running_daemon
 from terminal import Terminal
 
+from slidectl.extensions.viewing.world_monitor import log_record
+
 STARTED = ("joint_state_controller", "joint1_position_controller")
 CONTROLLER = "/slider/joint1_position_controller"
 
@@ -193,3 +195,8 @@ def test_without_a_daemon_it_says_so(slidectl: CommandLine) -> None:
     with Terminal(slidectl, "top") as terminal:
         assert terminal.ended() == 3
         assert "daemon start" in terminal.output
+
+
+def test_an_address_in_brackets_is_not_a_time() -> None:
+    record = log_record("2026-01-02 03:04:05.678 warn  [127.0.0.1] refused")
+    assert (record["time"], record["level"], record["message"]) == (None, "warn", "[127.0.0.1] refused")

@@ -110,6 +110,8 @@ def test_nonsense_harms_nobody(page: str, frame: bytes | str) -> None:
         {"topic": "/clock", "twist": 5}, {"trace": {}}, {"topic": "/clock", "shown": True},
         {"robot": "slider", "positions": {"joint1": None}}, {"robot": "slider", "positions": [1]},
         {"robot": "slider", "positions": {"joint1": 1e308}}, {"browser": {}, "pixel_ratio": -1e308},
+        {"browser": "x", "pixel_ratio": 10**400}, {"browser": "x", "pixel_ratio": math.nan},
+        {"robot": "slider", "positions": {"joint1": 10**400}},
     ],
 )  # fmt: skip
 def test_requests_of_the_page_that_are_not_valid_are_refused_or_do_nothing(page: str, args: Any) -> None:
@@ -134,6 +136,18 @@ def test_requests_of_the_page_that_are_not_valid_are_refused_or_do_nothing(page:
         for service in services:
             assert "result" in hostile.ask(f"/slidectl_page/{service}", args)
         hostile.page("view", frames=False)
+        assert not [text for text in hostile.told if "internal error" in text]
+
+
+def test_a_camera_without_a_field_of_view_costs_the_others_nothing(page: str, other: PageBrowser) -> None:
+    with PageBrowser(page) as odd:
+        odd.page("view", frames=True)
+        looks = {"wxyz": [1, 0, 0, 0], "position": [3, 3, 3], "fov": 0.0, "near": 0.01, "far": 1000.0}
+        more = {"image_height": 600, "image_width": 800, "look_at": [0, 0, 0], "up_direction": [0, 0, 1]}
+        odd.send(message("ViewerCameraMessage", **looks, **more))
+        other.wait_for(lambda: any(name.startswith("/labels/") for name in other.nodes))
+        assert not other.told
+        odd.page("view", frames=False)
 
 
 @pytest.mark.usefixtures("other")

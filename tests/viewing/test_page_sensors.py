@@ -152,6 +152,11 @@ def test_a_message_is_drawn(
         ("sensor_msgs/PointCloud2", {**cloud(5), "point_step": 0}, "does not have the data"),
         ("sensor_msgs/PointCloud2", cloud(5, "nowhere"), "There is no frame 'nowhere'"),
         ("nav_msgs/Path", {**PATH, "poses": [{"pose": {"position": {"x": math.nan}}}] * 3}, "is nan"),
+        (
+            "sensor_msgs/PointCloud2",
+            {**cloud(5), "fields": [{**one, "datatype": 0} for one in cloud(5)["fields"]]},
+            "does not have the data",
+        ),
     ],
 )
 def test_what_cannot_be_drawn_is_told_in_one_sentence(
@@ -162,6 +167,32 @@ def test_what_cannot_be_drawn_is_told_in_one_sentence(
         client.flush()
         show(browser, "/seen")
         browser.wait_for(lambda: told in trouble(browser, "/seen"), f"it does not tell {told}")
+        show(browser, "/seen", False)
+
+
+def test_an_odometry_goes_on_after_a_place_that_is_nan(world: CommandLine, browser: PageBrowser) -> None:
+    with world.client() as client:
+        for x in (math.nan, 0.0, 1.0, 2.0):
+            place = {"header": header("world"), "pose": {"pose": {"position": {"x": x}, "orientation": {"w": 1.0}}}}
+            client.publish("/way", place, "nav_msgs/Odometry", latch=True)
+            client.flush()
+            if math.isnan(x):
+                show(browser, "/way")
+                browser.wait_for(lambda: "is nan" in trouble(browser, "/way"))
+            else:
+                browser.wait_for(lambda: trouble(browser, "/way") == "")
+                browser.take(0.3)
+        browser.wait_for(lambda: points(browser, "/sensors/way")[-1][0] == 2.0)
+        show(browser, "/way", False)
+
+
+def test_a_topic_is_shown_once_by_any_of_its_names(world: CommandLine, browser: PageBrowser) -> None:
+    with world.client() as client:
+        client.publish("/seen", cloud(5), "sensor_msgs/PointCloud2", latch=True)
+        client.flush()
+        show(browser, "seen")
+        show(browser, "/seen")
+        assert list(browser.page("state")["view"]["sensors"]) == ["/seen"]
         show(browser, "/seen", False)
 
 
@@ -181,26 +212,33 @@ def test_frames_of_tf_are_found(world: CommandLine, browser: PageBrowser) -> Non
 
 
 def test_the_way_of_a_base_begins_where_it_stands(world: CommandLine, browser: PageBrowser) -> None:
-    world.ok(
-        "spawn", "car", "--at", "0", "3", "0", "--controllers", "config/car_control.yaml", "--start", "base_controller"
-    )
+    """The frames of both bases are called odom."""
+    car = ("--controllers", "config/car_control.yaml", "--start", "base_controller")
+    world.ok("spawn", "car", "--at", "0", "3", "0", *car)
+    world.ok("spawn", "car", "-n", "other", "--at", "0", "-3", "0", *car)
     try:
         topic, node = "/car/base_controller/odom", "/sensors/car.base_controller.odom"
+        others = "/sensors/other.base_controller.odom"
         with world.client() as client:
-            browser.wait_for(lambda: "/robots/car/body" in browser.nodes)
+            browser.wait_for(lambda: {"/robots/car/body", "/robots/other/body"} <= browser.nodes.keys())
             show(browser, topic)
+            show(browser, "/other/base_controller/odom")
 
             def has_come_far() -> bool:
-                client.publish("/car/base_controller/cmd_vel", {"linear": {"x": 1.0}})
+                for name in ("car", "other"):
+                    client.publish(f"/{name}/base_controller/cmd_vel", {"linear": {"x": 1.0}})
                 client.step(100)
-                return "points" in browser.nodes.get(node, {}) and points(browser, node)[-1][0] > 0.3
+                seen = [one for one in (node, others) if "points" in browser.nodes.get(one, {})]
+                return len(seen) == 2 and all(points(browser, one)[-1][0] > 0.3 for one in seen)
 
             browser.wait_for(has_come_far)
             # The scene and the message may be a step apart.
             assert browser.nodes[node]["position"] == pytest.approx((0.0, 3.0, 0.0), abs=0.15)
+            assert browser.nodes[others]["position"] == pytest.approx((0.0, -3.0, 0.0), abs=0.15)
             assert not client.call("/rosapi/subscribers", {"topic": "/tf"})["subscribers"]
     finally:
         world.ok("delete", "car")
+        world.ok("delete", "other")
 
 
 def test_the_ghost_of_a_goal_is_where_the_arm_will_be(world: CommandLine, browser: PageBrowser) -> None:

@@ -224,3 +224,14 @@ def test_the_sky_is_bluer_above_and_edges_before_it_are_smooth(drawer: Any) -> N
     assert blueness[0] > blueness[SIZE[1] // 2] > blueness[-1]
     edges = (picture[:, :, 1] > 40) & (picture[:, :, 1] < 150)  # between the sky and the crate, which has no green
     assert edges.sum() > 20
+
+
+def test_a_robot_that_has_gone_far_is_not_in_the_haze(drawer: Any) -> None:
+    simulation = Simulation()
+    simulation.robots.spawn(body('<box size="1 1 1"/>'), "crate", pose=pose(0, 0, 0.5))
+    scene = Watched(simulation, "side").view.scene
+    view = ViewpointChoice(scene, "side", SIZE).of(scene)
+    renderer = drawer(SIZE)
+    assert where(renderer.draw(scene, view), 0)[2] > 100
+    scene.poses["crate::link"] = pose(0, 40, 0.5)
+    assert where(renderer.draw(scene, view), 0)[2] >= 10

@@ -41,7 +41,7 @@ class GlRenderer:
 
     def draw(self, scene: DrawnScene, view: Viewpoint) -> Pixels:
         """Draw a picture: RGB, shape (height, width, 3). Raises Refused."""
-        if self._scene is not scene:
+        if self._scene is not scene or self._reaches_fog(scene, view):
             self._take(scene, view)
         model, data = self._model, self._data
         for link, mocap in self._mocaps.items():
@@ -65,6 +65,11 @@ class GlRenderer:
         if is_sky.any():  # MuJoCo's fog hides its sky, too
             pixels[is_sky] = np.rint(255.0 * rasteriser.sky(self._size, view, drawn_scene.SKY)[is_sky])
         return pixels
+
+    def _reaches_fog(self, scene: DrawnScene, view: Viewpoint) -> bool:
+        """Whether robots have gone so far that the fog, whose place OpenGL keeps, would hide them."""
+        centre, radius = scene.bounds()
+        return float((centre - view.eye) @ view.ahead) + radius > float(self._model.vis.map.fogstart)
 
     def _take(self, scene: DrawnScene, view: Viewpoint) -> None:
         try:

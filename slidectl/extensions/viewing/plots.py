@@ -391,6 +391,8 @@ def _draw_readings(axis: Any, plot: Plot) -> None:
 def _draw_legend(axis: Any, width: int, height: float) -> None:
     """Draw the legend above a panel of this size (pixels); over the curves only where there is no room for it."""
     labels = axis.get_legend_handles_labels()[1]
+    if not labels:  # matplotlib leaves out those that begin with _
+        return
     columns = max(1, width // (_LETTER * (max(map(len, labels)) + _SAMPLE)))
     columns = min(columns, len(labels))
     if math.ceil(len(labels) / columns) * _LEGEND_ROW < height / 2:

@@ -28,7 +28,7 @@ _GRAPH_EVERY = 4
 """Refreshes between two reads of the graph, which take one call per node."""
 _RATE_WINDOW_NS = 5 * 10**9
 _LOG_BYTES = 8192
-_LOG_LINE = re.compile(r"\d{4}-\d\d-\d\d [\d:.]+ (?P<level>[a-z]+) +(?:\[(?P<time>[\d.]+)\] )?(?P<message>.*)")
+_LOG_LINE = re.compile(r"\d{4}-\d\d-\d\d [\d:.]+ (?P<level>[a-z]+) +(?:\[(?P<time>\d+\.\d{3})\] )?(?P<message>.*)")
 _UNMEASURED = {
     "rosgraph_msgs/Clock", "gazebo_msgs/LinkStates", "gazebo_msgs/ModelStates",
     "sensor_msgs/CameraInfo", "sensor_msgs/Image", "sensor_msgs/LaserScan", "tf2_msgs/TFMessage",
@@ -167,11 +167,11 @@ def _last_lines(log: str, begin: str) -> list[Record]:
         lines = file.read().decode("utf-8", "replace").splitlines()
         lines = lines[size > _LOG_BYTES :]
         first = max((number for number, line in enumerate(lines) if line.endswith(begin)), default=0)
-        return [_log_record(line) for line in lines[first:]]
+        return [log_record(line) for line in lines[first:]]
     return []
 
 
-def _log_record(line: str) -> Record:
+def log_record(line: str) -> Record:
     """A line of the log in parts. A line of another form, as of a traceback, is a message."""
     found = _LOG_LINE.fullmatch(line)
     time, level, message = ("", "", line) if found is None else found.group("time", "level", "message")

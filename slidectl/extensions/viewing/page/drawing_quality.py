@@ -47,7 +47,7 @@ class DrawingQuality:
         now = time.monotonic()
         name = str(request.get("browser", ""))[:40]
         if name and (name in self._browsers or len(self._browsers) < _MOST_BROWSERS):
-            ratio = min(max(float(request.get("pixel_ratio", 1.0)), 1.0), _LARGEST_RATIO)
+            ratio = min(max(1.0, float(request.get("pixel_ratio", 1.0))), _LARGEST_RATIO)  # 1.0 for nan
             self._browsers[name] = _Browser(now, bool(request.get("draws_by_software", True)), ratio)
         self._browsers = {key: one for key, one in self._browsers.items() if now - one.seen_at < _SEEN_S}
         self._choose()

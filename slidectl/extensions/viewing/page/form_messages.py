@@ -9,11 +9,10 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable
-from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from slidectl.client import Client
-from slidectl.errors import NoDaemon, Refused, SlidectlError, UsageError
+from slidectl.errors import NoDaemon, Refused, SlidectlError, TimedOut, UsageError
 from slidectl.msgs.fill import Time, fill
 from slidectl.msgs.message_expressions import number_converter
 from slidectl.msgs.schema import SCALAR, Field, Schema, from_typedefs, nanoseconds
@@ -170,8 +169,12 @@ class PagePublications:
     def leave(self) -> None:
         """End all publications, and stop the driven bases: nothing else would."""
         for topic in self._driven:
-            with suppress(SlidectlError):
+            try:
                 self._page.client.deliver(topic, _STILL)
+            except (NoDaemon, TimedOut):  # it hears nothing of the others either
+                break
+            except SlidectlError:  # this base has gone
+                continue
         self._driven.clear()
         for topic in list(self._running):
             self._stop(topic)

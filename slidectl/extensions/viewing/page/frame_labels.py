@@ -57,6 +57,8 @@ class FrameLabels:
     def _place(
         self, browser: ClientHandle, labels: dict[str, Any], links: list[str], places: Array, pixel_ratio: float
     ) -> None:
+        if not 0.0 < browser.camera.fov < math.pi:  # a browser may send any number
+            return
         pixels, depths = _seen(browser.camera, places)
         taken = np.empty((0, 4))
         for index in np.argsort(depths, kind="stable"):

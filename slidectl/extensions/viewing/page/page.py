@@ -124,7 +124,7 @@ class Page:
             raise UnknownName("service of the page", name, list(self._services))
         try:
             return service(request)
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             raise Refused(f"the request of {name} is not valid: {type(error).__name__}: {error}") from error
 
     # --- for the parts ------------------------------------------------------------------------------------------

@@ -78,6 +78,7 @@ class SceneView:
             "shadows": self.quality.shadows,
             "has_shadows": self.quality.has_shadows,
             "sensors": self.sensors.state(),
+            "drawn_types": self.sensors.types(),
         }
         return {**self._shown, **more, **looks}
 

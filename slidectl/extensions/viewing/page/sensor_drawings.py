@@ -1,7 +1,7 @@
 """Sensors, odometry and paths in the scene, each topic drawn in the frame of its messages.
 
 A topic is subscribed only while it is shown and a browser has the page open. How often and how much is read is bounded,
-so that the world keeps its speed.
+so that the world keeps its speed; /tf is read whole, while a frame that is shown needs it.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ _CONE_SIDES = 24
 _RED, _BLUE, _GREEN, _PURPLE, _AMBER = (225, 55, 55), (70, 110, 240), (40, 165, 90), (175, 85, 215), (235, 150, 30)
 _LOW, _HIGH = np.array((45, 95, 220)), np.array((235, 90, 50))
 """The colours of the lowest and the highest point of a cloud without colours."""
-_NUMBERS = ("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")
-"""The types of a sensor_msgs/PointField, from INT8 (1) on."""
+_NUMBERS = ("", "i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")
+"""The types of a sensor_msgs/PointField: INT8 is 1, and 0 is none."""
 _TF = "tf2_msgs/TFMessage"
 
 Message = dict[str, Any]
@@ -206,6 +206,8 @@ class _Odometry(_Drawing):
 
     def draw(self, message: Message, size: float) -> None:
         here = _place(message["pose"]["pose"]["position"])
+        if not all(map(math.isfinite, here)):  # raises TypeError for None, which is how nan is sent
+            return
         if not self._way or math.dist(here, self._way[-1]) > 0.01 * size:
             self._way.append(here)
             self._draw_line(np.array(self._way), _GREEN)
@@ -245,6 +247,8 @@ class _ShownTopic:
         """Why nothing is drawn."""
         self.size = 1.0
         """The radius of the topic's robot, m."""
+        self.needs_tf = False
+        """Whether its frame was looked for on /tf."""
 
     def take(self, event: Message) -> None:
         self.message = event["msg"]
@@ -260,21 +264,31 @@ class SensorDrawings:
         """Robot -> namespace."""
         self._tf = Frames()
         self._tf_subscriptions: list[Subscription] = []
-        self._anchors: dict[str, Pose] = {}
-        """Frame above the robots (`odom`) -> where it was when it was first needed: its drift is to be seen."""
+        self._anchors: dict[tuple[str, str], Pose] = {}
+        """Robot of a topic, and a frame above it (`odom`) -> where that was when it was first needed.
+
+        So its drift is seen. Frames of several robots may have one name."""
         self._time = 0.0
 
     def state(self) -> dict[str, str]:
         """Each shown topic, and why nothing is drawn; empty when it is drawn."""
         return {topic: one.trouble for topic, one in self._shown.items()}
 
+    @staticmethod
+    def types() -> list[str]:
+        """The message types that are drawn."""
+        return list(_DRAWINGS)
+
     def choose(self, request: Message) -> None:
-        """Show a `topic` (full name), or with `shown` false do not. Raises UnknownName, Refused."""
+        """Show a `topic`, or with `shown` false (then its full name) do not. Raises UnknownName, Refused."""
         topic = str(request["topic"])
         if not request["shown"]:
             self._remove(topic)
         elif topic not in self._shown:
-            type_name = str(self._page.client.resolve("topic", topic)["type"])
+            found = self._page.client.resolve("topic", topic)
+            topic, type_name = str(found["name"]), str(found["type"])
+            if topic in self._shown:
+                return
             if type_name not in _DRAWINGS:
                 raise Refused(f"{type_name} is not drawn in the scene", f"drawn are {', '.join(_DRAWINGS)}")
             path = f"/sensors/{topic[1:].replace('/', '.')}"  # flat: a topic below another one is not below its node
@@ -287,8 +301,8 @@ class SensorDrawings:
             one.drawing.remove()
             if one.subscription is not None:
                 one.subscription.close()
-        if not self._shown:
-            self.rest()
+        if not any(one.needs_tf for one in self._shown.values()):
+            self._end_tf()
 
     def rest(self) -> None:
         """End all subscriptions: no browser has the page open, or the robots have changed."""
@@ -296,6 +310,9 @@ class SensorDrawings:
             if one.subscription is not None:
                 one.subscription.close()
                 one.subscription = None
+        self._end_tf()
+
+    def _end_tf(self) -> None:
         for subscription in self._tf_subscriptions:
             subscription.close()
         self._tf_subscriptions.clear()
@@ -323,10 +340,17 @@ class SensorDrawings:
             for one in self._shown.values():
                 one.drawing.restart()
         self._time = scene.time
-        for one in self._shown.values():
-            if one.subscription is None:
-                self._subscribe(one, scene)
-            self._draw(one, scene)
+        for one in list(self._shown.values()):
+            try:
+                if one.subscription is None:
+                    self._subscribe(one, scene)
+                self._draw(one, scene)
+            except Refused as error:
+                one.drawing.remove()
+                one.trouble = f"{error.message[0].upper()}{error.message[1:]}."
+                if one.subscription is None:  # the topic has another type now
+                    self._remove(one.topic)
+                    self._page.tell("error", f"{one.topic} is not drawn any more: {error.message}")
 
     def _subscribe(self, one: _ShownTopic, scene: DrawnScene) -> None:
         client = self._page.client
@@ -353,9 +377,6 @@ class SensorDrawings:
                 return
             one.message, one.trouble = None, ""
             one.drawing.draw(message, one.size)
-        except Refused as error:
-            one.drawing.remove()
-            one.trouble = f"{error.message[0].upper()}{error.message[1:]}."
         except TypeError:  # null is how nan is sent
             one.message, one.trouble = None, "A number of the message is nan."
         else:
@@ -379,8 +400,8 @@ class SensorDrawings:
             return ORIGIN
         if link := self._link(one.frame, one, scene):
             return scene.poses[link]
-        if one.frame in self._anchors:
-            return self._anchors[one.frame]
+        if (anchor := self._anchors.get(self._anchor(one))) is not None:
+            return anchor
         if isinstance(one.drawing, _Odometry) and one.message is not None:
             odometry, pose = Frames(), one.message["pose"]["pose"]
             transform = {"translation": pose["position"], "rotation": pose["orientation"]}
@@ -388,6 +409,7 @@ class SensorDrawings:
             odometry.add({"transforms": [{**stamped, "transform": transform}]}, is_static=False)
             if (found := self._through(odometry, one, scene)) is not None:
                 return found
+        one.needs_tf = True
         if not self._tf_subscriptions:
             for topic in (STATIC, MOVING):
                 take = partial(self._take_tf, is_static=topic == STATIC)
@@ -410,8 +432,11 @@ class SensorDrawings:
         link = self._link(known, one, scene)
         pose = compose(scene.poses[link] if link else ORIGIN, frames.transform(known, one.frame).pose)
         if not above:
-            self._anchors[one.frame] = pose
+            self._anchors[self._anchor(one)] = pose
         return pose
+
+    def _anchor(self, one: _ShownTopic) -> tuple[str, str]:
+        return next(iter(self._owners(one.topic)), ""), one.frame or ""
 
     def _link(self, frame: str, one: _ShownTopic, scene: DrawnScene) -> str | None:
         """ROBOT::LINK of a frame."""
@@ -443,7 +468,7 @@ def _cloud_points(message: Message) -> NDArray[Any]:
     fields = {field["name"]: field for field in message["fields"]}
     if not fields.keys() >= {*"xyz"}:
         raise Refused("this cloud has no fields x, y and z")
-    kinds = {axis: order + _NUMBERS[fields[axis]["datatype"] - 1] for axis in "xyz"}
+    kinds = {axis: order + _NUMBERS[fields[axis]["datatype"]] for axis in "xyz"}
     offsets = {axis: fields[axis]["offset"] for axis in "xyz"}
     colour = fields.get("rgb") or fields.get("rgba")
     if colour is not None:

@@ -10,11 +10,6 @@ const BOXES = [
   ["contacts", "Contacts and their forces"],
 ];
 
-const SENSORS = [
-  "sensor_msgs/LaserScan", "sensor_msgs/PointCloud2", "sensor_msgs/Range", "geometry_msgs/WrenchStamped", "nav_msgs/Odometry",
-  "nav_msgs/Path",
-];
-
 const ask = (what, request) => attempt(async () => {
   await page(what, request);
   await store.values.readWorld();
@@ -22,9 +17,9 @@ const ask = (what, request) => attempt(async () => {
 const choose = (changes) => ask("view", changes);
 
 /** The topics that can be drawn in the scene, where there are any. */
-function Sensors({ shown }) {
+function Sensors({ shown, drawn }) {
   const topics = useStore((s) => s.topics);
-  const found = Object.values(topics).filter((one) => SENSORS.includes(one.type) && (one.publishers.length || one.name in shown));
+  const found = Object.values(topics).filter((one) => drawn.includes(one.type) && (one.publishers.length || one.name in shown));
   if (!found.length) return null;
   return html`<${Group} title="Sensors and paths">
     ${found.map(({ name, type }) => html`<div key=${name}><${Check} checked=${name in shown}
@@ -45,7 +40,7 @@ function Panel() {
       ${BOXES.filter(([key]) => key in view).map(([key, text]) => html`<${Check} key=${key} checked=${view[key]}
         onChange=${(value) => choose({ [key]: value })}>${text}<//>`)}
     <//>
-    <${Sensors} shown=${view.sensors} />
+    <${Sensors} shown=${view.sensors} drawn=${view.drawn_types} />
     <${Group} title="Trace">
       <${Field} label="Trace of a link"><${Select} label="Trace of a link" value=${view.trace} options=${[["", "none"], ...links]}
         onChange=${(trace) => choose({ trace })} /><//>
@@ -53,7 +48,7 @@ function Panel() {
     <${Group} title="Quality">
       <${Field} label="Shadows" hint="Half of the frames of a browser that draws by software"><${Select} label="Shadows" value=${view.shadows}
         options=${[["auto", view.shadows === "auto" ? `auto (${view.has_shadows ? "on" : "off"})` : "auto"], "on", "off"]} onChange=${(shadows) => choose({ shadows })} /><//>
-      ${view.shadows === "auto" && !view.has_shadows && html`<p class="hint">Off: a browser draws by software.</p>`}
+      ${view.shadows === "auto" && !view.has_shadows && html`<p class="hint">Off while a browser draws by software.</p>`}
     <//>
     ${!readOnly && html`<${Group} title="Mouse">
       <${Field} label="Place a robot"><${Select} label="Place with the mouse" value=${view.placed} disabled=${!free.length}
