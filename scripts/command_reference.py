@@ -24,7 +24,9 @@ WIDTH = 100
 
 HEAD = """# Commands
 
-This page has the `--help` of every command. `python scripts/command_reference.py` writes it.
+<!-- python scripts/command_reference.py writes this page. -->
+
+This page has the `--help` of every command.
 
 Every command also has the common options, before or after its name:
 

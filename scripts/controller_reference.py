@@ -17,10 +17,11 @@ PAGE = Path(__file__).parent.parent / "docs" / "controllers.md"
 
 HEAD = """# Controllers
 
+<!-- python scripts/controller_reference.py writes this page. -->
+
 This page lists the types that `slidectl controller types` prints, with the parameters below the name of a controller.
 They behave as those of ros_controllers; [deviations](deviations.md) lists the differences. Every controller also reads
-`type` and `update_budget` ([times](extending.md#a-controller-of-your-own)). `python scripts/controller_reference.py`
-writes the page.
+`type` and `update_budget` ([times](extending.md#a-controller-of-your-own)).
 
 ## Follow a trajectory
 

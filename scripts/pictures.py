@@ -105,35 +105,40 @@ def slide() -> None:
 def animation() -> None:
     """The slider and RRBot follow sine waves: a video for the site, a .gif for README.md, and a still picture.
 
-    The waves begin where both robots are highest, for the view takes in what is there at the first picture.
+    The waves are trajectories, which the world itself follows: a program that publishes beside it is late on a busy
+    machine. A period begins where RRBot is highest, for the view takes in what is there at the first picture.
     """
-    waves = {
-        "/slider/joint1_position_controller": "0.8*sin(2*pi*t/6)",
-        "/rrbot/joint1_position_controller": "0.7*sin(2*pi*t/6)",
-        "/rrbot/joint2_position_controller": "1.2*sin(4*pi*t/6)",
-    }
+    waves = {"slider": {"joint1": (0.8, 1)}, "rrbot": {"joint1": (0.7, 1), "joint2": (1.2, 2)}}
+    times = np.arange(0, 18.5, 0.1)
     with world("--paused") as environment, tempfile.TemporaryDirectory(prefix="slidectl-") as folder:
-        run(environment, "spawn", quick_slider(folder), "-q", "--at", "0", "-0.8", "0", "--controllers",
-            "config/slider_control.yaml", "--start", "joint1_position_controller")  # fmt: skip
-        run(environment, "spawn", "rrbot", "-q", "--at", "0", "0.8", "0", "--controllers",
-            "config/rrbot_control.yaml", "--start", "joint1_position_controller",
-            "joint2_position_controller")  # fmt: skip
-        publishers = [
-            subprocess.Popen([SLIDECTL, "pub", "-q", "-r", "100", f"{name}/command", wave], env=environment)
-            for name, wave in waves.items()
-        ]
-        try:
-            time.sleep(2)  # until they publish, as time stands still
-            run(environment, "sim", "step", "6s", "-q")  # the swing of the beginning has gone: the last picture of
-            # the next period leads to its first one
-            for file, more in (("slide.mp4", ("--size", "960x540")),
-                               ("slide.gif", ("--size", "480x270", "--fps", "10"))):  # fmt: skip
-                run(environment, "video", str(PICTURES / file), "--for", "6", *more, "-q")
-            run(environment, "render", "-o", str(PICTURES / "slide.png"), "--size", "960x540", "-q")
-        finally:
-            for publisher in publishers:
-                publisher.terminate()
-                publisher.wait()
+        for (robot, joints), model, y in zip(
+            waves.items(), (quick_slider(folder), "rrbot"), ("-0.8", "0.8"), strict=True
+        ):
+            gains = ", ".join(f"{joint}: {{p: 1000, d: 100}}" for joint in joints)
+            file = Path(folder) / f"{robot}.yaml"
+            file.write_text(
+                f"{robot}:\n  waves:\n    type: effort_controllers/JointTrajectoryController\n"
+                f"    joints: [{', '.join(joints)}]\n    gains: {{{gains}}}\n",
+                encoding="utf-8",
+            )
+            run(environment, "spawn", model, "-q", "--at", "0", y, "0", "--controllers", str(file), "--start", "waves")
+        with Client(socket=socket_of(environment)) as client:
+            for robot, joints in waves.items():
+                points = [
+                    {
+                        "positions": [height * np.sin(n * np.pi * t / 3) for height, n in joints.values()],
+                        "velocities": [
+                            height * n * np.pi / 3 * np.cos(n * np.pi * t / 3) for height, n in joints.values()
+                        ],
+                        "time_from_start": {"secs": int(t), "nsecs": round(t % 1 * 1e9)},
+                    }
+                    for t in times[1:].tolist()
+                ]
+                client.publish(f"/{robot}/waves/command", {"joint_names": list(joints), "points": points})
+            client.step(seconds=6)  # the swing of the beginning has gone: a period ends where it begins
+        for name, more in (("slide.mp4", ("--size", "960x540")), ("slide.gif", ("--size", "480x270", "--fps", "10"))):
+            run(environment, "video", str(PICTURES / name), "--for", "6", *more, "-q")
+        run(environment, "render", "-o", str(PICTURES / "slide.png"), "--size", "960x540", "-q")
 
 
 BLUE, ORANGE, GREY = "#0b6bcb", "#c2410c", "#6b7280"

@@ -115,7 +115,7 @@ def test_no_page_loads_anything_from_elsewhere_or_complains(site: Path, served: 
 
 
 @needs_chromium
-def test_no_table_and_no_page_is_wider_than_its_column(site: Path, tab: Page) -> None:
+def test_no_table_no_code_in_a_sentence_and_no_page_is_wider_than_its_column(site: Path, tab: Page) -> None:
     wide = []
     for address in addresses(site, site.as_uri()):
         tab.goto(address)
@@ -123,10 +123,11 @@ def test_no_table_and_no_page_is_wider_than_its_column(site: Path, tab: Page) ->
             f"{Path(address).name}: {text}"
             for text in tab.evaluate("""() => {
                 const column = document.querySelector("article").getBoundingClientRect();
-                const out = [...document.querySelectorAll("article table")].filter((table) =>
-                    table.getBoundingClientRect().right > column.right + 1
-                    || table.scrollWidth > table.parentElement.clientWidth + 1);
-                const texts = out.map((table) => table.innerText.slice(0, 60));
+                const within = "article table, article :is(p, li) > code";
+                const out = [...document.querySelectorAll(within)].filter((part) =>
+                    part.getBoundingClientRect().right > column.right + 1
+                    || part.scrollWidth > part.parentElement.clientWidth + 1);
+                const texts = out.map((part) => part.innerText.slice(0, 60));
                 if (document.documentElement.scrollWidth > innerWidth) texts.push("the page itself");
                 return texts;
             }""")
