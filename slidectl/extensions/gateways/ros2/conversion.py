@@ -44,7 +44,7 @@ _NUMBERS = {
 _LAST_SECOND = 2**31 - 1
 _SEQUENCE = re.compile(r"sequence<(?P<type>[^,]*)(, (?P<most>\d+))?>")
 _ARRAY = re.compile(r"(?P<type>.*)\[(?P<length>\d+)\]")
-_BOUNDED_TEXT = re.compile(r"w?string<(\d+)>")
+_TEXT = re.compile(r"w?string(<(?P<most>\d+)>)?")
 
 Convert = Callable[[Any], Any]
 
@@ -160,9 +160,10 @@ def _conversion(name: str, ros2_class: Any, fields: tuple[Field, ...]) -> Conver
 
 def _field(owner: str, field: Field, theirs: str) -> tuple[Convert | None, Convert | None]:
     """How a field is converted there and back; None for a value that is the same in both. Raises NotInRos2."""
-    most = length = None
+    most: int | None = None
+    length: int | None = None
     if sequence := _SEQUENCE.fullmatch(theirs):
-        element, most = sequence["type"], sequence["most"] and int(sequence["most"])
+        element, most = sequence["type"], int(sequence["most"]) if sequence["most"] else None
     elif array := _ARRAY.fullmatch(theirs):
         element, length = array["type"], int(array["length"])
     else:
@@ -194,10 +195,10 @@ def _element(owner: str, field: Field, theirs: str, whole: str) -> tuple[Convert
                 lambda value: int.from_bytes(value, "little", signed=is_signed),
             )
         return (_float_to if kind in FLOATS else None), None
-    if theirs in ("string", "wstring") or (bound := _BOUNDED_TEXT.fullmatch(theirs)):
+    if text := _TEXT.fullmatch(theirs):
         if kind != "string":
             raise _differs(owner, field, whole)
-        return (None if theirs in ("string", "wstring") else _bounded(None, int(bound[1]), field)), None
+        return _bounded(None, int(text["most"]) if text["most"] else None, field), None
     if kind in PRIMITIVES and kind not in TIMES:
         raise _differs(owner, field, whole)
     package, _, name = theirs.partition("/")

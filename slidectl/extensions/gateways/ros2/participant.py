@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from slidectl.errors import Refused, UsageError, cut
+from slidectl.paths import install_command
 
 T = TypeVar("T")
 Received = Callable[[Any, dict[str, Any]], None]
@@ -32,7 +33,6 @@ _GO_ON_AFTER_S = 0.1
 _KINDS = ("subscription", "service", "client")
 _MOST_AT_ONCE = 100
 """Messages of one topic taken in a row, so that a topic with many does not hold up the others."""
-_HOW = "source a ROS 2 first (/opt/ros/DISTRO/setup.bash), or: pip install '.[ros2]' in a clone, with Python 3.12"
 
 
 class Participant:
@@ -76,8 +76,10 @@ class Participant:
 
     async def run(self, work: Callable[[], T]) -> T:
         """Do `work` where all of rclpy's objects are made and ended, and return its result."""
-        assert self._loop is not None and self._topics is not None
-        loop, done = self._loop, self._loop.create_future()
+        assert self._loop is not None
+        assert self._topics is not None
+        loop = self._loop
+        done: asyncio.Future[Any] = loop.create_future()
 
         def finish(result: T | None, error: BaseException | None) -> None:
             if not done.done():
@@ -92,7 +94,8 @@ class Participant:
                 loop.call_soon_threadsafe(finish, result, None)
 
         self._topics.post(carry_out)
-        return await done
+        result: T = await done
+        return result
 
     def node(self, name: str) -> Any:
         """A new node of the full name. Raises ValueError: ROS 2 has no such names."""
@@ -134,7 +137,8 @@ class Participant:
 
     def offer(self, node: Any, service_class: Any, name: str, answer: Answer) -> Any:
         """Offer a service by a node of ours; `answer` is run in the event loop for each request."""
-        assert self._services is not None and self._loop is not None
+        assert self._services is not None
+        assert self._loop is not None
         loop = self._loop
         made = node.create_service(service_class, name, lambda _, response: response)
 
@@ -158,7 +162,8 @@ class Participant:
 
     def client(self, node: Any, service_class: Any, name: str, answered: Callable[[int, Any], None]) -> Any:
         """A client of a service; `answered` gets the number of each request and its response, in the event loop."""
-        assert self._services is not None and self._loop is not None
+        assert self._services is not None
+        assert self._loop is not None
         loop = self._loop
         made = node.create_client(service_class, name)
 
@@ -271,11 +276,15 @@ def _rclpy() -> Any:
     except ModuleNotFoundError as error:
         missing = error.name or ""
         if missing.partition(".")[0] != "rclpy":
-            raise Refused(f"rclpy, ROS 2's client for Python, needs the module {missing}", _HOW) from None
-        raise _for_another_python(error) or Refused("rclpy, ROS 2's client for Python, is not here", _HOW) from None
+            raise Refused(f"rclpy, ROS 2's client for Python, needs the module {missing}", _how()) from None
+        raise _for_another_python(error) or Refused("rclpy, ROS 2's client for Python, is not here", _how()) from None
     except ImportError as error:
-        raise _for_another_python(error) or Refused(f"rclpy cannot be loaded: {cut(str(error), 400)}", _HOW) from None
+        raise _for_another_python(error) or Refused(f"rclpy cannot be loaded: {cut(str(error), 400)}", _how()) from None
     return rclpy
+
+
+def _how() -> str:
+    return f"source a ROS 2 first (/opt/ros/DISTRO/setup.bash), or, with Python 3.12: {install_command('ros2')}"
 
 
 def _for_another_python(_: ImportError) -> Refused | None:

@@ -13,7 +13,6 @@ from functools import partial
 from typing import Any
 
 from slidectl import msgs, names
-from slidectl.effects import Effect
 from slidectl.errors import NoDaemon, Refused, SlidectlError
 from slidectl.extensions.gateways.daemon_connection import GRAPH_CHANGES, PARAMETER_CHANGES, DaemonConnection
 from slidectl.extensions.gateways.gateway import Gateway, GatewayOptions, is_offered
@@ -370,14 +369,14 @@ class Ros2Gateway(Gateway):
             known.foreign = self._foreign.topics.get(name, UNUSED)
             wanted = await self._wanted(topic, known.foreign)
             if wanted != known.has:
-                changes.append(partial(known.set_ends, wanted, self._nodes))
+                changes.append((known, wanted))
 
         def change() -> None:
-            for one in changes:
+            for bridge, wanted in changes:
                 try:
-                    one()
+                    bridge.set_ends(wanted, self._nodes)
                 except Exception as error:  # rclpy refuses a name or a type, each in its own way
-                    self._leave_out(one.func.__self__.name, str(error))
+                    self._leave_out(bridge.name, str(error))
 
         if changes:
             await self._participant.run(change)

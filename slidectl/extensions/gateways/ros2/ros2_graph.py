@@ -88,7 +88,8 @@ class GraphReader:
             tuple(dict.fromkeys(node for node, _ in published)),
             tuple(dict.fromkeys(subscribed)),
             any(end.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT for _, end in published),
-            bool(published) and all(end.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for _, end in published),
+            bool(published)
+            and all(end.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for _, end in published),
             {bytes(end.endpoint_gid): node for node, end in published},
         )
 
