@@ -25,7 +25,7 @@ function Picture() {
   useEffect(() => () => address && URL.revokeObjectURL(address), [address]);
   return html`<${Group} title="Nodes and topics" aside=${html`<${Button} onClick=${read}>Refresh<//>`}>
     <${Field} label="Graph of" hint="Nodes, topics or namespaces" error=${error}>
-      <input value=${words} placeholder="all" onInput=${(event) => setWords(event.target.value)} /><//>
+      <input value=${words} placeholder="All" onInput=${(event) => setWords(event.target.value)} /><//>
     ${address && html`<button type="button" class=${`graph ${large ? "large" : ""}`} title=${large ? "Make it fit" : "Enlarge"}
       onClick=${() => setLarge(!large)}><img src=${address} alt="Graph of nodes and topics" /></button>`}
   <//>`;

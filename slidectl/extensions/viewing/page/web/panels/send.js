@@ -89,7 +89,7 @@ function Publish() {
     await page("publish", { topic, texts, rate: hertz });
   };
   return html`<${Group} title="Publish">
-    <${Field} label="Topic"><${Select} label="Topic" value=${topic} options=${[["", "choose a topic"], ...Object.keys(topics)]} onChange=${setTopic} /><//>
+    <${Field} label="Topic"><${Select} label="Topic" value=${topic} options=${[["", "Choose a topic"], ...Object.keys(topics)]} onChange=${setTopic} /><//>
     ${form && html`<${Form} kind=${form.root} types=${form.types} texts=${texts} onChange=${setTexts} />
       <div class="line"><${Act} kind="primary" onClick=${once}>Publish once<//>
         <${Act} onClick=${begin}>Publish at<//>
@@ -133,7 +133,7 @@ function Services() {
     }
   };
   return html`<${Group} title="Services">
-    <${Field} label="Service"><${Select} label="Service" value=${service} options=${[["", "choose a service"], ...Object.keys(services)]} onChange=${setService} /><//>
+    <${Field} label="Service"><${Select} label="Service" value=${service} options=${[["", "Choose a service"], ...Object.keys(services)]} onChange=${setService} /><//>
     ${form && html`<${Form} kind=${form.root} types=${form.types} texts=${texts} onChange=${setTexts} />
       <div class="line"><${Act} kind="primary" onClick=${begin}>Call<//></div>`}
     ${answer && html`<pre class="answer" tabindex="0" aria-label="Answer">${answer}</pre>`}
