@@ -368,14 +368,14 @@ def test_the_log_is_filtered_and_names_are_never_markup(world: CommandLine, tab:
         client.flush()
         tab.panel("Log")
         expect(tab.page.locator(".log")).to_contain_text("/<i>node</i>: <img src=x onerror=alert(1)>")
-        tab.page.get_by_label("Severity from").select_option("error")
+        tab.page.get_by_label("Severity from").select_option("From error")
         expect(tab.page.locator(".log")).not_to_contain_text("a plain line")
         expect(tab.page.locator(".log")).to_contain_text("an <b>error</b>")
         assert tab.page.locator(".log img, .log i").count() == 0
         tab.page.get_by_label("Log contains").fill("no such text")
         expect(tab.page.locator(".log")).to_contain_text("No lines")
         tab.page.get_by_label("Log contains").fill("")
-        tab.page.get_by_label("Severity from").select_option("debug")
+        tab.page.get_by_label("Severity from").select_option("From debug")
         tab.button("Clear").click()
         expect(tab.page.locator(".log")).to_contain_text("No lines")
 

@@ -27,7 +27,8 @@ function Picture() {
     <${Field} label="Graph of" hint="Nodes, topics or namespaces" error=${error}>
       <input value=${words} placeholder="All" onInput=${(event) => setWords(event.target.value)} /><//>
     ${address && html`<button type="button" class=${`graph ${large ? "large" : ""}`} title=${large ? "Make it fit" : "Enlarge"}
-      onClick=${() => setLarge(!large)}><img src=${address} alt="Graph of nodes and topics" /></button>`}
+      onClick=${() => setLarge(!large)}><img src=${address} alt="Graph of nodes and topics" /></button>
+      <p class="hint">${large ? "Click the graph to make it fit." : "Click the graph to enlarge it."}</p>`}
   <//>`;
 }
 

@@ -37,7 +37,7 @@ function Panel() {
   const wanted = text.toLowerCase();
   const shown = lines.filter((one) => one.level >= severity && `${one.time} ${one.name} ${one.text}`.toLowerCase().includes(wanted));
   return html`<div class="line">
-      <${Select} label="Severity from" value=${String(severity)} options=${LEVELS} onChange=${(value) => { severity = Number(value); draw(); }} />
+      <${Select} label="Severity from" value=${String(severity)} options=${LEVELS.map(([level, name]) => [level, `From ${name}`])} onChange=${(value) => { severity = Number(value); draw(); }} />
       <input aria-label="Log contains" placeholder="Contains" value=${text} onInput=${(event) => { text = event.target.value; draw(); }} />
       <${Button} icon=${paused ? "play" : "pause"} title=${paused ? "Go on with the log" : "Pause the log"} aria-pressed=${paused} onClick=${() => { paused = !paused; draw(); }} />
       <${Button} title="Clear the log" onClick=${() => { lines.length = 0; draw(); }}>Clear<//></div>
