@@ -571,7 +571,8 @@ def test_the_toolbar_has_one_row_in_every_window(browser: Browser, page: str, pa
         tab.page.set_viewport_size({"width": width, "height": 500})
         expect(tab.page.get_by_role("button", name="Hide panels")).to_have_count(int(width <= 700))
         box = tab.page.get_by_role("toolbar").bounding_box()
-        assert box and box["height"] < 50, f"{width}: {box}"
+        assert box is not None
+        assert box["height"] < 50, f"{width}: {box}"
     tab.close()
 
 

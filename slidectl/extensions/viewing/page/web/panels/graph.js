@@ -1,6 +1,6 @@
 // The graph of nodes and topics as a picture, and the tree of tf frames with their ages.
 
-import { attempt, Button, Check, Field, Group, html, page, reasonOf, store, useEffect, useEvery, useRef, useState, useStore } from "../parts.js";
+import { attempt, Button, Check, Field, Group, html, inParts, page, reasonOf, store, useEffect, useEvery, useRef, useState, useStore } from "../parts.js";
 
 function Picture() {
   const topics = useStore((s) => s.topics);
@@ -60,7 +60,7 @@ function Frames() {
     seen.add(name);
     const one = frames.current.get(name);
     const age = one ? (one.isStatic ? "static" : `${Math.max(0, now - one.time).toFixed(1)} s`) : "";
-    return html`<li><span>${name}</span> <i>${age}</i>${inner.has(name) && html`<ul>${inner.get(name).sort().map((child) =>
+    return html`<li><span>${inParts(name)}</span> <i>${age}</i>${inner.has(name) && html`<ul>${inner.get(name).sort().map((child) =>
       html`<${Frame} key=${child} name=${child} />`)}</ul>`}</li>`;
   };
   return html`<${Group} title="Frames">
