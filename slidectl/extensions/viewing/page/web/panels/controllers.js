@@ -92,7 +92,7 @@ function Controller({ robot, name, one, type, gains }) {
     </div>
     ${behind === "stop" && isStarted && html`<${Stop} robot=${robot} one=${one} onDone=${() => setBehind("")} />`}
     ${behind === "more" && html`<div class="behind">
-      <p class="hint">${kind}${joints && html`<br />${joints}`}</p>
+      <p class="hint">${inParts(kind)}${joints && html`<br />${joints}`}</p>
       <div class="line">
         ${!one && html`<${Act} onClick=${() => manage(space, "load_controller", { name })}>Load<//>`}
         ${one && html`<${Act} title="Unload and load again, with its present parameters" onClick=${() => reload(robot, one)}>Reload<//>`}

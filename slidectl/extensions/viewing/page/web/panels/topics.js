@@ -104,7 +104,7 @@ function Message({ topic, type }) {
     };
   }, [topic, type]);
   if (!types) return null;
-  return html`<div class="message"><p class="hint">${type}${shown.rate && html` · <b>${shown.rate}</b>`}</p>
+  return html`<div class="message"><p class="hint">${inParts(type)}${shown.rate && html` · <b>${shown.rate}</b>`}</p>
     ${shown.message ? html`<${Tree} topic=${topic} root=${type} types=${types} kind=${type} value=${shown.message} path="" message=${shown.message} />`
       : html`<p class="empty">No message has come yet.</p>`}</div>`;
 }
