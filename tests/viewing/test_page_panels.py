@@ -403,7 +403,9 @@ def test_keys_are_shown_and_colours_are_switched(tab: PanelsTab) -> None:
     theme = "document.documentElement.dataset.theme"
     assert tab.page.evaluate(theme) == "light"
     tab.page.emulate_media(color_scheme="dark")
-    eventually(lambda: tab.page.evaluate(theme) == "dark")
+    # A browser notices this when it draws a frame, and this one draws no scene: frames are asked for.
+    drawn = f"new Promise((done) => requestAnimationFrame(() => done({theme})))"
+    eventually(lambda: tab.page.evaluate(drawn) == "dark")
     tab.button("Colours: system").click()
     assert tab.page.evaluate(theme) == "light"
     tab.button("Colours: light").click()
