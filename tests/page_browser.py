@@ -51,6 +51,8 @@ class PageBrowser:
         )
         self.nodes: dict[str, dict[str, Any]] = {}
         """Name in the scene -> the newest properties, `position` and `wxyz` among them."""
+        self.looks_at = (0.0, 0.0, 0.0)
+        """Where the page pointed the camera, m."""
         self.told: list[str] = []
         """What the page told all browsers."""
         self.newest: dict[str, dict[str, Any]] = {}
@@ -98,6 +100,8 @@ class PageBrowser:
             self.nodes = {key: node for key, node in self.nodes.items() if f"{key}/".find(f"{name}/") != 0}
         elif kind == "SetPositionMessage":
             self.nodes.setdefault(message["name"], {})["position"] = message["position"]
+        elif kind == "SetCameraLookAtMessage":
+            self.looks_at = message["look_at"]
         elif kind == "SetOrientationMessage":
             self.nodes.setdefault(message["name"], {})["wxyz"] = message["wxyz"]
         elif kind == "SetSceneNodeVisibilityMessage":

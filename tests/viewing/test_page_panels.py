@@ -368,14 +368,14 @@ def test_the_log_is_filtered_and_names_are_never_markup(world: CommandLine, tab:
         client.flush()
         tab.panel("Log")
         expect(tab.page.locator(".log")).to_contain_text("/<i>node</i>: <img src=x onerror=alert(1)>")
-        tab.page.get_by_label("Severity from").select_option("error")
+        tab.page.get_by_label("Severity from").select_option("From error")
         expect(tab.page.locator(".log")).not_to_contain_text("a plain line")
         expect(tab.page.locator(".log")).to_contain_text("an <b>error</b>")
         assert tab.page.locator(".log img, .log i").count() == 0
         tab.page.get_by_label("Log contains").fill("no such text")
         expect(tab.page.locator(".log")).to_contain_text("No lines")
         tab.page.get_by_label("Log contains").fill("")
-        tab.page.get_by_label("Severity from").select_option("debug")
+        tab.page.get_by_label("Severity from").select_option("From debug")
         tab.button("Clear").click()
         expect(tab.page.locator(".log")).to_contain_text("No lines")
 
@@ -403,7 +403,9 @@ def test_keys_are_shown_and_colours_are_switched(tab: PanelsTab) -> None:
     theme = "document.documentElement.dataset.theme"
     assert tab.page.evaluate(theme) == "light"
     tab.page.emulate_media(color_scheme="dark")
-    eventually(lambda: tab.page.evaluate(theme) == "dark")
+    # A browser notices this when it draws a frame, and this one draws no scene: frames are asked for.
+    drawn = f"new Promise((done) => requestAnimationFrame(() => done({theme})))"
+    eventually(lambda: tab.page.evaluate(drawn) == "dark")
     tab.button("Colours: system").click()
     assert tab.page.evaluate(theme) == "light"
     tab.button("Colours: light").click()
@@ -414,8 +416,10 @@ def test_a_trajectory_is_sent_and_succeeds(world: CommandLine, browser: Browser,
     world.ok("spawn", "arm", "--at", "2", "0", "0", "--controllers", "config/arm_control.yaml", "--start",
              "joint_state_controller", "arm_controller")  # fmt: skip
     try:
-        tab = PanelsTab(browser, page, "&robot=arm&panel=robot")
+        tab = PanelsTab(browser, page, "&robot=arm&panel=robot&plot=/arm/arm_controller/state/desired/positions[0]")
         with world.client() as client:
+            legend = tab.page.locator(".u-legend", has_text="positions[0] (joint1), rad")
+            eventually(lambda: client.step(100) and legend.count())
             goal = tab.page.get_by_role("slider", name="Goal of").first
             goal.focus()
             for _ in range(20):
@@ -463,6 +467,22 @@ def test_a_sensor_is_switched_on_in_the_panel_of_the_view(world: CommandLine, pa
         expect(tab.page.get_by_text("There is no frame")).to_have_count(0)
         tab.page.get_by_label("/sonar").uncheck()
         scene.wait_for(lambda: "/sensors/sonar" not in scene.nodes)
+
+
+def test_the_camera_goes_near_the_chosen_robot_of_several(world: CommandLine, browser: Browser, page: str) -> None:
+    world.ok("spawn", "slider", "-n", "other", "--at", "3", "0", "0")
+    try:
+        tab = PanelsTab(browser, page, "&robot=other")
+        with PageBrowser(page) as scene:
+            tab.button("Camera").click()
+            tab.page.get_by_role("menuitem", name="Near other").click()
+            scene.wait_for(lambda: scene.looks_at[0] > 2.5)
+            tab.button("Camera").click()
+            tab.page.get_by_role("menuitem", name="From the side above").click()
+            scene.wait_for(lambda: scene.looks_at[0] < 2.5)
+        tab.close()
+    finally:
+        world.ok("delete", "other")
 
 
 def test_a_robot_that_goes_while_it_is_shown_is_named(world: CommandLine, browser: Browser, page: str) -> None:
@@ -543,6 +563,19 @@ def test_in_a_narrow_window_the_panel_of_the_address_is_shown_alone(browser: Bro
         tab.page.get_by_role("complementary", name=shown).wait_for()
         expect(tab.page.get_by_role("complementary")).to_have_count(1)
         tab.close()
+
+
+@pytest.mark.parametrize("panel", ["robot", "plots"])
+def test_the_toolbar_has_one_row_in_every_window(browser: Browser, page: str, panel: str) -> None:
+    tab = PanelsTab(browser, page, f"&panel={panel}")
+    expect(tab.button("Resume (space)")).to_be_enabled()
+    for width in (1440, 1200, 1024, 800, 720, 640, 390):
+        tab.page.set_viewport_size({"width": width, "height": 500})
+        expect(tab.page.get_by_role("button", name="Hide panels")).to_have_count(int(width <= 700))
+        box = tab.page.get_by_role("toolbar").bounding_box()
+        assert box is not None
+        assert box["height"] < 50, f"{width}: {box}"
+    tab.close()
 
 
 def test_a_page_that_only_looks_has_its_inputs_off(world: CommandLine, browser: Browser) -> None:

@@ -155,6 +155,8 @@ const step = () => act(async () => {
 
 const setSpeed = (value) => act(() => call("/slidectl/set_speed", { speed: value === "max" ? 0 : Number(value) }));
 
+const look = (view, robot = "") => attempt(() => page("camera", { view, robot }));
+
 function Toolbar() {
   const status = useStore((s) => s.status);
   const readOnly = useStore((s) => s.readOnly);
@@ -164,6 +166,8 @@ function Toolbar() {
   const leftOpen = useStore((s) => s.leftOpen);
   const rightOpen = useStore((s) => s.rightOpen);
   const cycles = useStore((s) => s.cycles);
+  const robot = useStore((s) => s.robot);
+  const several = useStore((s) => s.robots.length > 1);
   const paused = status?.paused;
   const speed = status ? (status.speed ? String(status.speed) : "max") : "1";
   const speeds = SPEEDS.includes(speed) ? SPEEDS : [...SPEEDS, speed];
@@ -192,7 +196,7 @@ function Toolbar() {
       title=${recording ? `Stop recording ${recording.file}` : "Record"} onClick=${toggleRecording} />
     <${Menu} icon="camera" title="Camera" items=${[
       ["From the side above", "iso"], ["Front", "front"], ["Side", "side"], ["Top", "top"],
-    ].map(([text, view]) => [text, () => attempt(() => page("camera", { view, robot: "" }))])} />
+    ].map(([text, view]) => [text, () => look(view)]).concat(several && robot ? [[`Near ${robot}`, () => look("iso", robot)]] : [])} />
     <${Button} icon=${isDark() ? "sun" : "moon"} title=${`Colours: ${theme}`} onClick=${nextTheme} />
     ${!isPhone && html`<${Button} icon="keys" title="Keys (?)" onClick=${() => store.set({ helpOpen: true })} />`}
     ${!isPhone && html`<${Button} icon="right" title=${rightOpen ? "Hide the data panels" : "Show the data panels"}

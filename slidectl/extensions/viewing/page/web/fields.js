@@ -22,6 +22,7 @@ const UNITS = {
 };
 const JOINT_STATE = "sensor_msgs/JointState";
 const QUANTITIES = ["position", "velocity", "effort"];
+const POINT_QUANTITIES = { positions: "position", velocities: "velocity", accelerations: "acceleration", effort: "effort" };
 const RATES = { position: "velocity", velocity: "acceleration" };
 const NUMBERS = new Set([
   "bool", "byte", "char", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64",
@@ -147,11 +148,16 @@ export function unitOf(topic, types, root, path, about = "") {
     const joint = jointNamed(about, space);
     return joint ? jointUnit(joint, first) : "";
   }
+  const above = space.slice(0, space.lastIndexOf("/")) || "/";
+  if (root === "control_msgs/JointTrajectoryControllerState") {
+    const joint = jointNamed(about, above);
+    return joint ? jointUnit(joint, POINT_QUANTITIES[steps(path)[1]]) : "";
+  }
   if (root !== "control_msgs/JointControllerState" && root !== "std_msgs/Float64") return "";
   const { type, joint: name } = kindOf(space);
   const taken = /^(effort|velocity|position)_controllers\/Joint(Position|Velocity|Effort)Controller$/.exec(type);
   if (!taken) return "";
-  const joint = jointNamed(name, space.slice(0, space.lastIndexOf("/")) || "/");
+  const joint = jointNamed(name, above);
   const controlled = taken[2].toLowerCase();
   if (["set_point", "process_value", "error", "data"].includes(path)) return jointUnit(joint, controlled);
   if (path === "process_value_dot") return jointUnit(joint, RATES[controlled]);

@@ -113,6 +113,9 @@ export async function act(action) {
   return done;
 }
 
+/** A name that may go on in the next line after each of its parts. */
+export const inParts = (name) => name.split(/(?<=[_/])/).map((part) => html`${part}<wbr />`);
+
 export const join = (space, name) => (name.startsWith("/") ? name : `${space === "/" ? "" : space}/${name}`);
 export const baseName = (name) => name.slice(name.lastIndexOf("/") + 1);
 export const isUnder = (name, space) => space === "/" || name === space || name.startsWith(`${space}/`);

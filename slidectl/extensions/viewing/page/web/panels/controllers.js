@@ -5,7 +5,7 @@ import { Gains } from "./gains.js";
 import { Joints } from "./joints.js";
 import { Trajectories } from "./trajectories.js";
 import {
-  act, Act, ask, baseName, Button, call, Chip, download, Empty, Group, html, isUnder, join, notify, page, Select, store, useEffect,
+  act, Act, ask, baseName, Button, call, Chip, download, Empty, Group, html, inParts, isUnder, join, notify, page, Select, store, useEffect,
   useState, useStore,
 } from "../parts.js";
 
@@ -80,7 +80,7 @@ function Controller({ robot, name, one, type, gains }) {
   const joints = one ? claims(one).map((claim) => `${claim.kind}: ${claim.joints.join(" ")}`).join("; ") : "";
   const stop = () => (one && claims(one).length ? turn("stop") : act(() => change(space, [], [name])));
   return html`<div class="controller">
-    <div class="row"><span class="name" title=${[name, kind, joints].filter(Boolean).join("\n")}>${name}</span>
+    <div class="row"><span class="name whole" title=${[name, kind, joints].filter(Boolean).join("\n")}>${inParts(name)}</span>
       <${Chip} state=${state} />
       ${isStarted
         ? html`<${Button} disabled=${readOnly} aria-expanded=${behind === "stop"} aria-label=${`Stop ${name}`} onClick=${stop}>Stop<//>`
@@ -92,7 +92,7 @@ function Controller({ robot, name, one, type, gains }) {
     </div>
     ${behind === "stop" && isStarted && html`<${Stop} robot=${robot} one=${one} onDone=${() => setBehind("")} />`}
     ${behind === "more" && html`<div class="behind">
-      <p class="hint">${kind}${joints && html`<br />${joints}`}</p>
+      <p class="hint">${inParts(kind)}${joints && html`<br />${joints}`}</p>
       <div class="line">
         ${!one && html`<${Act} onClick=${() => manage(space, "load_controller", { name })}>Load<//>`}
         ${one && html`<${Act} title="Unload and load again, with its present parameters" onClick=${() => reload(robot, one)}>Reload<//>`}
@@ -126,8 +126,8 @@ function Switch({ robot, loaded }) {
     else await change(robot.namespace, to, from);
   };
   return html`<details><summary>Switch in one cycle</summary>
-    <div class="line"><${Select} label="Stop" value=${stop} options=${[["", "stop nothing"], ...running.map((one) => [one, `stop ${one}`])]} onChange=${setStop} />
-    <${Select} label="Start" value=${begin} options=${[["", "start nothing"], ...idle.map((one) => [one, `start ${one}`])]} onChange=${setBegin} />
+    <div class="line"><${Select} label="Stop" value=${stop} options=${[["", "Stop nothing"], ...running.map((one) => [one, `Stop ${one}`])]} onChange=${setStop} />
+    <${Select} label="Start" value=${begin} options=${[["", "Start nothing"], ...idle.map((one) => [one, `Start ${one}`])]} onChange=${setBegin} />
     <${Act} onClick=${doSwitch}>Switch<//></div></details>`;
 }
 

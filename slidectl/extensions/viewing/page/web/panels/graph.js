@@ -1,6 +1,6 @@
 // The graph of nodes and topics as a picture, and the tree of tf frames with their ages.
 
-import { attempt, Button, Check, Field, Group, html, page, reasonOf, store, useEffect, useEvery, useRef, useState, useStore } from "../parts.js";
+import { attempt, Button, Check, Field, Group, html, inParts, page, reasonOf, store, useEffect, useEvery, useRef, useState, useStore } from "../parts.js";
 
 function Picture() {
   const topics = useStore((s) => s.topics);
@@ -25,9 +25,10 @@ function Picture() {
   useEffect(() => () => address && URL.revokeObjectURL(address), [address]);
   return html`<${Group} title="Nodes and topics" aside=${html`<${Button} onClick=${read}>Refresh<//>`}>
     <${Field} label="Graph of" hint="Nodes, topics or namespaces" error=${error}>
-      <input value=${words} placeholder="all" onInput=${(event) => setWords(event.target.value)} /><//>
+      <input value=${words} placeholder="All" onInput=${(event) => setWords(event.target.value)} /><//>
     ${address && html`<button type="button" class=${`graph ${large ? "large" : ""}`} title=${large ? "Make it fit" : "Enlarge"}
-      onClick=${() => setLarge(!large)}><img src=${address} alt="Graph of nodes and topics" /></button>`}
+      onClick=${() => setLarge(!large)}><img src=${address} alt="Graph of nodes and topics" /></button>
+      <p class="hint">${large ? "Click the graph to make it fit." : "Click the graph to enlarge it."}</p>`}
   <//>`;
 }
 
@@ -59,7 +60,7 @@ function Frames() {
     seen.add(name);
     const one = frames.current.get(name);
     const age = one ? (one.isStatic ? "static" : `${Math.max(0, now - one.time).toFixed(1)} s`) : "";
-    return html`<li><span>${name}</span> <i>${age}</i>${inner.has(name) && html`<ul>${inner.get(name).sort().map((child) =>
+    return html`<li><span>${inParts(name)}</span> <i>${age}</i>${inner.has(name) && html`<ul>${inner.get(name).sort().map((child) =>
       html`<${Frame} key=${child} name=${child} />`)}</ul>`}</li>`;
   };
   return html`<${Group} title="Frames">

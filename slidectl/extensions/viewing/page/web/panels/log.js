@@ -37,12 +37,12 @@ function Panel() {
   const wanted = text.toLowerCase();
   const shown = lines.filter((one) => one.level >= severity && `${one.time} ${one.name} ${one.text}`.toLowerCase().includes(wanted));
   return html`<div class="line">
-      <${Select} label="Severity from" value=${String(severity)} options=${LEVELS} onChange=${(value) => { severity = Number(value); draw(); }} />
+      <${Select} label="Severity from" value=${String(severity)} options=${LEVELS.map(([level, name]) => [level, `From ${name}`])} onChange=${(value) => { severity = Number(value); draw(); }} />
       <input aria-label="Log contains" placeholder="Contains" value=${text} onInput=${(event) => { text = event.target.value; draw(); }} />
       <${Button} icon=${paused ? "play" : "pause"} title=${paused ? "Go on with the log" : "Pause the log"} aria-pressed=${paused} onClick=${() => { paused = !paused; draw(); }} />
       <${Button} title="Clear the log" onClick=${() => { lines.length = 0; draw(); }}>Clear<//></div>
     <div class="log" tabindex="0" aria-label="Log"><div>${shown.slice(-MOST_SHOWN).map((one) => html`<p key=${one.id} class=${one.name}>
-      <time>${one.time}</time> <b>${one.name}</b> ${one.text}</p>`)}${!shown.length && html`<p class="empty">No lines.</p>`}</div></div>`;
+      <time>${one.time}</time> <b>${one.name}</b> ${one.text}</p>`)}${!shown.length && html`<p class="empty">${lines.length ? "No lines match." : "No lines yet."}</p>`}</div></div>`;
 }
 
 /** Follow the log from the beginning of the page on. */

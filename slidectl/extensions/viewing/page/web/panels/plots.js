@@ -3,7 +3,7 @@
 
 import uPlot from "uplot";
 import { expanded, nameOfElement, numbersIn, resolve, steps, unitOf, valueAt } from "../fields.js";
-import { attempt, baseName, Button, download, Field, Group, html, join, notify, reasonOf, Select, store, useEffect, useRef, useState, useStore } from "../parts.js";
+import { attempt, baseName, Button, download, Field, Group, html, inParts, join, notify, reasonOf, Select, store, useEffect, useRef, useState, useStore } from "../parts.js";
 
 const COLOURS = ["#2f6fed", "#e8710a", "#1e9e5a", "#c5221f", "#8e44c9", "#8d6e63", "#d0459b", "#0f9fb5"];
 const MOST_PLOTS = 8;
@@ -354,7 +354,7 @@ function Chart({ plot }) {
         legend: { live: true }, cursor: { sync: { key: "time" }, drag: { x: true, y: false } },
         axes: [{ stroke, grid: lines, ticks: lines, font: "11px sans-serif", size: 32, values: (_, ticks) => ticks.map((one) => `${Number(one.toFixed(3))}`) },
           ...units.slice(0, 2).map((unit, at) => axis(unit, at ? 1 : 3))],
-        series: [{ label: "t, s", value: (_, one) => (one === null || one === undefined ? "–" : one.toFixed(3)) },
+        series: [{ label: "Time, s", value: (_, one) => (one === null || one === undefined ? "–" : one.toFixed(3)) },
           ...curves.map((one, at) => ({ label: one.unit ? `${one.label}, ${one.unit}` : one.label, stroke: COLOURS[at % COLOURS.length], width: 1.6,
             scale: one.unit, value, points: { show: false } }))],
         hooks: { setSelect: [(self) => { self.isHeld = self.select.width > 0; }] },
@@ -391,8 +391,8 @@ function Plot({ plot }) {
     changed();
   };
   return html`<section class="plot">
-    <header><span class="name" title=${plot.fields.join("\n")}>${plot.fields.length ? shortened(plot.fields).join(", ") : "Plot"}</span>
-      <${Select} label="Derived curve" value=${plot.derived} options=${["values", "derivative", ["difference", "difference to the first"]]} onChange=${choose} />
+    <header><span class="name whole" title=${plot.fields.join("\n")}>${plot.fields.length ? inParts(shortened(plot.fields).join(", ")) : "Plot"}</span>
+      <${Select} label="Derived curve" value=${plot.derived} options=${[["values", "Values"], ["derivative", "Derivative"], ["difference", "Difference to the first"]]} onChange=${choose} />
       <${Button} icon=${plot.frozen === null ? "pause" : "play"} title=${plot.frozen === null ? "Pause the plot" : "Go on with the plot"}
         aria-pressed=${plot.frozen !== null} onClick=${() => plot.pause()} />
       <${Button} disabled=${isEmpty} onClick=${() => saveCsv(plot)}>CSV<//>
@@ -439,7 +439,7 @@ function Panel() {
       <${Field} label="Field" error=${error}><input list="topics-to-plot" aria-label="Plot field" placeholder="joint_states/position[0]" value=${text}
         aria-invalid=${!!error} onInput=${(event) => { setText(event.target.value); setError(""); }} />
         <datalist id="topics-to-plot">${Object.values(topics).filter((one) => one.publishers.length).map((one) => html`<option value=${one.name} />`)}</datalist><//>
-      <div class="line"><${Select} label="Into plot" value=${into} options=${[["new", "new plot"], ...shown.map((one, place) => [String(one.id), `plot ${place + 1}`])]} onChange=${setInto} />
+      <div class="line"><${Select} label="Into plot" value=${into} options=${[["new", "New plot"], ...shown.map((one, place) => [String(one.id), `Plot ${place + 1}`])]} onChange=${setInto} />
         <button type="submit" class="button primary">Plot</button>
         <label class="window"><span>Window, s</span><input class="short" inputmode="numeric" value=${window} aria-invalid=${!isGood}
           title=${isGood ? "" : `From 1 to ${LONGEST_S}`} onInput=${(event) => setSpan(event.target.value)} /></label></div>

@@ -1,7 +1,7 @@
 // Messages and requests by a form: publish on any topic, once or at a rate, and call any service.
 // Texts become messages in `slidectl view`, as `slidectl pub` makes them: with expressions in i and t, times `now`, and YAML.
 
-import { act, Act, ask, call, Empty, Field, Group, html, notify, page, Select, store, useEffect, useState, useStore } from "../parts.js";
+import { act, Act, ask, call, Empty, Field, Group, html, inParts, notify, page, Select, store, useEffect, useState, useStore } from "../parts.js";
 import { parsed } from "../fields.js";
 
 const kept = new Map(); // type -> {path: text or bool}, as long as the page is open
@@ -34,7 +34,7 @@ function initial(field) {
 
 function Form({ kind, types, texts, onChange }) {
   const readOnly = useStore((s) => s.readOnly);
-  return html`<fieldset class="form" disabled=${readOnly}><legend>${kind}</legend>${inputsOf(types, kind).map((field) => {
+  return html`<fieldset class="form" disabled=${readOnly}><legend>${inParts(kind)}</legend>${inputsOf(types, kind).map((field) => {
     const value = texts[field.path] ?? initial(field);
     const set = (to) => onChange({ ...texts, [field.path]: to });
     const about = `${field.type}${field.array < 0 ? "" : field.array ? `[${field.array}]` : "[]"}`;
@@ -89,7 +89,7 @@ function Publish() {
     await page("publish", { topic, texts, rate: hertz });
   };
   return html`<${Group} title="Publish">
-    <${Field} label="Topic"><${Select} label="Topic" value=${topic} options=${[["", "choose a topic"], ...Object.keys(topics)]} onChange=${setTopic} /><//>
+    <${Field} label="Topic"><${Select} label="Topic" value=${topic} options=${[["", "Choose a topic"], ...Object.keys(topics)]} onChange=${setTopic} /><//>
     ${form && html`<${Form} kind=${form.root} types=${form.types} texts=${texts} onChange=${setTexts} />
       <div class="line"><${Act} kind="primary" onClick=${once}>Publish once<//>
         <${Act} onClick=${begin}>Publish at<//>
@@ -133,7 +133,7 @@ function Services() {
     }
   };
   return html`<${Group} title="Services">
-    <${Field} label="Service"><${Select} label="Service" value=${service} options=${[["", "choose a service"], ...Object.keys(services)]} onChange=${setService} /><//>
+    <${Field} label="Service"><${Select} label="Service" value=${service} options=${[["", "Choose a service"], ...Object.keys(services)]} onChange=${setService} /><//>
     ${form && html`<${Form} kind=${form.root} types=${form.types} texts=${texts} onChange=${setTexts} />
       <div class="line"><${Act} kind="primary" onClick=${begin}>Call<//></div>`}
     ${answer && html`<pre class="answer" tabindex="0" aria-label="Answer">${answer}</pre>`}

@@ -2,7 +2,7 @@
 
 import { isNumber, isTime, nameOfElement, prepareUnits, typesOf, unitOf } from "../fields.js";
 import { isPicture, Picture, showPicture } from "../pictures.js";
-import { baseName, Button, html, number, store, useEffect, useRef, useState, useStore } from "../parts.js";
+import { baseName, Button, html, inParts, number, store, useEffect, useRef, useState, useStore } from "../parts.js";
 import { addToPlot } from "./plots.js";
 
 const SHOW_MS = 200;
@@ -104,7 +104,7 @@ function Message({ topic, type }) {
     };
   }, [topic, type]);
   if (!types) return null;
-  return html`<div class="message"><p class="hint">${type}${shown.rate && html` · <b>${shown.rate}</b>`}</p>
+  return html`<div class="message"><p class="hint">${inParts(type)}${shown.rate && html` · <b>${shown.rate}</b>`}</p>
     ${shown.message ? html`<${Tree} topic=${topic} root=${type} types=${types} kind=${type} value=${shown.message} path="" message=${shown.message} />`
       : html`<p class="empty">No message has come yet.</p>`}</div>`;
 }
@@ -120,7 +120,7 @@ function Topic({ one }) {
   const isShown = pictures.includes(one.name);
   const about = `${one.type}\npublishers: ${one.publishers.join(", ") || "none"}\nsubscribers: ${one.subscribers.join(", ") || "none"}`;
   return html`<div class="topic">
-    <div class="row"><button type="button" class="fold name" aria-expanded=${open} title=${`${one.name}\n${about}`} onClick=${turn}>${one.name}</button>
+    <div class="row"><button type="button" class="fold name whole" aria-expanded=${open} title=${`${one.name}\n${about}`} onClick=${turn}>${inParts(one.name)}</button>
       <span class="value" title="Publishers and subscribers">${one.publishers.length} → ${one.subscribers.length}</span>
       ${isPicture(one.type) && html`<${Button} icon="camera" title=${`Show ${one.name} over the view`} aria-pressed=${isShown}
         onClick=${() => showPicture(one.name, !isShown)} />`}</div>

@@ -42,17 +42,17 @@ function Panel() {
     <//>
     <${Sensors} shown=${view.sensors} drawn=${view.drawn_types} />
     <${Group} title="Trace">
-      <${Field} label="Trace of a link"><${Select} label="Trace of a link" value=${view.trace} options=${[["", "none"], ...links]}
+      <${Field} label="Trace of a link"><${Select} label="Trace of a link" value=${view.trace} options=${[["", "None"], ...links]}
         onChange=${(trace) => choose({ trace })} /><//>
     <//>
     <${Group} title="Quality">
       <${Field} label="Shadows" hint="Half of the frames of a browser that draws by software"><${Select} label="Shadows" value=${view.shadows}
-        options=${[["auto", view.shadows === "auto" ? `auto (${view.has_shadows ? "on" : "off"})` : "auto"], "on", "off"]} onChange=${(shadows) => choose({ shadows })} /><//>
+        options=${[["auto", view.shadows === "auto" ? `Auto (${view.has_shadows ? "on" : "off"})` : "Auto"], ["on", "On"], ["off", "Off"]]} onChange=${(shadows) => choose({ shadows })} /><//>
       ${view.shadows === "auto" && !view.has_shadows && html`<p class="hint">Off while a browser draws by software.</p>`}
     <//>
     ${!readOnly && html`<${Group} title="Mouse">
       <${Field} label="Place a robot"><${Select} label="Place with the mouse" value=${view.placed} disabled=${!free.length}
-        options=${[["", free.length ? "none" : "no free robot"], ...free]}
+        options=${[["", free.length ? "None" : "No free robot"], ...free]}
         onChange=${(robot) => ask("place", { robot })} /><//>
       <p class="hint">Shift and drag pushes a link.</p>
     <//>`}`;

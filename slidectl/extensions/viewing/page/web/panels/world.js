@@ -41,7 +41,7 @@ function Recording() {
       ? html`<div class="row"><span class="name">${recording.file}</span><span class="value">${recording.text}</span></div>
           <div class="line end"><${Act} kind="recording" onClick=${() => page("stop_recording")}>Stop recording<//></div>`
       : html`<${Field} label="File, .bag or .mcap"><input value=${file} onInput=${(event) => setFile(event.target.value)} /><//>
-          <${Field} label="Topics to record"><input value=${topics} placeholder="all" onInput=${(event) => setTopics(event.target.value)} /><//>
+          <${Field} label="Topics to record"><input value=${topics} placeholder="All" onInput=${(event) => setTopics(event.target.value)} /><//>
           <div class="line end"><${Act} onClick=${() => page("record", { file, topics })}>Record<//></div>`}
   <//>`;
 }
