@@ -51,7 +51,9 @@ def folder_of(distribution: str) -> Path:
         text = "\n".join([*wanted, (ROOT / "pyproject.toml").read_text("utf-8")])
         if not installed.exists() or installed.read_text("utf-8") != text:
             _run(python, "-m", "venv", "--clear", str(made))
-            _run(str(made / "bin" / "python"), "-m", "pip", "install", "--quiet", "--disable-pip-version-check", *wanted)
+            _run(
+                str(made / "bin" / "python"), "-m", "pip", "install", "--quiet", "--disable-pip-version-check", *wanted
+            )
             installed.write_text(text, "utf-8")
     return made / "bin"
 

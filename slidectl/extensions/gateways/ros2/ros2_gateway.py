@@ -256,7 +256,12 @@ class Ros2Gateway(Gateway):
 
     def _foreign_names(self) -> set[str]:
         return {
-            *(node for topic in self._foreign.topics.values() for node in (*topic.publishers, *topic.subscribers)),
+            *(
+                node
+                for by_type in self._foreign.topics.values()
+                for topic in by_type.values()
+                for node in (*topic.publishers, *topic.subscribers)
+            ),
             *(node for _, node in self._foreign.services.values()),
         }
 
@@ -273,10 +278,11 @@ class Ros2Gateway(Gateway):
             return parts.setdefault(node, Part({}, {}, {}))
 
         natives = {one["name"]: one["type"] for one in self._native["topics"]}
-        for name, topic in foreign.topics.items():
-            kind = self._known_type(name, topic, natives)
+        for name, by_type in foreign.topics.items():
+            kind = self._known_type(name, by_type, natives)
             if not kind:
                 continue
+            topic = by_type[types.ros2_name(kind)]
             for node in topic.publishers:
                 if not self._options.read_only:
                     part(node).published[name] = kind
@@ -289,16 +295,15 @@ class Ros2Gateway(Gateway):
                     part(node).services[service] = kind
         return parts
 
-    def _known_type(self, name: str, topic: ForeignTopic, natives: dict[str, str]) -> str:
+    def _known_type(self, name: str, by_type: dict[str, ForeignTopic], natives: dict[str, str]) -> str:
         """The daemon's name for the type of a topic of ROS 2; empty when it cannot be had here."""
-        if not self._is_bridged(name) or not (topic.publishers or topic.subscribers):
+        if not self._is_bridged(name) or not by_type:
             return ""
-        kind = types.ros1_name(topic.types[0])
-        native = natives.get(name, kind)
-        if native != kind:
-            self._leave_out(name, f"it is {types.ros2_name(native)} here, and {topic.types[0]} in ROS 2")
-            return ""
-        return kind if msgs.exists(kind) and self._conversion(kind) is not None else ""
+        known = natives.get(name) or types.ros1_name(next(iter(by_type)))
+        for other in [kind for kind in by_type if kind != types.ros2_name(known)]:
+            self._leave_out(name, f"it is {types.ros2_name(known)} in slidectl, and {other} of a node of ROS 2")
+        is_here = types.ros2_name(known) in by_type and msgs.exists(known)
+        return known if is_here and self._conversion(known) is not None else ""
 
     async def _call_foreign(self, service: str, kind: str, request: Message) -> Message:
         return await self._services.call(service, types.service_conversion(kind), request)
@@ -366,7 +371,8 @@ class Ros2Gateway(Gateway):
                 if conversion is None:
                     continue
                 known = self._bridges[name] = TopicBridge(name, conversion, self._participant, self._forward)
-            known.foreign = self._foreign.topics.get(name, UNUSED)
+            by_type = self._foreign.topics.get(name, {})
+            known.foreign = by_type.get(types.ros2_name(topic["type"]), UNUSED)
             wanted = await self._wanted(topic, known.foreign)
             if wanted != known.has:
                 changes.append((known, wanted))

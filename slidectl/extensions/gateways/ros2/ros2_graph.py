@@ -12,11 +12,8 @@ _NOT_BRIDGED = frozenset({"/parameter_events"})
 
 
 class ForeignTopic(NamedTuple):
-    """A topic of ROS 2: its types, as ROS 2 names them, and the nodes of other processes that use it."""
+    """A topic of ROS 2 with one of its types, and the nodes of other processes that use it."""
 
-    ends: int
-    """The number of publishers and subscribers, those of this process too, whose nodes have names by now."""
-    types: tuple[str, ...]
     publishers: tuple[str, ...]
     subscribers: tuple[str, ...]
     is_best_effort: bool
@@ -27,13 +24,14 @@ class ForeignTopic(NamedTuple):
     """Identity of a publisher -> its node."""
 
 
-UNUSED = ForeignTopic(0, (), (), (), False, False, {})
+UNUSED = ForeignTopic((), (), False, False, {})
 
 
 class Ros2Graph(NamedTuple):
     """The part of the graph that other processes have."""
 
-    topics: dict[str, ForeignTopic]
+    topics: dict[str, dict[str, ForeignTopic]]
+    """Topic -> its types, as ROS 2 names them: usually one."""
     services: dict[str, tuple[str, str]]
     """Service -> its type and its node."""
     doubles: frozenset[str]
@@ -48,7 +46,7 @@ class GraphReader:
 
     def __init__(self, node: Any) -> None:
         self._node = node
-        self._known: dict[str, tuple[tuple[int, int], ForeignTopic]] = {}
+        self._known: dict[str, tuple[tuple[int, int], dict[str, ForeignTopic]]] = {}
 
     def read(self, own: frozenset[str]) -> Ros2Graph:
         """The present graph without the nodes of this process, whose full names are `own`.
@@ -56,16 +54,20 @@ class GraphReader:
         A topic is looked at more closely only when the number of its publishers or subscribers has changed.
         """
         node = self._node
-        topics = {}
-        for name, types in node.get_topic_names_and_types():
+        topics: dict[str, tuple[tuple[int, int], dict[str, ForeignTopic]]] = {}
+        unnamed = set()
+        for name, _ in node.get_topic_names_and_types():
             if name in _NOT_BRIDGED:
                 continue
             counts = (node.count_publishers(name), node.count_subscribers(name))
             known = self._known.get(name)
-            if known is None or known[0] != counts or known[1].types != tuple(types):
-                known = (counts, self._topic(name, types, own))
+            if known is None or known[0] != counts:
+                by_type, count = self._topic(name, own)
+                known = (counts, by_type)
+                if count != sum(counts):
+                    unnamed.add(name)
             topics[name] = known
-        self._known = {name: known for name, known in topics.items() if sum(known[0]) == known[1].ends}
+        self._known = {name: known for name, known in topics.items() if name not in unnamed}
         present = [_full(one, space) for one, space in node.get_node_names_and_namespaces() if one != _UNKNOWN]
         services = self._services({name for name in present if name not in own})
         doubles = frozenset(name for name in own if present.count(name) > 1)
@@ -75,23 +77,24 @@ class GraphReader:
         """Look at all topics again: which nodes are ours has changed."""
         self._known.clear()
 
-    def _topic(self, name: str, types: list[str], own: frozenset[str]) -> ForeignTopic:
+    def _topic(self, name: str, own: frozenset[str]) -> tuple[dict[str, ForeignTopic], int]:
+        """The topic by its types, and how many publishers and subscribers it has whose nodes have names by now."""
         from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
         publishers = _named(self._node.get_publishers_info_by_topic(name))
         subscribers = _named(self._node.get_subscriptions_info_by_topic(name))
-        published = [(node, end) for node, end in publishers if node not in own]
-        subscribed = [node for node, _ in subscribers if node not in own]
-        return ForeignTopic(
-            len(publishers) + len(subscribers),
-            tuple(types),
-            tuple(dict.fromkeys(node for node, _ in published)),
-            tuple(dict.fromkeys(subscribed)),
-            any(end.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT for _, end in published),
-            bool(published)
-            and all(end.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for _, end in published),
-            {bytes(end.endpoint_gid): node for node, end in published},
-        )
+        found = {}
+        for kind in sorted({end.topic_type for node, end in (*publishers, *subscribers) if node not in own}):
+            published = [(node, end) for node, end in publishers if node not in own and end.topic_type == kind]
+            subscribed = [node for node, end in subscribers if node not in own and end.topic_type == kind]
+            found[kind] = ForeignTopic(
+                tuple(dict.fromkeys(node for node, _ in published)),
+                tuple(dict.fromkeys(subscribed)),
+                any(end.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT for _, end in published),
+                {end.qos_profile.durability for _, end in published} == {DurabilityPolicy.TRANSIENT_LOCAL},
+                {bytes(end.endpoint_gid): node for node, end in published},
+            )
+        return found, len(publishers) + len(subscribers)
 
     def _services(self, nodes: set[str]) -> dict[str, tuple[str, str]]:
         from rclpy.node import NodeNameNonExistentError

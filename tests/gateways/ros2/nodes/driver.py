@@ -73,7 +73,9 @@ class Driver:
 
     def subscribe(self, topic: str, type: str, qos: str = "") -> None:
         messages = self.received.setdefault(topic, [])
-        self.node.create_subscription(class_of(type), topic, lambda message: messages.append(as_json(message)), profile(qos))
+        self.node.create_subscription(
+            class_of(type), topic, lambda message: messages.append(as_json(message)), profile(qos)
+        )
 
     def messages(self, topic: str) -> list[Any]:
         return self.received[topic]
