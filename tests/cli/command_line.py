@@ -13,6 +13,8 @@ from waiting import eventually
 from slidectl import Client
 
 ROOT = Path(__file__).parent.parent.parent
+LIMIT_S = 240.0
+"""Wall seconds after which a command has hung: less than the limit of a test, which ends the test alone."""
 
 Done = subprocess.CompletedProcess[str]
 
@@ -43,7 +45,7 @@ class CommandLine:
             input=stdin,
             capture_output=True,
             text=True,
-            timeout=60,
+            timeout=LIMIT_S,
             cwd=cwd,
             env={**self.environment, **environment},
             check=False,
