@@ -207,6 +207,8 @@ class _WaitLoop:
         self._lock = threading.Lock()
         self._ends: dict[str, dict[int, tuple[Any, Callable[[], None]]]] = {kind: {} for kind in _KINDS}
         """Kind -> address of an object of rclpy -> the object, and what takes what has arrived."""
+        self._released: list[Any] = []
+        """Objects that were removed while they were perhaps waited for."""
         self._has_changed = True
         self._is_ending = False
         self._thread = threading.Thread(target=self._run, name=f"rclpy-{name}", daemon=True)
@@ -219,6 +221,7 @@ class _WaitLoop:
 
     def add(self, kind: str, handle: Any, take: Callable[[], None]) -> None:
         """Call `take` in the thread whenever something has arrived at the object."""
+        handle.__enter__()  # rclpy frees an object that was ended when nobody has entered it any more
         with self._lock:
             self._ends[kind][handle.pointer] = (handle, take)
             self._has_changed = True
@@ -226,7 +229,8 @@ class _WaitLoop:
 
     def remove(self, kind: str, handle: Any) -> None:
         with self._lock:
-            self._ends[kind].pop(handle.pointer, None)
+            del self._ends[kind][handle.pointer]
+            self._released.append(handle)
             self._has_changed = True
         self._wake.trigger_guard_condition()
 
@@ -243,8 +247,11 @@ class _WaitLoop:
                 with self._lock:
                     self._has_changed = False
                     ends = {kind: dict(known) for kind, known in self._ends.items()}
+                    released, self._released = self._released, []
                 counts = [len(ends[kind]) for kind in ("client", "service")]
                 waits = self._rclpy.WaitSet(len(ends["subscription"]), 1, 0, *counts, 0, self._context.handle)
+                for handle in released:
+                    handle.__exit__(None, None, None)
             try:
                 self._wait(waits, ends)
             except Exception:  # an object was ended while it was waited for, or a message cannot be read
