@@ -37,7 +37,10 @@ class ForeignNodes:
         self._connections: dict[str, DaemonConnection] = {}
         self._parts: dict[str, Part] = {}
         self._refused: dict[tuple[str, str, str], str] = {}
-        """(node, topic or service, type) -> why the daemon does not have it: it is not asked for again."""
+        """(node, topic or service, type) -> why the daemon does not have it: it is not asked for again.
+
+        Without a topic: the last message that was refused, since a node may send a thousand of these a second.
+        """
 
     def __len__(self) -> int:
         return len(self._connections)
@@ -67,7 +70,7 @@ class ForeignNodes:
         daemon = self._connections.get(name)
         if daemon is None:
             daemon = await self._connect(name)
-            daemon.on_refused = lambda text: _log.warning("%s: %s", name, text)
+            daemon.on_refused = lambda text: self._note(name, "", "", Refused(text))
             self._connections[name], self._parts[name] = daemon, Part({}, {}, {})
         part = self._parts[name]
         for topic in _gone(part.published, wanted.published):

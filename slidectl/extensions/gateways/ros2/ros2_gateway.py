@@ -322,6 +322,11 @@ class Ros2Gateway(Gateway):
         space = names.parent(name)
         return space if space in self._managed else native
 
+    def _made_owner(self, name: str, native: str) -> str:
+        """As `_owner`; the gateway's own node for one whose name ROS 2 does not accept."""
+        owner = self._owner(name, native)
+        return owner if owner in self._nodes else self._own_node
+
     async def _set_nodes(self) -> None:
         """Make the nodes that are needed, and end the others."""
         wanted = dict(self._managed)
@@ -393,13 +398,13 @@ class Ros2Gateway(Gateway):
 
     async def _wanted(self, topic: dict[str, Any], foreign: ForeignTopic) -> Wanted:
         name, publishers, subscribers = topic["name"], topic["publishers"], topic["subscribers"]
-        publisher = self._owner(name, publishers[0]) if publishers else ""
-        subscriber = self._owner(name, subscribers[0]) if subscribers and not self._options.read_only else ""
+        publisher = self._made_owner(name, publishers[0]) if publishers else ""
+        subscriber = self._made_owner(name, subscribers[0]) if subscribers and not self._options.read_only else ""
         if publisher and name not in self._latched:
             self._latched[name] = await self._is_latched(name, topic["type"])
         return Wanted(
-            publisher if publisher in self._nodes else "",
-            subscriber if subscriber in self._nodes else "",
+            publisher,
+            subscriber,
             bool(publisher) and self._latched[name],
             foreign.is_best_effort,
             foreign.is_transient,
@@ -422,10 +427,9 @@ class Ros2Gateway(Gateway):
         for name, service in wanted.items():
             if name in self._offered or (conversion := self._service_conversion(service["type"])) is None:
                 continue
-            node = self._owner(name, service["node"])
-            if node in self._nodes:
-                one = self._offered[name] = OfferedService(name, node, conversion, self._participant, self._main)
-                made.append(one)
+            node = self._made_owner(name, service["node"])
+            one = self._offered[name] = OfferedService(name, node, conversion, self._participant, self._main)
+            made.append(one)
 
         def change() -> None:
             for one in made:
