@@ -17,12 +17,12 @@ from slidectl.errors import NoDaemon, Refused, SlidectlError
 from slidectl.extensions.gateways.daemon_connection import GRAPH_CHANGES, PARAMETER_CHANGES, DaemonConnection
 from slidectl.extensions.gateways.gateway import Gateway, GatewayOptions, is_offered
 from slidectl.extensions.gateways.ros2 import conversion as types
-from slidectl.extensions.gateways.ros2.foreign_nodes import ForeignNodes, Part
+from slidectl.extensions.gateways.ros2.foreign_nodes import ForeignNodes, NodePart
 from slidectl.extensions.gateways.ros2.parameter_services import ParameterServices
 from slidectl.extensions.gateways.ros2.participant import Participant
-from slidectl.extensions.gateways.ros2.ros2_graph import EMPTY, UNUSED, ForeignTopic, GraphReader, Ros2Graph
-from slidectl.extensions.gateways.ros2.services import ForeignServices, OfferedService
-from slidectl.extensions.gateways.ros2.topic_bridge import NOTHING, TopicBridge, Wanted
+from slidectl.extensions.gateways.ros2.ros2_graph import EMPTY, UNUSED, GraphReader, Ros2Graph, Ros2Topic
+from slidectl.extensions.gateways.ros2.ros2_services import ForeignServices, OfferedService
+from slidectl.extensions.gateways.ros2.ros2_topics import NOTHING, TopicBridge, Wanted
 from slidectl.paths import InstancePaths
 from slidectl.web_access import check_effects
 from slidectl.wire.messages import Message
@@ -270,12 +270,12 @@ class Ros2Gateway(Gateway):
 
     # --- foreign nodes in the daemon ----------------------------------------------------------------------------
 
-    def _parts(self, foreign: Ros2Graph) -> dict[str, Part]:
+    def _parts(self, foreign: Ros2Graph) -> dict[str, NodePart]:
         """What each node of ROS 2 has that the daemon can have too."""
-        parts: dict[str, Part] = {}
+        parts: dict[str, NodePart] = {}
 
-        def part(node: str) -> Part:
-            return parts.setdefault(node, Part({}, {}, {}))
+        def part(node: str) -> NodePart:
+            return parts.setdefault(node, NodePart({}, {}, {}))
 
         natives = {one["name"]: one["type"] for one in self._native["topics"]}
         for name, by_type in foreign.topics.items():
@@ -295,7 +295,7 @@ class Ros2Gateway(Gateway):
                     part(node).services[service] = kind
         return parts
 
-    def _known_type(self, name: str, by_type: dict[str, ForeignTopic], natives: dict[str, str]) -> str:
+    def _known_type(self, name: str, by_type: dict[str, Ros2Topic], natives: dict[str, str]) -> str:
         """The daemon's name for the type of a topic of ROS 2; empty when it cannot be had here."""
         if not self._is_bridged(name) or not by_type:
             return ""
@@ -396,7 +396,7 @@ class Ros2Gateway(Gateway):
         for bridge in self._bridges.values():
             await bridge.set_stream(self._main)
 
-    async def _wanted(self, topic: dict[str, Any], foreign: ForeignTopic) -> Wanted:
+    async def _wanted(self, topic: dict[str, Any], foreign: Ros2Topic) -> Wanted:
         name, publishers, subscribers = topic["name"], topic["publishers"], topic["subscribers"]
         publisher = self._made_owner(name, publishers[0]) if publishers else ""
         subscriber = self._made_owner(name, subscribers[0]) if subscribers and not self._options.read_only else ""
