@@ -89,6 +89,8 @@ class Ros2Gateway(Gateway):
         self._left_out: dict[str, str] = {}
         """Package or type that ROS 2 lacks -> why."""
         self._dropped = 0
+        self._proxy_names: set[str] = set()
+        """Names in the daemon of nodes of ROS 2, and of those that have just ended."""
 
     # --- Gateway ------------------------------------------------------------------------------------------------
 
@@ -131,6 +133,7 @@ class Ros2Gateway(Gateway):
             if connection is not None:
                 connection.close()
         self._main = self._asker = None
+        self._proxy_names.clear()
         self._dropped += sum(bridge.dropped for bridge in self._bridges.values())
         await self._participant.run(self._end_all)
         for known in (self._bridges, self._offered, self._descriptions, self._latched, self._managed):
@@ -176,10 +179,15 @@ class Ros2Gateway(Gateway):
     async def _connect_proxy(self, node: str) -> DaemonConnection:
         """Connect on behalf of a node of ROS 2; under another name when the daemon has a node of this name."""
         try:
-            return await self._connect(node)
+            return await self._proxy(node)
         except Refused as error:
             _log.warning("the node %s of ROS 2 is %s_ros2 in slidectl: %s", node, node, error.message)
-            return await self._connect(f"{node}_ros2")
+            return await self._proxy(f"{node}_ros2")
+
+    async def _proxy(self, name: str) -> DaemonConnection:
+        connection = await self._connect(name)
+        self._proxy_names.add(name)
+        return connection
 
     def _take_changes(self, published: Message) -> None:
         if self._described is not None:
@@ -228,8 +236,7 @@ class Ros2Gateway(Gateway):
 
     async def _read_native(self, main: DaemonConnection) -> None:
         state = await main.call("/slidectl/graph")
-        proxies = {name for name in self._foreign_names() if self._proxies.connection(name)}
-        hidden = {*proxies, *(f"{name}_ros2" for name in proxies), _OWN_NODE, f"{_OWN_NODE}_latched"}
+        hidden = {*self._proxy_names, _OWN_NODE, f"{_OWN_NODE}_latched"}
         own = f"/slidectl_{os.getpid()}_"
         topics = []
         for topic in state["topics"]:
@@ -253,17 +260,6 @@ class Ros2Gateway(Gateway):
             answer = await main.call(service)
             managed.update((names.join(names.parent(manager), one["name"]), None) for one in answer["controller"])
         self._managed = managed
-
-    def _foreign_names(self) -> set[str]:
-        return {
-            *(
-                node
-                for by_type in self._foreign.topics.values()
-                for topic in by_type.values()
-                for node in (*topic.publishers, *topic.subscribers)
-            ),
-            *(node for _, node in self._foreign.services.values()),
-        }
 
     def _is_bridged(self, topic: str) -> bool:
         return not self._options.topics or any(fnmatchcase(topic, pattern) for pattern in self._options.topics)
@@ -308,12 +304,13 @@ class Ros2Gateway(Gateway):
     async def _call_foreign(self, service: str, kind: str, request: Message) -> Message:
         return await self._services.call(service, types.service_conversion(kind), request)
 
-    def _forward(self, bridge: TopicBridge, source: str, message: Message) -> None:
-        """Publish a message of ROS 2 in the daemon, by the connection of its node if it is there."""
+    def _forward(self, bridge: TopicBridge, source: str, message: Message) -> DaemonConnection | None:
+        """Publish a message of ROS 2 in the daemon, by the connection of its node if it is there; returns that."""
         proxy = self._proxies.connection(source) if self._proxies.publishes(source, bridge.name) else None
         daemon = proxy or self._main
         if daemon is not None:
             daemon.publish(bridge.name, message, bridge.conversion.name)
+        return daemon
 
     # --- the daemon's nodes, topics and services in ROS 2 -------------------------------------------------------
 
@@ -362,16 +359,19 @@ class Ros2Gateway(Gateway):
         await self._participant.run(change)
 
     async def _set_topics(self) -> None:
-        natives = {topic["name"]: topic for topic in self._native["topics"]}
-        for name in [name for name in self._bridges if name not in natives]:
+        assert self._main is not None
+        topics = self._awaited() | {topic["name"]: topic for topic in self._native["topics"]}
+        types_of = {name: topic["type"] for name, topic in topics.items()}
+        for name in [name for name, one in self._bridges.items() if one.conversion.name != types_of.get(name)]:
             bridge = self._bridges.pop(name)
             self._dropped += bridge.dropped
             await self._participant.run(partial(bridge.set_ends, NOTHING, self._nodes))
+            await bridge.set_stream(self._main)
             self._latched.pop(name, None)
         changes = []
-        for name, topic in natives.items():
+        for name, topic in topics.items():
             known = self._bridges.get(name)
-            if known is None or known.conversion.name != topic["type"]:
+            if known is None:
                 conversion = self._conversion(topic["type"])
                 if conversion is None:
                     continue
@@ -392,20 +392,30 @@ class Ros2Gateway(Gateway):
         if changes:
             await self._participant.run(change)
             self._reader.forget()
-        assert self._main is not None
         for bridge in self._bridges.values():
             await bridge.set_stream(self._main)
 
+    def _awaited(self) -> dict[str, dict[str, Any]]:
+        """Topics that nodes of ROS 2 subscribe: a program of slidectl that publishes only briefly reaches them too."""
+        found = {}
+        for name, by_type in self._foreign.topics.items():
+            kind = self._known_type(name, by_type, {})
+            if kind and by_type[types.ros2_name(kind)].subscribers:
+                found[name] = {"name": name, "type": kind, "publishers": [], "subscribers": []}
+        return found
+
     async def _wanted(self, topic: dict[str, Any], foreign: Ros2Topic) -> Wanted:
         name, publishers, subscribers = topic["name"], topic["publishers"], topic["subscribers"]
-        publisher = self._made_owner(name, publishers[0]) if publishers else ""
+        publisher = (
+            self._made_owner(name, publishers[0]) if publishers else self._own_node if foreign.subscribers else ""
+        )
         subscriber = self._made_owner(name, subscribers[0]) if subscribers and not self._options.read_only else ""
-        if publisher and name not in self._latched:
+        if publishers and name not in self._latched:
             self._latched[name] = await self._is_latched(name, topic["type"])
         return Wanted(
             publisher,
             subscriber,
-            bool(publisher) and self._latched[name],
+            self._latched.get(name, False),
             foreign.is_best_effort,
             foreign.is_transient,
         )
@@ -420,7 +430,8 @@ class Ros2Gateway(Gateway):
 
     async def _set_services(self) -> None:
         wanted = {one["name"]: one for one in self._native["services"]}
-        for name in [name for name in self._offered if name not in wanted]:
+        types_of = {name: service["type"] for name, service in wanted.items()}
+        for name in [name for name, one in self._offered.items() if one.type != types_of.get(name)]:
             await self._participant.run(self._offered.pop(name).close)
         assert self._main is not None
         made = []
