@@ -1,6 +1,7 @@
 """The page: what one that is open costs the daemon, what it costs itself, and how quickly it shows and acts.
 
-The browser is one that only speaks viser's protocol: a real one that draws by software would take the processor's time.
+The browser only speaks viser's protocol and, as the panels do, rosbridge's: a real one that draws by software would
+take the processor's time.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 
@@ -56,9 +57,31 @@ def _costs() -> Iterator[Row]:
         pid = instance.status()["pid"]
         without = _used(partial(time.sleep, SECONDS), pid)
         with _page(instance) as (page, browser):
-            with_page = _used(lambda: browser.take(SECONDS), pid, page)
-    yield Row("page: the daemon's processor time beside that without", with_page[0] / without[0], "", 1.5)
+            scene = _used(lambda: browser.take(SECONDS), pid)
+            with_page = _used(partial(_panels, browser), pid, page)
+    yield Row("page: the daemon's processor time beside that without, the scene alone", scene[0] / without[0], "")
+    yield Row("page: the daemon's processor time beside that without", with_page[0] / without[0], "", 1.3)
     yield Row("page: its own processor time", 100 * with_page[1], "% of a core", 25.0, note="RRBot at real time")
+
+
+def _panels(browser: PageBrowser) -> None:
+    """What the panels of a browser ask for as the page opens: the first plot, the command sliders, and the tables."""
+    plot, slider = {"queue_length": 1000}, {"throttle_rate": 200, "queue_length": 1}
+    for topic, options in (
+        ("/rrbot/joint1_position_controller/state", plot),
+        ("/rrbot/joint1_position_controller/state", plot),
+        ("/rrbot/joint1_position_controller/command", slider),
+        ("/rrbot/joint2_position_controller/command", slider),
+    ):
+        browser.panels.send(json.dumps({"op": "subscribe", "topic": topic, "stamped": True, **options}))
+    second = ("/slidectl/status", "/slidectl/list_robots", "/rrbot/controller_manager/list_controllers")
+    for fifth in range(int(SECONDS * 5)):
+        for service in ("/slidectl/joint_states", *(second if fifth % 5 == 0 else ())):
+            browser.panels.send(json.dumps({"op": "call_service", "id": service, "service": service, "args": {}}))
+        browser.take(0.2)
+        with suppress(TimeoutError):
+            while True:
+                browser.panels.recv(timeout=0)
 
 
 def _used(action: partial[None] | object, *pids: int) -> list[float]:

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 PORTS: dict[str, int] = {}
 """Kind of a gateway -> its port; empty where the extension of the gateways is left out."""
+_OF_ENVIRONMENT = "environment"
 if TYPE_CHECKING or has_module("extensions.gateways"):
     from slidectl.extensions.gateways.commands import gateway_commands
 
@@ -111,6 +112,13 @@ def module_or_file(word: str) -> str:
     return word
 
 
+class _Domain(click.IntRange):
+    """A domain of ROS 2, or the word that stands for that of the environment."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        return value if value == _OF_ENVIRONMENT else super().convert(value, param, ctx)
+
+
 def _gateways(function: Callable[..., Any]) -> Callable[..., Any]:
     """Add an option for each gateway of slidectl, with an optional port, and one for those of installed packages."""
     if not PORTS:
@@ -121,6 +129,14 @@ def _gateways(function: Callable[..., Any]) -> Callable[..., Any]:
         multiple=True,
         metavar="NAME",
         help="Start this gateway too, for example one of an installed package; may repeat.",
+    )(function)
+    function = click.option(
+        "--ros2",
+        type=_Domain(0, gateway_commands.MOST_DOMAIN),
+        is_flag=False,
+        flag_value=_OF_ENVIRONMENT,
+        metavar="[DOMAIN]",
+        help="Start the ros2 gateway too (domain: ROS_DOMAIN_ID, or 0).",
     )(function)
     for kind, port in reversed(PORTS.items()):
         function = click.option(
@@ -155,6 +171,7 @@ def start(click_context: click.Context, /, **world: Any) -> None:
     ctx: Context = click_context.obj
     others = tuple(gateway_commands.known(name) for name in world.pop("others", ()))
     gateways = {kind: world.pop(kind) for kind in PORTS}
+    domain = world.pop("ros2", None)
     options, given = _options(click_context, world)
     already = _start(ctx, options)
     for kind, port in gateways.items():
@@ -162,6 +179,8 @@ def start(click_context: click.Context, /, **world: Any) -> None:
             was_running = gateway_commands.start(ctx, kind, {"port": port})
             if was_running and port != PORTS[kind]:
                 ctx.warn(f"the {kind} gateway runs already, so port {port} had no effect")
+    if domain is not None:
+        gateway_commands.start(ctx, "ros2", {"domain": None if domain == _OF_ENVIRONMENT else domain})
     for kind in others:
         gateway_commands.start(ctx, kind, {})
     if already and given:

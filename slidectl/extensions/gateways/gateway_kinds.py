@@ -11,6 +11,7 @@ from slidectl.paths import install_command
 
 OURS: Mapping[str, str] = {
     "ros1": "slidectl.extensions.gateways.ros1.ros1_gateway:Ros1Gateway",
+    "ros2": "slidectl.extensions.gateways.ros2.ros2_gateway:Ros2Gateway",
     "websocket": "slidectl.extensions.gateways.websocket.websocket_gateway:WebSocketGateway",
     "foxglove": "slidectl.extensions.gateways.foxglove.foxglove_gateway:FoxgloveGateway",
 }

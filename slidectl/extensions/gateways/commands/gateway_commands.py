@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 PORTS = {"ros1": 11311, "websocket": 9090, "foxglove": 8765}
 """The default port of each gateway, as of roscore, rosbridge and Foxglove's bridge."""
+MOST_DOMAIN = 232
+"""The highest ROS_DOMAIN_ID for which DDS has ports."""
 _ACTIONS = ("run", "start", "stop", "status")
 
 
@@ -119,6 +121,28 @@ def ros1(ctx: Context, action: str, **options: Any) -> None:
     JSON keys: kind, running, pid, address, already (of start), and the counters of status.
     """
     _act(ctx, "ros1", action, options)
+
+
+@gateway.command("ros2", examples=["slidectl gateway ros2 start", "slidectl gateway ros2 --domain 7"])
+@click.argument("action", type=click.Choice(_ACTIONS), default="run")
+@click.option("--domain", type=click.IntRange(0, MOST_DOMAIN), default=None, metavar="N",
+              help="ROS_DOMAIN_ID; by default that of the environment, or 0.")  # fmt: skip
+@click.option("--any-host", is_flag=True, help="Let nodes of other hosts take part; by default those of this machine.")
+@click.option("--read-only", is_flag=True, help="Let nodes read only.")
+@click.option("--topics", multiple=True, metavar="PATTERN", help="Bridge these topics only (*, ?, [...]); may repeat.")
+@_TRUST[0]
+@click.pass_obj
+def ros2(ctx: Context, /, action: str, **options: Any) -> None:
+    """Serve ROS 2 nodes and tools, as nodes of their domain.
+
+    ACTION is run (until Ctrl-C, the default), start (in the background), stop or status. Needs rclpy: source a ROS 2
+    whose Python is slidectl's, or pip install '.[ros2]' in a clone with Python 3.12.
+
+    ROS 2 knows no users: every program in the domain can use it.
+
+    JSON keys: kind, running, pid, address, already (of start), and the counters of status.
+    """
+    _act(ctx, "ros2", action, options)
 
 
 @gateway.command(

@@ -1,0 +1,175 @@
+"""The parameters of a node in ROS 2: its six services, on the parameters of the daemon under the node's name.
+
+`/rrbot/joint1_position_controller/pid/p` is the parameter `pid.p` of the node `/rrbot/joint1_position_controller`.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Callable, Coroutine
+from typing import Any
+
+from slidectl.errors import SlidectlError
+from slidectl.extensions.gateways.daemon_connection import DaemonConnection
+from slidectl.extensions.gateways.ros2.participant import Participant
+
+_log = logging.getLogger(__name__)
+
+_UNSET = "\0 no such parameter"
+_LISTS = {bool: 6, int: 7, float: 8, str: 9}
+"""Type of the elements of a list -> the number of its type in rcl_interfaces/msg/ParameterType."""
+_ATTRIBUTES = {
+    1: "bool_value", 2: "integer_value", 3: "double_value", 4: "string_value", 5: "byte_array_value",
+    6: "bool_array_value", 7: "integer_array_value", 8: "double_array_value", 9: "string_array_value",
+}  # fmt: skip
+_INT64 = range(-(2**63), 2**63)
+
+
+class ParameterServices:
+    """The services of one node."""
+
+    def __init__(self, node: str, participant: Participant, daemon: DaemonConnection) -> None:
+        self._name = node
+        self._participant = participant
+        self._daemon = daemon
+        self._made: list[Any] = []
+
+    def open(self, node: Any) -> None:
+        """Offer the services by this node of ours. Only in rclpy's thread."""
+        from rcl_interfaces import srv
+
+        for name, handler in (
+            ("GetParameters", self._get),
+            ("GetParameterTypes", self._types),
+            ("SetParameters", self._set),
+            ("SetParametersAtomically", self._set_atomically),
+            ("DescribeParameters", self._describe),
+            ("ListParameters", self._list),
+        ):
+            own = "".join(f"_{letter.lower()}" if letter.isupper() else letter for letter in name).lstrip("_")
+            kind = getattr(srv, name)
+            self._made.append(self._participant.offer(node, kind, f"~/{own}", self._handler(kind, handler)))
+
+    def _handler(self, kind: Any, handler: Callable[[Any, Any], Coroutine[Any, Any, None]]) -> Any:
+        async def answer(request: Any) -> Any:
+            response = kind.Response()
+            try:
+                await handler(request, response)
+            except Exception as error:  # every request is answered
+                _log.warning("parameters of %s: %s", self._name, self._daemon.failure_of(error))
+            return response
+
+        return answer
+
+    def close(self, node: Any) -> None:
+        """End the services. Only in rclpy's thread."""
+        for service in self._made:
+            self._participant.withdraw(node, service)
+
+    # --- the services ---------------------------------------------------------------------------------------------
+
+    async def _get(self, request: Any, response: Any) -> None:
+        values = await self._values()
+        response.values = [_to_ros2(values.get(name, _UNSET)) for name in request.names]
+
+    async def _types(self, request: Any, response: Any) -> None:
+        values = await self._values()
+        response.types = bytes(_type_of(values.get(name, _UNSET)) for name in request.names)
+
+    async def _set(self, request: Any, response: Any) -> None:
+        response.results = [await self._set_together([one]) for one in request.parameters]
+
+    async def _set_atomically(self, request: Any, response: Any) -> None:
+        response.result = await self._set_together(request.parameters)
+
+    async def _describe(self, request: Any, response: Any) -> None:
+        from rcl_interfaces.msg import ParameterDescriptor
+
+        values = await self._values()
+        kinds = {name: _type_of(values.get(name, _UNSET)) for name in request.names}
+        response.descriptors = [
+            ParameterDescriptor(name=name, type=kinds[name], dynamic_typing=True) for name in request.names
+        ]
+
+    async def _list(self, request: Any, response: Any) -> None:
+        depth = request.depth
+        found = []
+        for name in await self._values():
+            prefix = next((p for p in request.prefixes or [""] if not p or name == p or name.startswith(f"{p}.")), None)
+            if prefix is None:
+                continue
+            below = name[len(prefix) :].strip(".") if prefix else name
+            if depth == 0 or below.count(".") < depth:
+                found.append(name)
+        response.result.names = found
+        response.result.prefixes = sorted({name.rpartition(".")[0] for name in found if "." in name})
+
+    # --- inside ---------------------------------------------------------------------------------------------------
+
+    async def _values(self) -> dict[str, Any]:
+        """All parameters of the node that ROS 2 can hold, by their names there."""
+        answer = await self._daemon.call("/rosapi/get_param", {"name": self._name, "default": json.dumps(_UNSET)})
+        tree = json.loads(answer["value"])
+        return dict(sorted(_leaves(tree))) if isinstance(tree, dict) else {}
+
+    async def _set_together(self, parameters: Any) -> Any:
+        """Set all of them or none. The daemon says why it refuses one."""
+        from rcl_interfaces.msg import SetParametersResult
+
+        names = [f"{self._name}/{one.name.replace('.', '/')}" for one in parameters]
+        try:
+            values = [json.dumps(_from_ros2(one.value)) for one in parameters]
+            await self._daemon.call("/slidectl/set_params", {"names": names, "values": values})
+        except (SlidectlError, ValueError) as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+
+def _leaves(tree: dict[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
+    found = []
+    for name, value in tree.items():
+        if isinstance(value, dict):
+            found += _leaves(value, f"{prefix}{name}.")
+        elif _type_of(value):
+            found.append((prefix + name, value))
+    return found
+
+
+def _type_of(value: Any) -> int:
+    """The number of a value's type in rcl_interfaces/msg/ParameterType; 0 for what ROS 2 cannot hold."""
+    if isinstance(value, bool):
+        return 1
+    if isinstance(value, int):
+        return 2 if value in _INT64 else 0
+    if isinstance(value, float):
+        return 3
+    if isinstance(value, str):
+        return 0 if value == _UNSET else 4
+    if isinstance(value, list):
+        kinds = {type(one) for one in value}
+        if kinds == {int, float}:
+            return _LISTS[float]
+        kind = kinds.pop() if len(kinds) == 1 else str
+        return _LISTS.get(kind, 0) if not kinds else 0
+    return 0
+
+
+def _to_ros2(value: Any) -> Any:
+    from rcl_interfaces.msg import ParameterValue
+
+    kind = _type_of(value)
+    made = ParameterValue(type=kind)
+    if kind:
+        setattr(made, _ATTRIBUTES[kind], [float(one) for one in value] if kind == _LISTS[float] else value)
+    return made
+
+
+def _from_ros2(value: Any) -> Any:
+    """The value as the daemon has it. Raises ValueError: it is not set, which deletes no parameter here."""
+    if value.type not in _ATTRIBUTES:
+        raise ValueError("a parameter cannot be deleted by setting it to nothing: slidectl param delete")
+    given = getattr(value, _ATTRIBUTES[value.type])
+    if value.type == 5:
+        return [int.from_bytes(one, "little") for one in given]
+    return list(given) if value.type > 5 else given

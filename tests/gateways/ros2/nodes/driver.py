@@ -1,0 +1,162 @@
+"""A node of ROS 2 that a test drives: one JSON object a line on stdin, one answer a line on stdout."""
+
+from __future__ import annotations
+
+import array
+import json
+import sys
+import threading
+from importlib import import_module
+from typing import Any
+
+import numpy
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+WITHIN_S = 60.0
+
+
+def class_of(name: str) -> Any:
+    package, kind, own = name.split("/")
+    return getattr(import_module(f"{package}.{kind}"), own)
+
+
+def as_json(value: Any) -> Any:
+    """A message as plain values."""
+    if hasattr(value, "get_fields_and_field_types"):
+        return {name: as_json(getattr(value, name)) for name in value.get_fields_and_field_types()}
+    if isinstance(value, bytes):
+        return list(value)
+    if isinstance(value, (array.array, numpy.ndarray)):
+        return value.tolist()
+    return [as_json(one) for one in value] if isinstance(value, (list, tuple)) else value
+
+
+def filled(message: Any, values: dict[str, Any]) -> Any:
+    """A message with these fields."""
+    for name, value in values.items():
+        current = getattr(message, name)
+        if isinstance(value, dict):
+            filled(current, value)
+        elif isinstance(value, list) and value and isinstance(value[0], dict):
+            kind = message.get_fields_and_field_types()[name].removeprefix("sequence<").removesuffix(">")
+            package, _, own = kind.partition("/")
+            setattr(message, name, [filled(class_of(f"{package}/msg/{own}")(), one) for one in value])
+        else:
+            setattr(message, name, type(current)(value) if isinstance(current, (float, int)) else value)
+    return message
+
+
+def profile(given: str) -> QoSProfile:
+    made = QoSProfile(depth=1000)
+    if "best_effort" in given:
+        made.reliability = ReliabilityPolicy.BEST_EFFORT
+    if "transient" in given:
+        made.durability = DurabilityPolicy.TRANSIENT_LOCAL
+    return made
+
+
+class Driver:
+    """The operations, each a method."""
+
+    def __init__(self, name: str) -> None:
+        rclpy.init()
+        namespace, _, own = name.rpartition("/")
+        self.node = Node(own, namespace=namespace or "/")
+        self.received: dict[str, list[Any]] = {}
+        self.publishers: dict[str, Any] = {}
+        self.executor = SingleThreadedExecutor()
+        self.executor.add_node(self.node)
+        threading.Thread(target=self.executor.spin, daemon=True).start()
+
+    def subscribe(self, topic: str, type: str, qos: str = "") -> None:
+        messages = self.received.setdefault(topic, [])
+        self.node.create_subscription(
+            class_of(type), topic, lambda message: messages.append(as_json(message)), profile(qos)
+        )
+
+    def messages(self, topic: str) -> list[Any]:
+        return self.received[topic]
+
+    def advertise(self, topic: str, type: str, qos: str = "") -> None:
+        self.publishers[topic] = self.node.create_publisher(class_of(type), topic, profile(qos))
+
+    def publish(self, topic: str, values: dict[str, Any], times: int = 1) -> None:
+        publisher = self.publishers[topic]
+        for _ in range(times):
+            publisher.publish(filled(publisher.msg_type(), values))
+
+    def subscribers(self, topic: str) -> int:
+        return self.node.count_subscribers(topic)
+
+    def publishers_of(self, topic: str) -> int:
+        return self.node.count_publishers(topic)
+
+    def offer(self, service: str, type: str, values: dict[str, Any]) -> None:
+        """Offer a service that answers with `values`, and keeps the requests as messages."""
+        requests = self.received.setdefault(service, [])
+
+        def answer(request: Any, response: Any) -> Any:
+            requests.append(as_json(request))
+            return filled(response, values)
+
+        self.node.create_service(class_of(type), service, answer)
+
+    def call(self, service: str, type: str, values: dict[str, Any]) -> Any:
+        client = self.node.create_client(class_of(type), service)
+        if not client.wait_for_service(WITHIN_S):
+            return f"no service {service}"
+        future = client.call_async(filled(client.srv_type.Request(), values))
+        arrived = threading.Event()
+        future.add_done_callback(lambda _: arrived.set())
+        return as_json(future.result()) if arrived.wait(WITHIN_S) else f"{service} does not answer"
+
+    def topics(self) -> dict[str, list[str]]:
+        return dict(self.node.get_topic_names_and_types())
+
+    def services(self) -> dict[str, list[str]]:
+        return dict(self.node.get_service_names_and_types())
+
+    def nodes(self) -> list[str]:
+        return [f"{space.rstrip('/')}/{name}" for name, space in self.node.get_node_names_and_namespaces()]
+
+    def time(self) -> float:
+        return self.node.get_clock().now().nanoseconds * 1e-9
+
+    def use_sim_time(self) -> None:
+        self.node.set_parameters([rclpy.Parameter("use_sim_time", value=True)])
+
+    def round_trips(self) -> dict[str, int]:
+        """Send the default of each type that both sides have through CDR and back; names those that differ."""
+        from rclpy.serialization import deserialize_message, serialize_message
+
+        from slidectl import msgs
+        from slidectl.extensions.gateways.ros2.conversion import NotInRos2, conversion
+
+        differ, same = [], 0
+        for name in msgs.type_names():
+            if name == "rosgraph_msgs/Log":
+                continue
+            try:
+                both = conversion(name)
+            except NotInRos2:
+                continue
+            message = msgs.default(name)
+            data = serialize_message(both.to_ros2(message))
+            if both.from_ros2(deserialize_message(data, both.ros2_class)) != message:
+                differ.append(name)
+            same += 1
+        return {"differ": differ, "types": same}
+
+
+def main() -> None:
+    driver = Driver(sys.argv[1])
+    print(json.dumps("ready"), flush=True)
+    for line in sys.stdin:
+        given = json.loads(line)
+        print(json.dumps(getattr(driver, given.pop("op"))(**given)), flush=True)
+
+
+main()

@@ -1,0 +1,80 @@
+"""An environment with rclpy's wheels and slidectl, and a domain of ROS 2 that no other test uses."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent.parent.parent
+LIMIT_S = 900
+DISTRIBUTIONS = {
+    "kilted": ("ros-rclpy[fastrtps]", "ros-"),
+    "jazzy": ("ros-jazzy-rclpy[fastrtps]", "ros-jazzy-"),
+}
+"""Name -> the wheel of rclpy and the beginning of the names of its messages."""
+MESSAGES = ("geometry-msgs", "nav-msgs", "rosgraph-msgs", "sensor-msgs", "std-msgs", "std-srvs", "trajectory-msgs")
+
+
+def _python312() -> str | None:
+    """A Python 3.12, for which the wheels are: on the PATH, or among those of pyenv."""
+    pyenv = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")) / "versions"
+    for python in (shutil.which("python3.12"), *sorted(map(str, pyenv.glob("3.12.*/bin/python3")))):
+        words = [python or "", "-c", "import ensurepip, sys, venv; sys.exit(sys.version_info[:2] != (3, 12))"]
+        if python and subprocess.run(words, capture_output=True, timeout=60).returncode == 0:
+            return python
+    return None
+
+
+def folder_of(distribution: str) -> Path:
+    """The folder of the programs of an environment with that ROS 2; made once for all runs of the tests.
+
+    Without Python 3.12 the test is skipped, and fails where CI is set.
+    """
+    python = _python312()
+    if python is None:
+        (pytest.fail if os.environ.get("CI") else pytest.skip)("Python 3.12, for which rclpy's wheels are, is not here")
+    rclpy, prefix = DISTRIBUTIONS[distribution]
+    wanted = ["--editable", str(ROOT), rclpy, *(prefix + name for name in MESSAGES)]
+    made = ROOT / ".cache" / f"ros2-{distribution}"
+    made.parent.mkdir(exist_ok=True)
+    with made.with_suffix(".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        installed = made / ".installed"
+        text = "\n".join([*wanted, (ROOT / "pyproject.toml").read_text("utf-8")])
+        if not installed.exists() or installed.read_text("utf-8") != text:
+            _run(python, "-m", "venv", "--clear", str(made))
+            _run(
+                str(made / "bin" / "python"), "-m", "pip", "install", "--quiet", "--disable-pip-version-check", *wanted
+            )
+            installed.write_text(text, "utf-8")
+    return made / "bin"
+
+
+def _run(*words: str) -> None:
+    result = subprocess.run(words, capture_output=True, text=True, timeout=LIMIT_S)
+    assert result.returncode == 0, result.stdout + result.stderr
+
+
+@contextmanager
+def free_domain() -> Iterator[int]:
+    """A domain that no other process of these tests uses meanwhile."""
+    for domain in range(1, 100):
+        with (Path(tempfile.gettempdir()) / f"slidectl-ros-domain-{domain}.lock").open("w") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                continue
+            try:
+                yield domain
+            finally:
+                os.unlink(lock.name)
+            return
+    pytest.fail("no domain of ROS 2 is free")

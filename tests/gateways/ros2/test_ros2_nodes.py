@@ -1,0 +1,319 @@
+"""Nodes of the real rclpy beside a world of slidectl, each in a process of its own."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import signal
+import subprocess
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from daemon_fixture import Runtime, running_daemon
+from ros2_environment import DISTRIBUTIONS, folder_of, free_domain
+from ros2_node import Ros2Node, running_node
+from waiting import eventually
+
+from slidectl.client import Client
+
+CONTROLLER = "/slider/joint1_position_controller"
+JOINT_STATE, FLOAT, TRIGGER = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64", "std_srvs/srv/Trigger"
+
+
+class World:
+    """A daemon with the slider, the gateway, and the domain in which it is."""
+
+    def __init__(self, runtime: Runtime, programs: Path, domain: int) -> None:
+        self.runtime = runtime
+        self.programs = programs
+        self.domain = domain
+        self.env = {**runtime.env, "ROS_DOMAIN_ID": str(domain)}
+
+    def run(self, *words: str, code: int = 0) -> subprocess.CompletedProcess[str]:
+        """slidectl of the environment with rclpy."""
+        command = [str(self.programs / "slidectl"), *words]
+        result = subprocess.run(command, env=self.env, capture_output=True, text=True, timeout=240)
+        assert result.returncode == code, result.stdout + result.stderr
+        return result
+
+    def spawn(self) -> None:
+        self.run("spawn", "slider", "--controllers", "config/slider_control.yaml", "--start", "joint_state_controller",
+                 "joint1_position_controller")  # fmt: skip
+
+    def client(self) -> Client:
+        return self.runtime.client(timeout=60)
+
+    def status(self) -> dict[str, Any]:
+        found: dict[str, Any] = json.loads(self.run("gateway", "ros2", "status", "--json").stdout)
+        return found
+
+    def node(self, name: str) -> Any:
+        return running_node(self.programs, name, self.domain, self.runtime.env)
+
+
+@pytest.fixture(scope="module", params=list(DISTRIBUTIONS))
+def world(request: pytest.FixtureRequest) -> Iterator[World]:
+    programs = folder_of(request.param)
+    with running_daemon(rtf=1.0) as runtime, free_domain() as domain:
+        one = World(runtime, programs, domain)
+        one.spawn()
+        one.run("gateway", "ros2", "start")
+        yield one
+        one.run("gateway", "ros2", "stop")
+
+
+@pytest.fixture(scope="module")
+def node(world: World) -> Iterator[Ros2Node]:
+    with world.node("/test/listener") as one:
+        yield one
+
+
+def test_joint_states_and_the_clock_are_those_of_the_world(world: World, node: Ros2Node) -> None:
+    node.subscribe("/slider/joint_states", JOINT_STATE)
+    node.subscribe("/clock", "rosgraph_msgs/msg/Clock", "best_effort")
+    state = node.gets("/slider/joint_states")
+    assert state["name"] == ["joint1"]
+    assert math.isfinite(state["position"][0])
+    node.use_sim_time()
+    with world.client() as client:
+        eventually(lambda: abs(node.time() - client.call("/slidectl/status")["time"]) < 1.0)
+    seconds = [one["clock"]["sec"] + one["clock"]["nanosec"] * 1e-9 for one in node.messages("/clock")]
+    assert seconds == sorted(seconds)
+
+
+def test_a_command_moves_the_joint_and_the_daemon_names_the_node(world: World) -> None:
+    with world.node("/my_planner") as planner:
+        planner.advertise(f"{CONTROLLER}/command", FLOAT)
+        eventually(lambda: planner.subscribers(f"{CONTROLLER}/command"))
+        planner.publish(f"{CONTROLLER}/command", {"data": 0.7})
+        with world.client() as client:
+
+            def set_point() -> float:
+                with client.subscribe(f"{CONTROLLER}/state", queue_length=1) as state:
+                    return float(state.get(timeout=60)["set_point"])
+
+            eventually(lambda: set_point() == 0.7)
+            eventually(lambda: "/my_planner" in world.run("topic", "info", f"{CONTROLLER}/command").stdout)
+        planner.process.kill()
+    eventually(lambda: "/my_planner" not in world.run("topic", "info", f"{CONTROLLER}/command").stdout)
+
+
+def test_the_description_of_a_robot_reaches_who_comes_later(node: Ros2Node) -> None:
+    node.subscribe("/slider/robot_description", "std_msgs/msg/String", "transient")
+    assert '<robot name="slider">' in node.gets("/slider/robot_description")["data"]
+
+
+def test_nodes_and_topics_have_the_names_of_the_world(node: Ros2Node) -> None:
+    wanted = {CONTROLLER, "/slider/joint_state_controller", "/slider/controller_manager", "/gazebo"}
+    eventually(lambda: wanted <= set(node.nodes()))
+    assert node.topics()["/slider/joint_states"] == [JOINT_STATE]
+    assert not [name for name in node.nodes() if "slidectl_" in name and not name.startswith("/_")]
+
+
+def test_parameters_are_those_of_the_controller(world: World, node: Ros2Node) -> None:
+    def call(service: str, **values: Any) -> Any:
+        kind = "".join(part.capitalize() for part in service.split("_"))
+        return node.call(f"{CONTROLLER}/{service}", f"rcl_interfaces/srv/{kind}", values)
+
+    def of(name: str, **value: Any) -> dict[str, Any]:
+        return {"name": name, "value": value}
+
+    assert {"pid.p", "pid.d", "type", "joint"} <= set(call("list_parameters")["result"]["names"])
+    assert call("list_parameters", prefixes=["pid"], depth=1)["result"]["names"][:2] == ["pid.antiwindup", "pid.d"]
+    values = call("get_parameters", names=["pid.p", "type", "no_such"])["values"]
+    assert [one["type"] for one in values] == [3, 4, 0]
+    assert values[1]["string_value"] == "effort_controllers/JointPositionController"
+    assert call("get_parameter_types", names=["pid.p", "no_such"])["types"] == [3, 0]
+    assert call("describe_parameters", names=["joint"])["descriptors"][0]["type"] == 4
+    [result] = call("set_parameters", parameters=[of("pid.p", type=3, double_value=117.0)])["results"]
+    assert result["successful"]
+    with world.client() as client:
+        assert client.params.get(f"{CONTROLLER}/pid/p") == 117.0
+    bad = [of("pid.p", type=4, string_value="much"), of("pid.d", type=3, double_value=2.0)]
+    refused = call("set_parameters_atomically", parameters=bad)["result"]
+    assert not refused["successful"]
+    assert f"parameter {CONTROLLER}/pid/p must be a number" in refused["reason"]
+    assert call("get_parameters", names=["pid.d"])["values"][0]["double_value"] != 2.0
+    [refused] = call("set_parameters", parameters=[of("pid.p", type=0)])["results"]
+    assert "slidectl param delete" in refused["reason"]
+
+
+def test_services_are_called_both_ways(world: World, node: Ros2Node) -> None:
+    with world.client() as client:
+        node.call("/gazebo/pause_physics", "std_srvs/srv/Empty", {})
+        assert client.call("/slidectl/status")["paused"]
+        node.call("/gazebo/unpause_physics", "std_srvs/srv/Empty", {})
+        assert not client.call("/slidectl/status")["paused"]
+
+        async_answer = {"success": True, "message": "from ROS 2"}
+        node.offer("/test/trigger", TRIGGER, async_answer)
+        eventually(lambda: "/test/trigger" in world.run("service", "list").stdout)
+        assert client.call("/test/trigger") == async_answer
+    node.offer("/test/set", "std_srvs/srv/SetBool", {"success": True, "message": "done"})
+    eventually(lambda: "/test/set" in world.run("service", "list").stdout)
+    assert "done" in world.run("service", "call", "/test/set", "data: true").stdout
+    assert node.messages("/test/set") == [{"data": True}]
+
+
+def test_a_refused_call_of_a_node_carries_the_reason(world: World, node: Ros2Node) -> None:
+    def fail(_: dict[str, Any]) -> dict[str, Any]:
+        raise ValueError("the gripper is open")
+
+    with world.client() as client:
+        client.advertise_service("/test/grip", "std_srvs/Trigger", fail)
+        ended = threading.Event()
+
+        def serve() -> None:
+            while not ended.is_set():
+                list(client.events(timeout=0.1))
+
+        serving = threading.Thread(target=serve)
+        serving.start()
+        try:
+            answer = node.call("/test/grip", TRIGGER, {})
+        finally:
+            ended.set()
+            serving.join()
+    assert answer == {"success": False, "message": "the gripper is open"}
+
+
+def test_topics_of_nodes_are_the_daemons_too(world: World, node: Ros2Node) -> None:
+    node.advertise("/test/numbers", FLOAT)
+    eventually(lambda: "/test/numbers" in world.run("topic", "list").stdout)
+    with world.client() as client, client.subscribe("/test/numbers", "std_msgs/Float64") as numbers:
+        eventually(lambda: node.subscribers("/test/numbers"))
+        node.publish("/test/numbers", {"data": 4.5})
+        assert numbers.get(timeout=60)["data"] == 4.5
+        node.publish("/test/numbers", {"data": math.inf}, 3)
+        assert [numbers.get(timeout=60)["data"] for _ in range(3)] == [math.inf] * 3
+    node.subscribe("/test/words", "std_msgs/msg/String")
+    eventually(lambda: "/test/words" in world.run("topic", "list").stdout)
+    with world.client() as client:
+        client.advertise("/test/words", "std_msgs/String")
+        eventually(lambda: client.publish("/test/words", {"data": "ü"}) is None and node.messages("/test/words"))
+    assert node.messages("/test/words")[0] == {"data": "ü"}
+
+
+def test_each_subscriber_gets_each_message_once(world: World) -> None:
+    """Publishers and subscribers on both sides: nothing goes round in circles."""
+    topic = "/test/both"
+    with world.node("/both") as other, world.client() as client:
+        other.subscribe(topic, FLOAT)
+        other.advertise(topic, FLOAT)
+        client.advertise(topic, "std_msgs/Float64")
+        with client.subscribe(topic, "std_msgs/Float64") as here:
+            eventually(
+                lambda: client.publish(topic, {"data": -1.0}) is None and {"data": -1.0} in other.messages(topic)
+            )
+            eventually(lambda: other.subscribers(topic) == 2)
+            eventually(lambda: other.publish(topic, {"data": -2.0}) is None and -2.0 in _drained(client, here))
+            for number in range(10):
+                client.publish(topic, {"data": float(number)})
+                other.publish(topic, {"data": 100.0 + number})
+            wanted = [*map(float, range(10)), *(100.0 + number for number in range(10))]
+            seen: list[float] = []
+            eventually(lambda: seen.extend(_drained(client, here)) is None and set(wanted) <= set(seen))
+            eventually(lambda: set(wanted) <= {one["data"] for one in other.messages(topic)})
+            client.sleep(1.0)  # in which what goes round would come again
+            seen.extend(_drained(client, here))
+            there = [one["data"] for one in other.messages(topic)]
+            assert [seen.count(number) for number in wanted] == [1] * 20
+            assert [there.count(number) for number in wanted] == [1] * 20
+
+
+def _drained(client: Client, subscription: Any) -> list[float]:
+    found = []
+    for _ in client.events(timeout=0.05):
+        pass
+    while subscription.queue:
+        found.append(subscription.get()["data"])
+    return found
+
+
+def test_who_publishes_briefly_reaches_a_subscriber(world: World, node: Ros2Node) -> None:
+    node.subscribe("/test/brief", FLOAT)
+    eventually(lambda: "/test/brief" in world.run("topic", "list").stdout)
+    eventually(lambda: node.publishers_of("/test/brief"))
+    for _ in range(20):
+        world.run("pub", "/test/brief", "0.5")
+        if node.messages("/test/brief"):
+            break
+    assert node.messages("/test/brief")[0] == {"data": 0.5}
+    node.subscribe(f"{CONTROLLER}/command", FLOAT)
+    eventually(lambda: node.publishers_of(f"{CONTROLLER}/command"))
+    world.run("pub", f"{CONTROLLER}/command", "0.4")
+    node.gets(f"{CONTROLLER}/command", lambda message: message["data"] == 0.4)
+
+
+def test_another_node_of_a_name_of_slidectl_is_named_in_the_log(world: World) -> None:
+    with world.node("/gazebo") as double:
+        double.advertise("/test/double", FLOAT)
+        log = world.runtime.paths.folder / "gateway-ros2.log"
+        eventually(lambda: "ROS 2 has another node /gazebo" in log.read_text("utf-8"))
+
+
+def test_a_publisher_without_reliable_delivery_is_heard(world: World) -> None:
+    with world.node("/unsure") as other, world.client() as client:
+        other.advertise("/test/unsure", FLOAT, "best_effort")
+        with client.subscribe("/test/unsure", "std_msgs/Float64") as here:
+            eventually(lambda: other.publish("/test/unsure", {"data": 1.0}) is None and _drained(client, here))
+
+
+def test_every_common_type_survives_the_way_there_and_back(node: Ros2Node) -> None:
+    result = node.round_trips()
+    assert result["differ"] == []
+    assert result["types"] > 80
+
+
+def test_what_ros_2_lacks_is_named_once(world: World) -> None:
+    assert {"control_msgs", "controller_manager_msgs"} <= set(world.status()["left_out"].split(", "))
+    log = world.runtime.paths.folder / "gateway-ros2.log"
+    lines = [line for line in log.read_text("utf-8").splitlines() if "controller_manager_msgs" in line]
+    assert len(lines) == 1
+    assert "apt install ros-$ROS_DISTRO-controller-manager-msgs" in lines[0]
+
+
+def test_a_topic_of_another_type_is_left_out(world: World, node: Ros2Node) -> None:
+    with world.node("/confused") as confused:
+        confused.advertise("/slider/joint_states", "std_msgs/msg/String")
+        eventually(lambda: "/slider/joint_states" in world.status()["left_out"])
+    count = len(node.messages("/slider/joint_states"))
+    eventually(lambda: len(node.messages("/slider/joint_states")) > count)
+
+
+def test_a_node_that_is_killed_is_listed_no_longer(world: World) -> None:
+    with world.node("/doomed") as doomed:
+        doomed.advertise("/test/doomed", FLOAT)
+        eventually(lambda: "/test/doomed" in world.run("topic", "list").stdout)
+        os.kill(doomed.process.pid, signal.SIGKILL)
+    eventually(lambda: "/test/doomed" not in world.run("topic", "list").stdout, limit_s=120)
+
+
+def test_the_daemon_goes_and_comes(world: World, node: Ros2Node) -> None:
+    world.run("daemon", "restart")
+    world.spawn()
+    before = len(node.messages("/slider/joint_states"))
+    eventually(lambda: len(node.messages("/slider/joint_states")) > before + 5)
+    eventually(lambda: CONTROLLER in node.nodes())
+    node.advertise(f"{CONTROLLER}/command", FLOAT)
+    with world.client() as client, client.subscribe(f"{CONTROLLER}/state", queue_length=1) as state:
+        eventually(
+            lambda: (
+                node.publish(f"{CONTROLLER}/command", {"data": 0.25}) is None
+                and state.get(timeout=60)["set_point"] == 0.25
+            )
+        )
+
+
+def test_a_flood_leaves_the_daemon_untouched(world: World) -> None:
+    with world.node("/flood") as flood, world.client() as client:
+        flood.advertise(f"{CONTROLLER}/command", FLOAT)
+        eventually(lambda: flood.subscribers(f"{CONTROLLER}/command"))
+        flood.publish(f"{CONTROLLER}/command", {"data": 0.1}, 20_000)
+        assert client.call("/slidectl/status", timeout=60)["robots"]
+        with client.subscribe(f"{CONTROLLER}/state", queue_length=1) as state:
+            eventually(lambda: state.get(timeout=60)["set_point"] == 0.1)
