@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import signal
-import subprocess
 import threading
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
-from daemon_fixture import Runtime, running_daemon
-from ros2_environment import DISTRIBUTIONS, folder_of, free_domain
-from ros2_node import Ros2Node, running_node
+from ros2_environment import DISTRIBUTIONS, folder_of
+from ros2_node import Ros2Node
+from ros2_world import World, running_world
 from waiting import eventually
 
 from slidectl.client import Client
@@ -24,46 +21,10 @@ CONTROLLER = "/slider/joint1_position_controller"
 JOINT_STATE, FLOAT, TRIGGER = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64", "std_srvs/srv/Trigger"
 
 
-class World:
-    """A daemon with the slider, the gateway, and the domain in which it is."""
-
-    def __init__(self, runtime: Runtime, programs: Path, domain: int) -> None:
-        self.runtime = runtime
-        self.programs = programs
-        self.domain = domain
-        self.env = {**runtime.env, "ROS_DOMAIN_ID": str(domain)}
-
-    def run(self, *words: str, code: int = 0) -> subprocess.CompletedProcess[str]:
-        """slidectl of the environment with rclpy."""
-        command = [str(self.programs / "slidectl"), *words]
-        result = subprocess.run(command, env=self.env, capture_output=True, text=True, timeout=240)
-        assert result.returncode == code, result.stdout + result.stderr
-        return result
-
-    def spawn(self) -> None:
-        self.run("spawn", "slider", "--controllers", "config/slider_control.yaml", "--start", "joint_state_controller",
-                 "joint1_position_controller")  # fmt: skip
-
-    def client(self) -> Client:
-        return self.runtime.client(timeout=60)
-
-    def status(self) -> dict[str, Any]:
-        found: dict[str, Any] = json.loads(self.run("gateway", "ros2", "status", "--json").stdout)
-        return found
-
-    def node(self, name: str) -> Any:
-        return running_node(self.programs, name, self.domain, self.runtime.env)
-
-
 @pytest.fixture(scope="module", params=list(DISTRIBUTIONS))
 def world(request: pytest.FixtureRequest) -> Iterator[World]:
-    programs = folder_of(request.param)
-    with running_daemon(rtf=1.0) as runtime, free_domain() as domain:
-        one = World(runtime, programs, domain)
-        one.spawn()
-        one.run("gateway", "ros2", "start")
+    with running_world(folder_of(request.param)) as one:
         yield one
-        one.run("gateway", "ros2", "stop")
 
 
 @pytest.fixture(scope="module")
