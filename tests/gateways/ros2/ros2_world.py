@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import subprocess
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -60,3 +61,21 @@ def running_world(programs: Path, packages: Path | None = None) -> Iterator[Worl
         one.run("gateway", "ros2", "start")
         yield one
         one.run("gateway", "ros2", "stop")
+
+
+@contextmanager
+def serving(client: Client) -> Iterator[None]:
+    """Inside, the client answers calls of the services that it advertises."""
+    ended = threading.Event()
+
+    def serve() -> None:
+        while not ended.is_set():
+            list(client.events(timeout=0.1))
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()

@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 import os
 import signal
-import threading
 from collections.abc import Iterator
 from typing import Any
 
 import pytest
 from ros2_environment import DISTRIBUTIONS, folder_of
 from ros2_node import Ros2Node
-from ros2_world import World, running_world
+from ros2_world import World, running_world, serving
 from waiting import eventually
 
 from slidectl.client import Client
@@ -126,19 +125,8 @@ def test_a_refused_call_of_a_node_carries_the_reason(world: World, node: Ros2Nod
 
     with world.client() as client:
         client.advertise_service("/test/grip", "std_srvs/Trigger", fail)
-        ended = threading.Event()
-
-        def serve() -> None:
-            while not ended.is_set():
-                list(client.events(timeout=0.1))
-
-        serving = threading.Thread(target=serve)
-        serving.start()
-        try:
+        with serving(client):
             answer = node.call("/test/grip", TRIGGER, {})
-        finally:
-            ended.set()
-            serving.join()
     assert answer == {"success": False, "message": "the gripper is open"}
 
 

@@ -50,16 +50,18 @@ class OfferedService:
     async def _answer(self, request: Any) -> Any:
         try:
             given = self._conversion.request.from_ros2(request)
-            return self._conversion.response.to_ros2(await self._daemon.call(self.name, given, timeout=math.inf))
+            answer = await self._daemon.call(self.name, given, timeout=math.inf)
+            return self._explained(self._conversion.response.to_ros2(answer), "\n".join(self._daemon.reasons))
         except Exception as error:  # every request is answered
-            return self._failed(self._conversion.ros2_class.Response(), error)
+            text = self._daemon.failure_of(error)
+            _log.warning("a node of ROS 2 called %s: %s", self.name, text)
+            return self._explained(self._conversion.ros2_class.Response(), text)
 
-    def _failed(self, response: Any, error: Exception) -> Any:
-        text = self._daemon.failure_of(error)
-        _log.warning("a node of ROS 2 called %s: %s", self.name, text)
+    def _explained(self, response: Any, text: str) -> Any:
+        """The response with the text in each field for it that is empty."""
         fields = response.get_fields_and_field_types()
         for name in _REASON:
-            if fields.get(name) == "string":
+            if fields.get(name) == "string" and not getattr(response, name):
                 setattr(response, name, text)
         return response
 
