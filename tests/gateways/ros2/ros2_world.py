@@ -48,6 +48,11 @@ class World:
         found: dict[str, Any] = json.loads(self.run("gateway", "ros2", "status", "--json").stdout)
         return found
 
+    @property
+    def log(self) -> str:
+        """The text of the gateway's log."""
+        return (self.runtime.paths.folder / "gateway-ros2.log").read_text("utf-8")
+
     def node(self, name: str) -> Any:
         return running_node(self.programs, name, self.domain, self.env)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 from collections.abc import Iterator
 from typing import Any
 
@@ -73,6 +74,15 @@ def test_transforms_of_a_node_are_those_of_the_daemon_too(world: World) -> None:
             )
 
 
+def test_fixed_transforms_of_a_node_are_those_of_the_daemon_too(world: World) -> None:
+    mark = {"header": {"frame_id": "map"}, "child_frame_id": "fixed", "transform": {"translation": {"x": 1.5}}}
+    with world.node("/fixed_marker") as marker:
+        marker.advertise("/tf_static", TRANSFORMS, "transient")
+        marker.publish("/tf_static", {"transforms": [mark]})
+        eventually(lambda: "/fixed_marker" in world.run("topic", "info", "/tf_static").stdout)
+        assert "1.5" in world.run("tf", "echo", "map", "fixed").stdout
+
+
 def test_the_state_of_a_controller_arrives(world: World, node: Ros2Node) -> None:
     node.subscribe(f"{CONTROLLER}/state", STATE)
     with world.client() as client:
@@ -82,7 +92,7 @@ def test_the_state_of_a_controller_arrives(world: World, node: Ros2Node) -> None
     assert state["header"]["stamp"]["sec"] + state["header"]["stamp"]["nanosec"] > 0
 
 
-def test_nodes_list_and_switch_controllers(node: Ros2Node) -> None:
+def test_nodes_list_and_switch_controllers(world: World, node: Ros2Node) -> None:
     def listed() -> dict[str, Any]:
         answer = node.call(f"{MANAGER}/list_controllers", "controller_manager_msgs/srv/ListControllers", {})
         return {one["name"]: one for one in answer["controller"]}
@@ -104,6 +114,10 @@ def test_nodes_list_and_switch_controllers(node: Ros2Node) -> None:
     refused = switch(activate_controllers=["no_such"])
     assert not refused["ok"]
     assert "no_such" in refused["message"]
+    assert not node.call(f"{MANAGER}/load_controller", "controller_manager_msgs/srv/LoadController", {"name": "none"})[
+        "ok"
+    ]
+    assert "'none'" in world.log.splitlines()[-1]
     assert switch(activate_controllers=[name], activate_asap=True)["ok"]
     assert listed()[name]["state"] == "active"
 
@@ -137,8 +151,19 @@ def test_a_trajectory_and_its_state_have_the_names_of_ros_2(world: World, node: 
     assert answer["name"] == ["joint1"]
 
 
+def test_the_packages_have_actions_too(world: World) -> None:
+    code = """
+from control_msgs.action import FollowJointTrajectory
+from rclpy.serialization import deserialize_message, serialize_message
+
+goal = FollowJointTrajectory.Goal()
+goal.trajectory.joint_names = ["joint1"]
+assert deserialize_message(serialize_message(goal), FollowJointTrajectory.Goal) == goal
+"""
+    subprocess.run([str(world.programs / "python"), "-c", code], env=world.env, check=True, timeout=240)
+
+
 def test_the_status_names_these_packages_no_longer(world: World, node: Ros2Node) -> None:
     left_out = {name.partition("/")[0] for name in world.status()["left_out"].split(", ")}
     assert not left_out & {"tf2_msgs", "control_msgs", "controller_manager_msgs"}
-    result = node.round_trips()
-    assert result["differ"] == []
+    assert node.round_trips()["differ"] == []

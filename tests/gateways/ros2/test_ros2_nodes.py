@@ -198,8 +198,7 @@ def test_every_common_type_survives_the_way_there_and_back(node: Ros2Node) -> No
 
 def test_what_ros_2_lacks_is_named_once(world: World) -> None:
     assert {"control_msgs", "controller_manager_msgs"} <= set(world.status()["left_out"].split(", "))
-    log = world.runtime.paths.folder / "gateway-ros2.log"
-    lines = [line for line in log.read_text("utf-8").splitlines() if "controller_manager_msgs" in line]
+    lines = [line for line in world.log.splitlines() if "controller_manager_msgs" in line]
     assert len(lines) == 1
     assert "apt install ros-$ROS_DISTRO-controller-manager-msgs" in lines[0]
 

@@ -51,18 +51,17 @@ class OfferedService:
         try:
             given = self._conversion.request.from_ros2(request)
             answer = await self._daemon.call(self.name, given, timeout=math.inf)
-            return self._explained(self._conversion.response.to_ros2(answer), "\n".join(self._daemon.reasons))
+            text = "\n".join(self._daemon.reasons)
+            response = self._conversion.response.to_ros2(answer)
         except Exception as error:  # every request is answered
             text = self._daemon.failure_of(error)
+            response = self._conversion.ros2_class.Response()
+        if text:
             _log.warning("a node of ROS 2 called %s: %s", self.name, text)
-            return self._explained(self._conversion.ros2_class.Response(), text)
-
-    def _explained(self, response: Any, text: str) -> Any:
-        """The response with the text in each field for it that is empty."""
-        fields = response.get_fields_and_field_types()
-        for name in _REASON:
-            if fields.get(name) == "string" and not getattr(response, name):
-                setattr(response, name, text)
+            fields = response.get_fields_and_field_types()
+            for name in _REASON:
+                if fields.get(name) == "string" and not getattr(response, name):
+                    setattr(response, name, text)
         return response
 
     def close(self) -> None:
