@@ -67,6 +67,21 @@ def test_the_description_of_a_robot_reaches_who_comes_later(node: Ros2Node) -> N
     assert '<robot name="slider">' in node.gets("/slider/robot_description")["data"]
 
 
+def test_a_latched_message_stays_when_another_publisher_goes(world: World, node: Ros2Node) -> None:
+    topic = "/test/latched"
+    with world.client() as stays:
+        with world.client() as goes:
+            for client, number in ((goes, 1.0), (stays, 2.0)):
+                client.publish(topic, {"data": number}, "std_msgs/Float64", latch=True)
+            node.subscribe(topic, FLOAT, "transient")
+            node.gets(topic, lambda message: message["data"] == 2.0)
+            before = node.nodes()
+        eventually(lambda: set(before) - set(node.nodes()))
+        with world.node("/later") as later:
+            later.subscribe(topic, FLOAT, "transient")
+            later.gets(topic, lambda message: message["data"] == 2.0)
+
+
 def test_nodes_and_topics_have_the_names_of_the_world(node: Ros2Node) -> None:
     wanted = {CONTROLLER, "/slider/joint_state_controller", "/slider/controller_manager", "/gazebo"}
     eventually(lambda: wanted <= set(node.nodes()))
