@@ -7,9 +7,10 @@ import os
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 
@@ -40,25 +41,38 @@ def folder_of(distribution: str) -> Path:
     """
     python = _python312()
     if python is None:
-        (pytest.fail if os.environ.get("CI") else pytest.skip)("Python 3.12, for which rclpy's wheels are, is not here")
+        lacks("Python 3.12, for which rclpy's wheels are,")
     rclpy, prefix = DISTRIBUTIONS[distribution]
     wanted = ["--editable", str(ROOT), rclpy, *(prefix + name for name in MESSAGES)]
     made = ROOT / ".cache" / f"ros2-{distribution}"
-    made.parent.mkdir(exist_ok=True)
-    with made.with_suffix(".lock").open("w") as lock:
+
+    def install() -> None:
+        run(python, "-m", "venv", str(made))
+        run(str(made / "bin" / "python"), "-m", "pip", "install", "--quiet", "--disable-pip-version-check", *wanted)
+
+    return made_once(made, "\n".join([*wanted, (ROOT / "pyproject.toml").read_text("utf-8")]), install) / "bin"
+
+
+def lacks(what: str) -> NoReturn:
+    """Skip the test, which needs what is not here; fail where CI is set."""
+    (pytest.fail if os.environ.get("CI") else pytest.skip)(f"{what} is not here")
+
+
+def made_once(folder: Path, text: str, make: Callable[[], None]) -> Path:
+    """The folder, emptied and made anew unless it was made from this text. One process makes it, and others wait."""
+    folder.parent.mkdir(exist_ok=True)
+    with folder.with_suffix(".lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        installed = made / ".installed"
-        text = "\n".join([*wanted, (ROOT / "pyproject.toml").read_text("utf-8")])
+        installed = folder / ".installed"
         if not installed.exists() or installed.read_text("utf-8") != text:
-            _run(python, "-m", "venv", "--clear", str(made))
-            _run(
-                str(made / "bin" / "python"), "-m", "pip", "install", "--quiet", "--disable-pip-version-check", *wanted
-            )
+            shutil.rmtree(folder, ignore_errors=True)
+            make()
             installed.write_text(text, "utf-8")
-    return made / "bin"
+    return folder
 
 
-def _run(*words: str) -> None:
+def run(*words: str) -> None:
+    """Run a program that must succeed."""
     result = subprocess.run(words, capture_output=True, text=True, timeout=LIMIT_S)
     assert result.returncode == 0, result.stdout + result.stderr
 

@@ -11,6 +11,7 @@ from typing import Any
 
 from waiting import eventually
 
+END_WITHIN_S = 20.0
 DRIVER = Path(__file__).parent / "nodes" / "driver.py"
 
 
@@ -69,4 +70,9 @@ def running_node(programs: Path, name: str, domain: int, env: dict[str, str]) ->
         try:
             yield Ros2Node(process)
         finally:
-            process.kill()
+            assert process.stdin is not None
+            process.stdin.close()  # with it the node ends; one that is killed leaves its shared memory
+            try:
+                process.wait(END_WITHIN_S)
+            except subprocess.TimeoutExpired:
+                process.kill()

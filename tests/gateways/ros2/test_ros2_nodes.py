@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import signal
-import subprocess
-import threading
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
-from daemon_fixture import Runtime, running_daemon
-from ros2_environment import DISTRIBUTIONS, folder_of, free_domain
-from ros2_node import Ros2Node, running_node
+from ros2_environment import DISTRIBUTIONS, folder_of
+from ros2_node import Ros2Node
+from ros2_world import World, running_world, serving
 from waiting import eventually
 
 from slidectl.client import Client
@@ -24,46 +20,10 @@ CONTROLLER = "/slider/joint1_position_controller"
 JOINT_STATE, FLOAT, TRIGGER = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64", "std_srvs/srv/Trigger"
 
 
-class World:
-    """A daemon with the slider, the gateway, and the domain in which it is."""
-
-    def __init__(self, runtime: Runtime, programs: Path, domain: int) -> None:
-        self.runtime = runtime
-        self.programs = programs
-        self.domain = domain
-        self.env = {**runtime.env, "ROS_DOMAIN_ID": str(domain)}
-
-    def run(self, *words: str, code: int = 0) -> subprocess.CompletedProcess[str]:
-        """slidectl of the environment with rclpy."""
-        command = [str(self.programs / "slidectl"), *words]
-        result = subprocess.run(command, env=self.env, capture_output=True, text=True, timeout=240)
-        assert result.returncode == code, result.stdout + result.stderr
-        return result
-
-    def spawn(self) -> None:
-        self.run("spawn", "slider", "--controllers", "config/slider_control.yaml", "--start", "joint_state_controller",
-                 "joint1_position_controller")  # fmt: skip
-
-    def client(self) -> Client:
-        return self.runtime.client(timeout=60)
-
-    def status(self) -> dict[str, Any]:
-        found: dict[str, Any] = json.loads(self.run("gateway", "ros2", "status", "--json").stdout)
-        return found
-
-    def node(self, name: str) -> Any:
-        return running_node(self.programs, name, self.domain, self.runtime.env)
-
-
 @pytest.fixture(scope="module", params=list(DISTRIBUTIONS))
 def world(request: pytest.FixtureRequest) -> Iterator[World]:
-    programs = folder_of(request.param)
-    with running_daemon(rtf=1.0) as runtime, free_domain() as domain:
-        one = World(runtime, programs, domain)
-        one.spawn()
-        one.run("gateway", "ros2", "start")
+    with running_world(folder_of(request.param)) as one:
         yield one
-        one.run("gateway", "ros2", "stop")
 
 
 @pytest.fixture(scope="module")
@@ -105,6 +65,21 @@ def test_a_command_moves_the_joint_and_the_daemon_names_the_node(world: World) -
 def test_the_description_of_a_robot_reaches_who_comes_later(node: Ros2Node) -> None:
     node.subscribe("/slider/robot_description", "std_msgs/msg/String", "transient")
     assert '<robot name="slider">' in node.gets("/slider/robot_description")["data"]
+
+
+def test_a_latched_message_stays_when_another_publisher_goes(world: World, node: Ros2Node) -> None:
+    topic = "/test/latched"
+    with world.client() as stays:
+        with world.client() as goes:
+            for client, number in ((goes, 1.0), (stays, 2.0)):
+                client.publish(topic, {"data": number}, "std_msgs/Float64", latch=True)
+            node.subscribe(topic, FLOAT, "transient")
+            node.gets(topic, lambda message: message["data"] == 2.0)
+            before = node.nodes()
+        eventually(lambda: set(before) - set(node.nodes()))
+        with world.node("/later") as later:
+            later.subscribe(topic, FLOAT, "transient")
+            later.gets(topic, lambda message: message["data"] == 2.0)
 
 
 def test_nodes_and_topics_have_the_names_of_the_world(node: Ros2Node) -> None:
@@ -165,19 +140,8 @@ def test_a_refused_call_of_a_node_carries_the_reason(world: World, node: Ros2Nod
 
     with world.client() as client:
         client.advertise_service("/test/grip", "std_srvs/Trigger", fail)
-        ended = threading.Event()
-
-        def serve() -> None:
-            while not ended.is_set():
-                list(client.events(timeout=0.1))
-
-        serving = threading.Thread(target=serve)
-        serving.start()
-        try:
+        with serving(client):
             answer = node.call("/test/grip", TRIGGER, {})
-        finally:
-            ended.set()
-            serving.join()
     assert answer == {"success": False, "message": "the gripper is open"}
 
 
@@ -271,8 +235,7 @@ def test_every_common_type_survives_the_way_there_and_back(node: Ros2Node) -> No
 
 def test_what_ros_2_lacks_is_named_once(world: World) -> None:
     assert {"control_msgs", "controller_manager_msgs"} <= set(world.status()["left_out"].split(", "))
-    log = world.runtime.paths.folder / "gateway-ros2.log"
-    lines = [line for line in log.read_text("utf-8").splitlines() if "controller_manager_msgs" in line]
+    lines = [line for line in world.log.splitlines() if "controller_manager_msgs" in line]
     assert len(lines) == 1
     assert "apt install ros-$ROS_DISTRO-controller-manager-msgs" in lines[0]
 

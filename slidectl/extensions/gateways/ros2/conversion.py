@@ -27,11 +27,22 @@ _TYPES = {
 }
 """Types of ROS 1 that have another name or package in ROS 2."""
 _FIELDS = {
+    "control_msgs/JointTrajectoryControllerState": {"desired": "reference", "actual": "feedback"},
+    "controller_manager_msgs/SwitchControllerRequest": {
+        "start_controllers": "activate_controllers",
+        "stop_controllers": "deactivate_controllers",
+        "start_asap": "activate_asap",
+    },
     "sensor_msgs/CameraInfo": {"D": "d", "K": "k", "R": "r", "P": "p"},
 }
 """Type of ROS 1 -> its fields that have another name in ROS 2."""
 _LEFT_OUT = {"std_msgs/Header": {"seq": 0}}
 """Type of ROS 1 -> its fields that ROS 2 does not have, with the value that they get."""
+_ADDED = {"control_msgs/QueryTrajectoryStateResponse": {"success": True}}
+"""Type of ROS 1 -> fields that only ROS 2 has, with a value other than their default."""
+_STATES = {"running": "active", **dict.fromkeys(("initialized", "stopped", "waiting", "aborted"), "inactive")}
+"""States of a controller -> those of ROS 2, which activates one that is inactive."""
+_STATES_OF_ROS2 = {"active": "running", "inactive": "stopped", "unconfigured": "initialized", "finalized": "aborted"}
 _LOG_LEVELS = {1: 10, 2: 20, 4: 30, 8: 40, 16: 50}
 OWN_PACKAGES = frozenset({"slidectl", "rosapi", "actionlib_msgs"})
 """Packages that ROS 2 never has."""
@@ -126,10 +137,12 @@ def _class(full_name: str) -> Any:
 
 
 def _conversion(name: str, ros2_class: Any, fields: tuple[Field, ...]) -> Conversion:
-    theirs = ros2_class.get_fields_and_field_types()
-    renamed, left_out = _FIELDS.get(name, {}), _LEFT_OUT.get(name, {})
     if name == "rosgraph_msgs/Log":
         return _log_conversion(ros2_class)
+    if name == "controller_manager_msgs/ControllerState":
+        return _controller_conversion(ros2_class)
+    theirs = ros2_class.get_fields_and_field_types()
+    renamed, left_out, added = _FIELDS.get(name, {}), _LEFT_OUT.get(name, {}), _ADDED.get(name, {})
     there, back = [], []
     for field in fields:
         if field.name in left_out:
@@ -142,7 +155,7 @@ def _conversion(name: str, ros2_class: Any, fields: tuple[Field, ...]) -> Conver
         back.append((field.name, their_name, fro))
 
     def to_ros2(message: Message) -> Any:
-        made = ros2_class()
+        made = ros2_class(**added)
         for ours, their_name, convert in there:
             value = message[ours]
             setattr(made, their_name, value if convert is None else convert(value))
@@ -199,6 +212,12 @@ def _element(owner: str, field: Field, theirs: str, whole: str) -> tuple[Convert
         if kind != "string":
             raise _differs(owner, field, whole)
         return _bounded(None, int(text["most"]) if text["most"] else None, field), None
+    if kind in FLOATS and theirs == "builtin_interfaces/Duration":  # seconds in ROS 1
+        time = _time_conversion("duration")
+        return (
+            lambda seconds: time.to_ros2({"secs": 0, "nsecs": round(_float_to(seconds) * 1e9)}),
+            lambda value: value.sec + value.nanosec * 1e-9,
+        )
     if kind in PRIMITIVES and kind not in TIMES:
         raise _differs(owner, field, whole)
     package, _, name = theirs.partition("/")
@@ -244,6 +263,43 @@ def _log_conversion(ros2_class: Any) -> Conversion:
         return {"header": header, "level": level, "name": "/" + message.name.replace(".", "/"), **texts, "topics": []}
 
     return Conversion("rosgraph_msgs/Log", ros2_class, to_ros2, from_ros2)
+
+
+def _controller_conversion(ros2_class: Any) -> Conversion:
+    """controller_manager_msgs/ControllerState has claims by interface, in any state; ROS 2 has `joint/quantity`."""
+    from slidectl.description import interfaces  # the package is slow to import
+
+    quantities = {
+        one.type_name: (one.quantity, *(name.removeprefix("command_") for name in one.beside)) for one in interfaces.ALL
+    }
+    names = {known[0]: name for name, known in quantities.items() if len(known) == 1}
+
+    def to_ros2(message: Message) -> Any:
+        required = [
+            f"{resource}/{quantity}"
+            for claim in message["claimed_resources"]
+            for resource in claim["resources"]
+            for quantity in quantities.get(claim["hardware_interface"], (claim["hardware_interface"],))
+        ]
+        state = _STATES.get(message["state"], message["state"])
+        return ros2_class(
+            name=message["name"],
+            state=state,
+            type=message["type"],
+            required_command_interfaces=required,
+            claimed_interfaces=required if state == "active" else [],
+        )
+
+    def from_ros2(message: Any) -> Message:
+        resources: dict[str, list[str]] = {}
+        for claimed in message.required_command_interfaces:
+            resource, _, quantity = claimed.rpartition("/")
+            resources.setdefault(names.get(quantity, quantity), []).append(resource)
+        claims = [{"hardware_interface": name, "resources": claimed} for name, claimed in resources.items()]
+        state = _STATES_OF_ROS2.get(message.state, message.state)
+        return {"name": message.name, "state": state, "type": message.type, "claimed_resources": claims}
+
+    return Conversion("controller_manager_msgs/ControllerState", ros2_class, to_ros2, from_ros2)
 
 
 def _float_to(value: float | None) -> float:

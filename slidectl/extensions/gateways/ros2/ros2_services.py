@@ -51,17 +51,18 @@ class OfferedService:
     async def _answer(self, request: Any) -> Any:
         try:
             given = self._conversion.request.from_ros2(request)
-            return self._conversion.response.to_ros2(await self._daemon.call(self.name, given, timeout=math.inf))
+            answer = await self._daemon.call(self.name, given, timeout=math.inf)
+            text = "\n".join(self._daemon.reasons)
+            response = self._conversion.response.to_ros2(answer)
         except Exception as error:  # every request is answered
-            return self._failed(self._conversion.ros2_class.Response(), error)
-
-    def _failed(self, response: Any, error: Exception) -> Any:
-        text = self._daemon.failure_of(error)
-        _log.warning("a node of ROS 2 called %s: %s", self.name, text)
-        fields = response.get_fields_and_field_types()
-        for name in _REASON:
-            if fields.get(name) == "string":
-                setattr(response, name, text)
+            text = self._daemon.failure_of(error)
+            response = self._conversion.ros2_class.Response()
+        if text:
+            _log.warning("a node of ROS 2 called %s: %s", self.name, text)
+            fields = response.get_fields_and_field_types()
+            for name in _REASON:
+                if fields.get(name) == "string" and not getattr(response, name):
+                    setattr(response, name, text)
         return response
 
     def close(self) -> None:

@@ -116,6 +116,8 @@ class TopicBridge:
         self._draining: asyncio.Task[None] | None = None
         self._problem = ""
         self._is_streaming = False
+        self._began_with: Any = None
+        """The publisher to which the stream of the daemon began."""
 
     # --- both -----------------------------------------------------------------------------------------------------
 
@@ -169,15 +171,19 @@ class TopicBridge:
     # --- to ROS 2 -------------------------------------------------------------------------------------------------
 
     async def set_stream(self, daemon: DaemonConnection) -> None:
-        """Follow the topic in the daemon while somebody in ROS 2 needs it. Raises Refused, NoDaemon."""
+        """Follow the topic in the daemon while somebody in ROS 2 needs it. Raises Refused, NoDaemon.
+
+        A new publisher of latched messages gets those that the daemon has.
+        """
         is_needed = bool(self.has.publisher) and (self.has.is_latched or bool(self.foreign.subscribers))
-        if is_needed == self._is_streaming:
+        goes_on = not self.has.is_latched or self._publisher is self._began_with
+        if is_needed == self._is_streaming and (goes_on or not is_needed):
             return
-        self._is_streaming = is_needed
+        if self._is_streaming:
+            daemon.unsubscribe(self.name)
+        self._is_streaming, self._began_with = is_needed, self._publisher
         if is_needed:
             await daemon.subscribe(self.name, self.conversion.name, READ_AHEAD, take=self._send)
-        else:
-            daemon.unsubscribe(self.name)
 
     def _send(self, published: Message) -> None:
         publisher = self._publisher

@@ -69,7 +69,8 @@ class Driver:
         self.publishers: dict[str, Any] = {}
         self.executor = SingleThreadedExecutor()
         self.executor.add_node(self.node)
-        threading.Thread(target=self.executor.spin, daemon=True).start()
+        self.spinning = threading.Thread(target=self.executor.spin)
+        self.spinning.start()
 
     def subscribe(self, topic: str, type: str, qos: str = "") -> None:
         messages = self.received.setdefault(topic, [])
@@ -128,6 +129,12 @@ class Driver:
     def use_sim_time(self) -> None:
         self.node.set_parameters([rclpy.Parameter("use_sim_time", value=True)])
 
+    def close(self) -> None:
+        self.executor.shutdown()
+        self.spinning.join()
+        self.node.destroy_node()
+        rclpy.shutdown()
+
     def round_trips(self) -> dict[str, int]:
         """Send the default of each type that both sides have through CDR and back; names those that differ."""
         from rclpy.serialization import deserialize_message, serialize_message
@@ -157,6 +164,7 @@ def main() -> None:
     for line in sys.stdin:
         given = json.loads(line)
         print(json.dumps(getattr(driver, given.pop("op"))(**given)), flush=True)
+    driver.close()
 
 
 main()
