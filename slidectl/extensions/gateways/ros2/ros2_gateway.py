@@ -400,14 +400,14 @@ class Ros2Gateway(Gateway):
         found = {}
         for name, by_type in self._foreign.topics.items():
             kind = self._known_type(name, by_type, {})
-            if kind and by_type[types.ros2_name(kind)].subscribers:
+            if kind and by_type[types.ros2_name(kind)].is_awaited:
                 found[name] = {"name": name, "type": kind, "publishers": [], "subscribers": []}
         return found
 
     async def _wanted(self, topic: dict[str, Any], foreign: Ros2Topic) -> Wanted:
         name, publishers, subscribers = topic["name"], topic["publishers"], topic["subscribers"]
         publisher = (
-            self._made_owner(name, publishers[0]) if publishers else self._own_node if foreign.subscribers else ""
+            self._made_owner(name, publishers[0]) if publishers else self._own_node if foreign.is_awaited else ""
         )
         subscriber = self._made_owner(name, subscribers[0]) if subscribers and not self._options.read_only else ""
         if publishers and name not in self._latched:

@@ -20,11 +20,13 @@ class Ros2Topic(NamedTuple):
     """True when a publisher offers no reliable delivery."""
     is_transient: bool
     """True when all publishers keep messages for late subscribers."""
+    is_awaited: bool
+    """True when it has subscribers, and none of them wants messages from before its subscription."""
     sources: dict[bytes, str]
     """Identity of a publisher -> its node."""
 
 
-UNUSED = Ros2Topic((), (), False, False, {})
+UNUSED = Ros2Topic((), (), False, False, False, {})
 
 
 class Ros2Graph(NamedTuple):
@@ -86,12 +88,13 @@ class GraphReader:
         found = {}
         for kind in sorted({end.topic_type for node, end in (*publishers, *subscribers) if node not in own}):
             published = [(node, end) for node, end in publishers if node not in own and end.topic_type == kind]
-            subscribed = [node for node, end in subscribers if node not in own and end.topic_type == kind]
+            subscribed = [(node, end) for node, end in subscribers if node not in own and end.topic_type == kind]
             found[kind] = Ros2Topic(
                 tuple(dict.fromkeys(node for node, _ in published)),
-                tuple(dict.fromkeys(subscribed)),
+                tuple(dict.fromkeys(node for node, _ in subscribed)),
                 any(end.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT for _, end in published),
                 {end.qos_profile.durability for _, end in published} == {DurabilityPolicy.TRANSIENT_LOCAL},
+                {end.qos_profile.durability for _, end in subscribed} == {DurabilityPolicy.VOLATILE},
                 {bytes(end.endpoint_gid): node for node, end in published},
             )
         return found, len(publishers) + len(subscribers)
