@@ -5,8 +5,8 @@ from __future__ import annotations
 import fcntl
 import os
 import shutil
+import socket
 import subprocess
-import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -79,16 +79,13 @@ def run(*words: str) -> None:
 
 @contextmanager
 def free_domain() -> Iterator[int]:
-    """A domain that no other process of these tests uses meanwhile."""
+    """A domain that no other process of these tests uses meanwhile: a name of a socket stands for each."""
     for domain in range(1, 100):
-        with (Path(tempfile.gettempdir()) / f"slidectl-ros-domain-{domain}.lock").open("w") as lock:
+        with socket.socket(socket.AF_UNIX) as lock:
             try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
+                lock.bind(f"\0slidectl-test-ros-domain-{domain}")
+            except OSError:
                 continue
-            try:
-                yield domain
-            finally:
-                os.unlink(lock.name)
+            yield domain
             return
     pytest.fail("no domain of ROS 2 is free")

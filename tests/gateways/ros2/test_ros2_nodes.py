@@ -85,7 +85,6 @@ def test_nodes_and_topics_have_the_names_of_the_world(node: Ros2Node) -> None:
     wanted = {CONTROLLER, "/slider/joint_state_controller", "/slider/controller_manager", "/gazebo"}
     eventually(lambda: wanted <= set(node.nodes()))
     assert node.topics()["/slider/joint_states"] == [JOINT_STATE]
-    assert not [name for name in node.nodes() if "slidectl_" in name and not name.startswith("/_")]
 
 
 def test_parameters_are_those_of_the_controller(world: World, node: Ros2Node) -> None:
@@ -278,4 +277,5 @@ def test_a_flood_leaves_the_daemon_untouched(world: World) -> None:
         flood.publish(f"{CONTROLLER}/command", {"data": 0.1}, 20_000)
         assert client.call("/slidectl/status", timeout=60)["robots"]
         with client.subscribe(f"{CONTROLLER}/state", queue_length=1) as state:
-            eventually(lambda: state.get(timeout=60)["set_point"] == 0.1)
+            seen = set()
+            eventually(lambda: seen.add(state.get(timeout=60)["set_point"]) or 0.1 in seen, f"set points: {seen}")
