@@ -40,6 +40,7 @@ NAMES = (
     "viewers",
     "ros1",
     "rosbridge",
+    "ros2",
     "compare",
 )
 HEADLINES = (

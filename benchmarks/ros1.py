@@ -123,12 +123,12 @@ class Node:
 
 
 @contextmanager
-def nodes(environment: dict[str, str], *texts: str) -> Iterator[list[Node]]:
+def nodes(environment: dict[str, str], *texts: str, python: str = PYTHON) -> Iterator[list[Node]]:
     """These nodes, started one after the other."""
     with ExitStack() as stack:
         started = []
         for text in texts:
-            node = Node(text, environment)
+            node = Node(text, environment, python)
             stack.callback(node.close)
             started.append(node.ready())
         yield started
@@ -173,7 +173,7 @@ def _start(instance: Daemon) -> Row:
 def _effects(instance: Daemon, ours: dict[str, str], theirs: dict[str, str]) -> list[Row]:
     """Effort is seen as motion, as in the group `latency`; on the other side a node hears the message."""
     with instance.client() as client, nodes(ours, PUBLISHER) as (publisher,):
-        pushed = [_effect(client, publisher, number) for number in range(EFFECTS)]
+        pushed = [effect_of(client, publisher, number) for number in range(EFFECTS)]
         direct = [effect(client, number) for number in range(EFFECTS)]
     heard = []
     with nodes(theirs, ECHO, PUBLISHER) as (echo, publisher):
@@ -191,7 +191,8 @@ def _effects(instance: Daemon, ours: dict[str, str], theirs: dict[str, str]) -> 
     ]
 
 
-def _effect(client: Client, publisher: Node, number: int) -> float:
+def effect_of(client: Client, publisher: Node, number: int) -> float:
+    """Seconds from the publish of a node, which prints when it began, to the motion of the joint."""
     time.sleep(0.01 + 0.003 * (number * 0.618 % 1))  # at any moment of a cycle
     before = velocity(client)
     publisher.tell(str(PUSH if number % 2 else -PUSH))

@@ -1,7 +1,7 @@
 """The page: what one that is open costs the daemon, what it costs itself, and how quickly it shows and acts.
 
-The browser only speaks viser's protocol and, as the panels do, rosbridge's: a real one that draws by software would take
-the processor's time.
+The browser only speaks viser's protocol and, as the panels do, rosbridge's: a real one that draws by software would
+take the processor's time.
 """
 
 from __future__ import annotations

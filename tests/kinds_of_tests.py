@@ -6,11 +6,11 @@ import re
 from fnmatch import fnmatch
 
 FOREIGN = (
-    "gateways/ros1/*", "gateways/websocket/test_websocket_clients.py", "gateways/websocket/test_websocket_page.py",
-    "gateways/test_foxglove.py", "viewing/test_page*", "cli/test_cli_ros_shells.py", "test_deployment.py",
-    "test_examples.py", "test_shown_sessions.py", "test_site.py",
+    "gateways/ros1/*", "gateways/ros2/*", "gateways/websocket/test_websocket_clients.py",
+    "gateways/websocket/test_websocket_page.py", "gateways/test_foxglove.py", "viewing/test_page*",
+    "cli/test_cli_ros_shells.py", "test_deployment.py", "test_examples.py", "test_shown_sessions.py", "test_site.py",
 )  # fmt: skip
-"""They start programs that are not part of slidectl: ROS 1, Node, Chromium, shells."""
+"""They start programs that are not part of slidectl: ROS 1 and 2, Node, Chromium, shells."""
 PROCESS = (
     *FOREIGN, "cli/*", "client/*", "daemon/*", "fuzz/*", "gateways/*", "viewing/*",
     "description/test_description_xacro_hostile.py", "launch/test_launch_supervision.py", "test_confined.py",
@@ -20,7 +20,8 @@ PROCESS = (
 """They start processes: daemons, commands, gateways."""
 SLOW = (
     # foreign programs, browsers, whole pages, attacks, and runs of the tests themselves
-    "fuzz/*", "gateways/ros1/*", "gateways/websocket/test_websocket_clients.py", "viewing/test_page*",
+    "fuzz/*", "gateways/ros1/*", "gateways/ros2/*", "gateways/websocket/test_websocket_clients.py",
+    "viewing/test_page*",
     "gateways/websocket/test_websocket_page.py", "test_deployment.py", "test_examples.py", "test_pytest_plugin.py",
     "test_shown_sessions.py", "test_site.py", "test_test_runs.py", "test_portable_ways.py",
     # commands that start much: launches, shells with the ROS commands, recordings, scenarios, and many daemons

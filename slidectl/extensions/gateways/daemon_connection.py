@@ -50,6 +50,11 @@ class DaemonConnection(AsyncClient):
             raise
         return made
 
+    @property
+    def takes_more(self) -> bool:
+        """False while the daemon has not read enough of what was sent: `drain` waits until it has."""
+        return self._may_send.is_set()
+
     def failure_of(self, error: Exception) -> str:
         """The text of a SlidectlError; of any other error, which is the gateway's own, the log has more."""
         if isinstance(error, SlidectlError):

@@ -55,7 +55,8 @@ class Ros2Node:
 
 _ARGUMENTS = {
     "subscribe": ("topic", "type", "qos"), "advertise": ("topic", "type", "qos"), "messages": ("topic",),
-    "publish": ("topic", "values", "times"), "subscribers": ("topic",), "offer": ("service", "type", "values"),
+    "publish": ("topic", "values", "times"), "subscribers": ("topic",), "publishers_of": ("topic",),
+    "offer": ("service", "type", "values"),
     "call": ("service", "type", "values"),
 }  # fmt: skip
 

@@ -200,6 +200,28 @@ def _drained(client: Client, subscription: Any) -> list[float]:
     return found
 
 
+def test_who_publishes_briefly_reaches_a_subscriber(world: World, node: Ros2Node) -> None:
+    node.subscribe("/test/brief", FLOAT)
+    eventually(lambda: "/test/brief" in world.run("topic", "list").stdout)
+    eventually(lambda: node.publishers_of("/test/brief"))
+    for _ in range(20):
+        world.run("pub", "/test/brief", "0.5")
+        if node.messages("/test/brief"):
+            break
+    assert node.messages("/test/brief")[0] == {"data": 0.5}
+    node.subscribe(f"{CONTROLLER}/command", FLOAT)
+    eventually(lambda: node.publishers_of(f"{CONTROLLER}/command"))
+    world.run("pub", f"{CONTROLLER}/command", "0.4")
+    node.gets(f"{CONTROLLER}/command", lambda message: message["data"] == 0.4)
+
+
+def test_another_node_of_a_name_of_slidectl_is_named_in_the_log(world: World) -> None:
+    with world.node("/gazebo") as double:
+        double.advertise("/test/double", FLOAT)
+        log = world.runtime.paths.folder / "gateway-ros2.log"
+        eventually(lambda: "ROS 2 has another node /gazebo" in log.read_text("utf-8"))
+
+
 def test_a_publisher_without_reliable_delivery_is_heard(world: World) -> None:
     with world.node("/unsure") as other, world.client() as client:
         other.advertise("/test/unsure", FLOAT, "best_effort")

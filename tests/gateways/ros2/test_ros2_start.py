@@ -16,6 +16,8 @@ from ros2_environment import folder_of, free_domain
 from ros2_node import running_node
 from waiting import eventually
 
+from slidectl.extensions.gateways.ros2.ros2_topics import _MOST_ECHOES, Echoes
+
 FLOAT = "std_msgs/msg/Float64"
 
 
@@ -121,3 +123,16 @@ def test_the_daemon_starts_it_in_a_domain(tmp_path: Path) -> None:
         finally:
             slidectl(runtime, "daemon", "stop", programs=programs)
     assert not list(runtime.paths.folder.glob("gateway-ros2.lock"))
+
+
+def test_echoes_are_expected_as_often_as_they_were_sent() -> None:
+    echoes = Echoes()
+    for _ in range(3 * _MOST_ECHOES):
+        echoes.expect(1)
+        assert echoes.came(1)
+        assert not echoes.came(1)
+    for key in range(2 * _MOST_ECHOES):
+        echoes.expect(key)
+    assert not echoes.came(_MOST_ECHOES - 1)
+    assert all(echoes.came(key) for key in range(_MOST_ECHOES, 2 * _MOST_ECHOES))
+    assert not echoes.are_expected

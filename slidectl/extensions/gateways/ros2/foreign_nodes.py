@@ -16,7 +16,7 @@ _LISTED_ONLY_MS = 10**9
 """Throttle of a subscription that only makes a node appear in the graph: after the first message nothing arrives."""
 
 
-class Part(NamedTuple):
+class NodePart(NamedTuple):
     """What a node has in the daemon's graph: topic or service -> type."""
 
     published: dict[str, str]
@@ -35,9 +35,12 @@ class ForeignNodes:
         self._connect = connect
         self._call = call
         self._connections: dict[str, DaemonConnection] = {}
-        self._parts: dict[str, Part] = {}
+        self._parts: dict[str, NodePart] = {}
         self._refused: dict[tuple[str, str, str], str] = {}
-        """(node, topic or service, type) -> why the daemon does not have it: it is not asked for again."""
+        """(node, topic or service, type) -> why the daemon does not have it: it is not asked for again.
+
+        Without a topic: the last message that was refused, since a node may send a thousand of these a second.
+        """
 
     def __len__(self) -> int:
         return len(self._connections)
@@ -49,7 +52,7 @@ class ForeignNodes:
     def publishes(self, node: str, topic: str) -> bool:
         return node in self._parts and topic in self._parts[node].published
 
-    async def settle(self, wanted: dict[str, Part]) -> None:
+    async def settle(self, wanted: dict[str, NodePart]) -> None:
         """Let the daemon's graph have these nodes, and no others. Raises NoDaemon."""
         for name in self._connections.keys() - wanted.keys():
             self._connections.pop(name).close()
@@ -63,12 +66,12 @@ class ForeignNodes:
                 except (Refused, TimedOut) as error:
                     self._note(name, name, "", error)
 
-    async def _settle(self, name: str, wanted: Part) -> None:
+    async def _settle(self, name: str, wanted: NodePart) -> None:
         daemon = self._connections.get(name)
         if daemon is None:
             daemon = await self._connect(name)
-            daemon.on_refused = lambda text: _log.warning("%s: %s", name, text)
-            self._connections[name], self._parts[name] = daemon, Part({}, {}, {})
+            daemon.on_refused = lambda text: self._note(name, "", "", Refused(text))
+            self._connections[name], self._parts[name] = daemon, NodePart({}, {}, {})
         part = self._parts[name]
         for topic in _gone(part.published, wanted.published):
             daemon.unadvertise(topic)

@@ -313,5 +313,5 @@ def _for_another_python(_: ImportError) -> Refused | None:
             theirs, ours = f"{digits[0]}.{digits[1:]}", f"{sys.version_info.major}.{sys.version_info.minor}"
             if theirs != ours:
                 text = f"rclpy in {folder} is for Python {theirs}, and slidectl runs with Python {ours}"
-                return Refused(text, f"install slidectl with python{theirs}: python{theirs} -m venv ...")
+                return Refused(text, f"make an environment for slidectl with it: python{theirs} -m venv ...")
     return None

@@ -17,12 +17,12 @@ from slidectl.errors import NoDaemon, Refused, SlidectlError
 from slidectl.extensions.gateways.daemon_connection import GRAPH_CHANGES, PARAMETER_CHANGES, DaemonConnection
 from slidectl.extensions.gateways.gateway import Gateway, GatewayOptions, is_offered
 from slidectl.extensions.gateways.ros2 import conversion as types
-from slidectl.extensions.gateways.ros2.foreign_nodes import ForeignNodes, Part
+from slidectl.extensions.gateways.ros2.foreign_nodes import ForeignNodes, NodePart
 from slidectl.extensions.gateways.ros2.parameter_services import ParameterServices
 from slidectl.extensions.gateways.ros2.participant import Participant
-from slidectl.extensions.gateways.ros2.ros2_graph import EMPTY, UNUSED, ForeignTopic, GraphReader, Ros2Graph
-from slidectl.extensions.gateways.ros2.services import ForeignServices, OfferedService
-from slidectl.extensions.gateways.ros2.topic_bridge import NOTHING, TopicBridge, Wanted
+from slidectl.extensions.gateways.ros2.ros2_graph import EMPTY, UNUSED, GraphReader, Ros2Graph, Ros2Topic
+from slidectl.extensions.gateways.ros2.ros2_services import ForeignServices, OfferedService
+from slidectl.extensions.gateways.ros2.ros2_topics import NOTHING, TopicBridge, Wanted
 from slidectl.paths import InstancePaths
 from slidectl.web_access import check_effects
 from slidectl.wire.messages import Message
@@ -89,6 +89,8 @@ class Ros2Gateway(Gateway):
         self._left_out: dict[str, str] = {}
         """Package or type that ROS 2 lacks -> why."""
         self._dropped = 0
+        self._proxy_names: set[str] = set()
+        """Names in the daemon of nodes of ROS 2, and of those that have just ended."""
 
     # --- Gateway ------------------------------------------------------------------------------------------------
 
@@ -131,6 +133,7 @@ class Ros2Gateway(Gateway):
             if connection is not None:
                 connection.close()
         self._main = self._asker = None
+        self._proxy_names.clear()
         self._dropped += sum(bridge.dropped for bridge in self._bridges.values())
         await self._participant.run(self._end_all)
         for known in (self._bridges, self._offered, self._descriptions, self._latched, self._managed):
@@ -176,10 +179,15 @@ class Ros2Gateway(Gateway):
     async def _connect_proxy(self, node: str) -> DaemonConnection:
         """Connect on behalf of a node of ROS 2; under another name when the daemon has a node of this name."""
         try:
-            return await self._connect(node)
+            return await self._proxy(node)
         except Refused as error:
             _log.warning("the node %s of ROS 2 is %s_ros2 in slidectl: %s", node, node, error.message)
-            return await self._connect(f"{node}_ros2")
+            return await self._proxy(f"{node}_ros2")
+
+    async def _proxy(self, name: str) -> DaemonConnection:
+        connection = await self._connect(name)
+        self._proxy_names.add(name)
+        return connection
 
     def _take_changes(self, published: Message) -> None:
         if self._described is not None:
@@ -228,8 +236,7 @@ class Ros2Gateway(Gateway):
 
     async def _read_native(self, main: DaemonConnection) -> None:
         state = await main.call("/slidectl/graph")
-        proxies = {name for name in self._foreign_names() if self._proxies.connection(name)}
-        hidden = {*proxies, *(f"{name}_ros2" for name in proxies), _OWN_NODE, f"{_OWN_NODE}_latched"}
+        hidden = {*self._proxy_names, _OWN_NODE, f"{_OWN_NODE}_latched"}
         own = f"/slidectl_{os.getpid()}_"
         topics = []
         for topic in state["topics"]:
@@ -254,28 +261,17 @@ class Ros2Gateway(Gateway):
             managed.update((names.join(names.parent(manager), one["name"]), None) for one in answer["controller"])
         self._managed = managed
 
-    def _foreign_names(self) -> set[str]:
-        return {
-            *(
-                node
-                for by_type in self._foreign.topics.values()
-                for topic in by_type.values()
-                for node in (*topic.publishers, *topic.subscribers)
-            ),
-            *(node for _, node in self._foreign.services.values()),
-        }
-
     def _is_bridged(self, topic: str) -> bool:
         return not self._options.topics or any(fnmatchcase(topic, pattern) for pattern in self._options.topics)
 
     # --- foreign nodes in the daemon ----------------------------------------------------------------------------
 
-    def _parts(self, foreign: Ros2Graph) -> dict[str, Part]:
+    def _parts(self, foreign: Ros2Graph) -> dict[str, NodePart]:
         """What each node of ROS 2 has that the daemon can have too."""
-        parts: dict[str, Part] = {}
+        parts: dict[str, NodePart] = {}
 
-        def part(node: str) -> Part:
-            return parts.setdefault(node, Part({}, {}, {}))
+        def part(node: str) -> NodePart:
+            return parts.setdefault(node, NodePart({}, {}, {}))
 
         natives = {one["name"]: one["type"] for one in self._native["topics"]}
         for name, by_type in foreign.topics.items():
@@ -295,7 +291,7 @@ class Ros2Gateway(Gateway):
                     part(node).services[service] = kind
         return parts
 
-    def _known_type(self, name: str, by_type: dict[str, ForeignTopic], natives: dict[str, str]) -> str:
+    def _known_type(self, name: str, by_type: dict[str, Ros2Topic], natives: dict[str, str]) -> str:
         """The daemon's name for the type of a topic of ROS 2; empty when it cannot be had here."""
         if not self._is_bridged(name) or not by_type:
             return ""
@@ -308,12 +304,13 @@ class Ros2Gateway(Gateway):
     async def _call_foreign(self, service: str, kind: str, request: Message) -> Message:
         return await self._services.call(service, types.service_conversion(kind), request)
 
-    def _forward(self, bridge: TopicBridge, source: str, message: Message) -> None:
-        """Publish a message of ROS 2 in the daemon, by the connection of its node if it is there."""
+    def _forward(self, bridge: TopicBridge, source: str, message: Message) -> DaemonConnection | None:
+        """Publish a message of ROS 2 in the daemon, by the connection of its node if it is there; returns that."""
         proxy = self._proxies.connection(source) if self._proxies.publishes(source, bridge.name) else None
         daemon = proxy or self._main
         if daemon is not None:
             daemon.publish(bridge.name, message, bridge.conversion.name)
+        return daemon
 
     # --- the daemon's nodes, topics and services in ROS 2 -------------------------------------------------------
 
@@ -321,6 +318,11 @@ class Ros2Gateway(Gateway):
         """The node in ROS 2 of a topic or service of the daemon's node `native`: its controller, if it is of one."""
         space = names.parent(name)
         return space if space in self._managed else native
+
+    def _made_owner(self, name: str, native: str) -> str:
+        """As `_owner`; the gateway's own node for one whose name ROS 2 does not accept."""
+        owner = self._owner(name, native)
+        return owner if owner in self._nodes else self._own_node
 
     async def _set_nodes(self) -> None:
         """Make the nodes that are needed, and end the others."""
@@ -357,16 +359,19 @@ class Ros2Gateway(Gateway):
         await self._participant.run(change)
 
     async def _set_topics(self) -> None:
-        natives = {topic["name"]: topic for topic in self._native["topics"]}
-        for name in [name for name in self._bridges if name not in natives]:
+        assert self._main is not None
+        topics = self._awaited() | {topic["name"]: topic for topic in self._native["topics"]}
+        types_of = {name: topic["type"] for name, topic in topics.items()}
+        for name in [name for name, one in self._bridges.items() if one.conversion.name != types_of.get(name)]:
             bridge = self._bridges.pop(name)
             self._dropped += bridge.dropped
             await self._participant.run(partial(bridge.set_ends, NOTHING, self._nodes))
+            await bridge.set_stream(self._main)
             self._latched.pop(name, None)
         changes = []
-        for name, topic in natives.items():
+        for name, topic in topics.items():
             known = self._bridges.get(name)
-            if known is None or known.conversion.name != topic["type"]:
+            if known is None:
                 conversion = self._conversion(topic["type"])
                 if conversion is None:
                     continue
@@ -387,20 +392,30 @@ class Ros2Gateway(Gateway):
         if changes:
             await self._participant.run(change)
             self._reader.forget()
-        assert self._main is not None
         for bridge in self._bridges.values():
             await bridge.set_stream(self._main)
 
-    async def _wanted(self, topic: dict[str, Any], foreign: ForeignTopic) -> Wanted:
+    def _awaited(self) -> dict[str, dict[str, Any]]:
+        """Topics that nodes of ROS 2 subscribe: a program of slidectl that publishes only briefly reaches them too."""
+        found = {}
+        for name, by_type in self._foreign.topics.items():
+            kind = self._known_type(name, by_type, {})
+            if kind and by_type[types.ros2_name(kind)].subscribers:
+                found[name] = {"name": name, "type": kind, "publishers": [], "subscribers": []}
+        return found
+
+    async def _wanted(self, topic: dict[str, Any], foreign: Ros2Topic) -> Wanted:
         name, publishers, subscribers = topic["name"], topic["publishers"], topic["subscribers"]
-        publisher = self._owner(name, publishers[0]) if publishers else ""
-        subscriber = self._owner(name, subscribers[0]) if subscribers and not self._options.read_only else ""
-        if publisher and name not in self._latched:
+        publisher = (
+            self._made_owner(name, publishers[0]) if publishers else self._own_node if foreign.subscribers else ""
+        )
+        subscriber = self._made_owner(name, subscribers[0]) if subscribers and not self._options.read_only else ""
+        if publishers and name not in self._latched:
             self._latched[name] = await self._is_latched(name, topic["type"])
         return Wanted(
-            publisher if publisher in self._nodes else "",
-            subscriber if subscriber in self._nodes else "",
-            bool(publisher) and self._latched[name],
+            publisher,
+            subscriber,
+            self._latched.get(name, False),
             foreign.is_best_effort,
             foreign.is_transient,
         )
@@ -415,17 +430,17 @@ class Ros2Gateway(Gateway):
 
     async def _set_services(self) -> None:
         wanted = {one["name"]: one for one in self._native["services"]}
-        for name in [name for name in self._offered if name not in wanted]:
+        types_of = {name: service["type"] for name, service in wanted.items()}
+        for name in [name for name, one in self._offered.items() if one.type != types_of.get(name)]:
             await self._participant.run(self._offered.pop(name).close)
         assert self._main is not None
         made = []
         for name, service in wanted.items():
             if name in self._offered or (conversion := self._service_conversion(service["type"])) is None:
                 continue
-            node = self._owner(name, service["node"])
-            if node in self._nodes:
-                one = self._offered[name] = OfferedService(name, node, conversion, self._participant, self._main)
-                made.append(one)
+            node = self._made_owner(name, service["node"])
+            one = self._offered[name] = OfferedService(name, node, conversion, self._participant, self._main)
+            made.append(one)
 
         def change() -> None:
             for one in made:

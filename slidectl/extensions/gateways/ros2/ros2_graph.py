@@ -11,7 +11,7 @@ _UNKNOWN = "_NODE_NAME_UNKNOWN_"
 _NOT_BRIDGED = frozenset({"/parameter_events"})
 
 
-class ForeignTopic(NamedTuple):
+class Ros2Topic(NamedTuple):
     """A topic of ROS 2 with one of its types, and the nodes of other processes that use it."""
 
     publishers: tuple[str, ...]
@@ -24,13 +24,13 @@ class ForeignTopic(NamedTuple):
     """Identity of a publisher -> its node."""
 
 
-UNUSED = ForeignTopic((), (), False, False, {})
+UNUSED = Ros2Topic((), (), False, False, {})
 
 
 class Ros2Graph(NamedTuple):
     """The part of the graph that other processes have."""
 
-    topics: dict[str, dict[str, ForeignTopic]]
+    topics: dict[str, dict[str, Ros2Topic]]
     """Topic -> its types, as ROS 2 names them: usually one."""
     services: dict[str, tuple[str, str]]
     """Service -> its type and its node."""
@@ -46,7 +46,7 @@ class GraphReader:
 
     def __init__(self, node: Any) -> None:
         self._node = node
-        self._known: dict[str, tuple[tuple[int, int], dict[str, ForeignTopic]]] = {}
+        self._known: dict[str, tuple[tuple[int, int], dict[str, Ros2Topic]]] = {}
 
     def read(self, own: frozenset[str]) -> Ros2Graph:
         """The present graph without the nodes of this process, whose full names are `own`.
@@ -54,7 +54,7 @@ class GraphReader:
         A topic is looked at more closely only when the number of its publishers or subscribers has changed.
         """
         node = self._node
-        topics: dict[str, tuple[tuple[int, int], dict[str, ForeignTopic]]] = {}
+        topics: dict[str, tuple[tuple[int, int], dict[str, Ros2Topic]]] = {}
         unnamed = set()
         for name, _ in node.get_topic_names_and_types():
             if name in _NOT_BRIDGED:
@@ -77,7 +77,7 @@ class GraphReader:
         """Look at all topics again: which nodes are ours has changed."""
         self._known.clear()
 
-    def _topic(self, name: str, own: frozenset[str]) -> tuple[dict[str, ForeignTopic], int]:
+    def _topic(self, name: str, own: frozenset[str]) -> tuple[dict[str, Ros2Topic], int]:
         """The topic by its types, and how many publishers and subscribers it has whose nodes have names by now."""
         from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
@@ -87,7 +87,7 @@ class GraphReader:
         for kind in sorted({end.topic_type for node, end in (*publishers, *subscribers) if node not in own}):
             published = [(node, end) for node, end in publishers if node not in own and end.topic_type == kind]
             subscribed = [node for node, end in subscribers if node not in own and end.topic_type == kind]
-            found[kind] = ForeignTopic(
+            found[kind] = Ros2Topic(
                 tuple(dict.fromkeys(node for node, _ in published)),
                 tuple(dict.fromkeys(subscribed)),
                 any(end.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT for _, end in published),

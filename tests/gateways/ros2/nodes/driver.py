@@ -92,6 +92,9 @@ class Driver:
     def subscribers(self, topic: str) -> int:
         return self.node.count_subscribers(topic)
 
+    def publishers_of(self, topic: str) -> int:
+        return self.node.count_publishers(topic)
+
     def offer(self, service: str, type: str, values: dict[str, Any]) -> None:
         """Offer a service that answers with `values`, and keeps the requests as messages."""
         requests = self.received.setdefault(service, [])

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -29,9 +29,12 @@ _DEPTH = 1000
 _MOST_LATCHED = 100
 _MOST_WAITING = 10_000
 """Messages of ROS 2 that wait for the event loop; beyond that the newest are dropped."""
-_MOST_ECHOES = 1000
+_MOST_ECHOES = 2 * READ_AHEAD
+"""More than the daemon queues for the gateway: an echo that comes is still expected."""
+_MOST_SENT = 4 * _DEPTH
+"""More than ROS 2 queues: a message that comes back is still known."""
 
-Forward = Callable[["TopicBridge", str, Message], None]
+Forward = Callable[["TopicBridge", str, Message], DaemonConnection | None]
 
 
 class Wanted(NamedTuple):
@@ -49,11 +52,48 @@ class Wanted(NamedTuple):
 NOTHING = Wanted("", "", False, False, False)
 
 
+class Echoes:
+    """Keys of messages that will come back, each as often as it was sent. The oldest are given up."""
+
+    def __init__(self) -> None:
+        self._expected: Counter[int] = Counter()
+        self._came: Counter[int] = Counter()
+        self._order: deque[int] = deque()
+
+    @property
+    def are_expected(self) -> bool:
+        return bool(self._expected)
+
+    def expect(self, key: int) -> None:
+        self._expected[key] += 1
+        self._order.append(key)
+        if len(self._order) > _MOST_ECHOES:
+            oldest = self._order.popleft()
+            _less(self._came if oldest in self._came else self._expected, oldest)
+
+    def came(self, key: int) -> bool:
+        """True for a message that was expected."""
+        if key not in self._expected:
+            return False
+        _less(self._expected, key)
+        self._came[key] += 1
+        return True
+
+
+def _less(counts: Counter[int], key: int) -> None:
+    counts[key] -= 1
+    if counts[key] <= 0:
+        del counts[key]
+
+
 class TopicBridge:
     """A topic that the daemon knows, with the type that both sides have."""
 
     def __init__(self, name: str, conversion: Conversion, participant: Participant, forward: Forward) -> None:
-        """`forward(bridge, node, message)` is called in the event loop for a message of a node of ROS 2."""
+        """`forward(bridge, node, message)` is called in the event loop for a message of a node of ROS 2.
+
+        It publishes the message in the daemon, and returns the connection that it used.
+        """
         self.name = name
         self.conversion = conversion
         self.has = NOTHING
@@ -66,11 +106,14 @@ class TopicBridge:
         self._nodes: dict[str, Any] = {}
         self._publisher: Any = None
         self._subscription: Any = None
-        self._sent: deque[int] = deque(maxlen=_MOST_ECHOES)
-        """Keys of messages sent to ROS 2 while it is subscribed here too: they come back by that subscription."""
-        self._echoes: deque[int] = deque(maxlen=_MOST_ECHOES)
-        """Keys of messages of ROS 2 published in the daemon: it sends them back, and its subscribers have them."""
+        self._sent: dict[int, int] = {}
+        """Number -> key of messages sent to ROS 2 while it is subscribed here too: they come back that way."""
+        self._sent_number = 0
+        """How many messages the present publisher has sent."""
+        self._echoes = Echoes()
+        """Messages of ROS 2 published in the daemon: it sends them back, and its subscribers have them."""
         self._waiting: deque[tuple[str, Message]] = deque()
+        self._draining: asyncio.Task[None] | None = None
         self._problem = ""
         self._is_streaming = False
         self._began_with: Any = None
@@ -115,6 +158,7 @@ class TopicBridge:
     def _end_publisher(self, node: str) -> None:
         if self._publisher is not None:
             publisher, self._publisher = self._publisher, None
+            self._sent_number = 0
             if node in self._nodes:
                 self._nodes[node].destroy_publisher(publisher)
 
@@ -146,13 +190,14 @@ class TopicBridge:
         if publisher is None:
             return
         message = published["msg"]
-        if self._echoes and (key := self._key(message)) in self._echoes:
-            self._echoes.remove(key)
+        if self._echoes.are_expected and self._echoes.came(self._key(message)):
             return
         try:
             if self._subscription is not None:
-                self._sent.append(self._key(message))
+                self._sent[self._sent_number + 1] = self._key(message)
+                self._sent.pop(self._sent_number - _MOST_SENT, None)
             publisher.publish(self.conversion.to_ros2(message))
+            self._sent_number += 1
         except Exception as error:  # of rclpy, too: the publisher may just have been ended
             self._tell(f"a message cannot be sent to ROS 2: {error}")
 
@@ -166,7 +211,7 @@ class TopicBridge:
         identity = info.get("publisher_gid")
         try:
             converted = self.conversion.from_ros2(message)
-            if self._is_own(identity, converted):
+            if self._is_own(identity, info.get("publication_sequence_number"), converted):
                 return
         except Exception as error:  # a value that the type does not have here, such as a time before 1970
             self._tell(f"a message of ROS 2 is not taken: {error}")
@@ -180,27 +225,37 @@ class TopicBridge:
         if len(self._waiting) == 1:
             self._loop.call_soon_threadsafe(self._hand_over)
 
-    def _is_own(self, identity: dict[str, Any] | None, message: Message) -> bool:
-        """True for a message that this process has sent."""
-        if self._publisher is None or not self._sent:
-            return False
-        if identity is not None and bytes(identity["data"]) in self.foreign.sources:
+    def _is_own(self, identity: dict[str, Any] | None, number: int | None, message: Message) -> bool:
+        """True for a message that this process has sent.
+
+        Not every rclpy says who the publisher is. Then the number and the content of the message decide.
+        """
+        if not self._sent or (identity is not None and bytes(identity["data"]) in self.foreign.sources):
             return False
         key = self._key(message)
-        if key in self._sent:
-            self._sent.remove(key)
-            return True
-        return False
+        return self._sent.get(number) == key if number is not None else key in self._sent.values()
 
     def _hand_over(self) -> None:
-        while self._waiting:
+        """Publish what waits in the daemon, as far as the connections take it."""
+        while self._waiting and self._draining is None:
             source, message = self._waiting.popleft()
             if self._is_streaming:
-                self._echoes.append(self._key(message))
+                self._echoes.expect(self._key(message))
             try:
-                self._forward(self, source, message)
+                daemon = self._forward(self, source, message)
             except SlidectlError as error:
                 self._tell(str(error))
+                continue
+            if daemon is not None and not daemon.takes_more:
+                self._draining = self._loop.create_task(self._drain(daemon))
+
+    async def _drain(self, daemon: DaemonConnection) -> None:
+        try:
+            await daemon.drain()
+        except SlidectlError:
+            self._waiting.clear()  # the daemon has ended
+        self._draining = None
+        self._hand_over()
 
     def _tell(self, problem: str) -> None:
         if problem != self._problem:

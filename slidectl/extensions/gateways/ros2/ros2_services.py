@@ -36,6 +36,7 @@ class OfferedService:
         self.name = name
         self.node = node
         """The node of ours that offers it."""
+        self.type = conversion.name
         self._conversion = conversion
         self._participant = participant
         self._daemon = daemon
