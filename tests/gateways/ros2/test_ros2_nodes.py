@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
+from daemon_fixture import send
 from ros2_environment import DISTRIBUTIONS, folder_of
 from ros2_node import Ros2Node
 from ros2_world import World, running_world, serving
@@ -72,10 +73,13 @@ def test_a_latched_message_stays_when_another_publisher_goes(world: World, node:
     topic = "/test/latched"
     with world.client() as stays:
         with world.client() as goes:
-            for client, number in ((goes, 1.0), (stays, 2.0)):
+            for client, name, number in ((goes, "/first", 1.0), (stays, "/second", 2.0)):
+                send(client, op="set_node", node=name)
                 client.publish(topic, {"data": number}, "std_msgs/Float64", latch=True)
             node.subscribe(topic, FLOAT, "transient")
             node.gets(topic, lambda message: message["data"] == 2.0)
+            eventually(lambda: "/first" in node.nodes())
+        eventually(lambda: "/second" in node.nodes())
         with world.node("/later") as later:
             later.subscribe(topic, FLOAT, "transient")
             later.gets(topic, lambda message: message["data"] == 2.0)
