@@ -76,6 +76,7 @@ def test_a_latched_message_stays_when_another_publisher_goes(world: World, node:
             for client, name, number in ((goes, "/first", 1.0), (stays, "/second", 2.0)):
                 send(client, op="set_node", node=name)
                 client.publish(topic, {"data": number}, "std_msgs/Float64", latch=True)
+                client.flush()
             node.subscribe(topic, FLOAT, "transient")
             node.gets(topic, lambda message: message["data"] == 2.0)
             eventually(lambda: "/first" in node.nodes())
