@@ -45,7 +45,8 @@ _UNIT = re.compile(
     r"|%|in (the|its|their)( own)? units?\b|times as fast|from 0 to 1|a number of times|Pictures in a simulated second"
 )
 _COUNTED = re.compile(
-    r"\b(lines|port|Seed|messages|files|reports|Characters|transforms|Clients|Frames|frame|cases|failures)\b",
+    r"\b(lines|port|domain|ROS_DOMAIN_ID|Seed|messages|files|reports|Characters|transforms|Clients|Frames|frame|cases"
+    r"|failures)\b",
     re.IGNORECASE,
 )
 

@@ -17,6 +17,9 @@ from ros2_node import running_node
 
 from slidectl.client import Client
 
+SPAWN = ["spawn", "slider", "--controllers", "config/slider_control.yaml", "--start", "joint_state_controller",
+         "joint1_position_controller"]  # fmt: skip
+
 
 class World:
     """A daemon with the slider, the gateway, and the domain in which it is."""
@@ -38,8 +41,7 @@ class World:
         return result
 
     def spawn(self) -> None:
-        self.run("spawn", "slider", "--controllers", "config/slider_control.yaml", "--start", "joint_state_controller",
-                 "joint1_position_controller")  # fmt: skip
+        self.run(*SPAWN)
 
     def client(self) -> Client:
         return self.runtime.client(timeout=60)

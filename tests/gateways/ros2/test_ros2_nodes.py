@@ -9,10 +9,11 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from daemon_fixture import send
+import yaml
+from daemon_fixture import send, shown
 from ros2_environment import DISTRIBUTIONS, folder_of
 from ros2_node import Ros2Node
-from ros2_world import World, running_world, serving
+from ros2_world import SPAWN, World, running_world, serving
 from waiting import eventually
 
 from slidectl.client import Client
@@ -118,6 +119,36 @@ def test_parameters_are_those_of_the_controller(world: World, node: Ros2Node) ->
     assert call("get_parameters", names=["pid.d"])["values"][0]["double_value"] != 2.0
     [refused] = call("set_parameters", parameters=[of("pid.p", type=0)])["results"]
     assert "slidectl param delete" in refused["reason"]
+
+
+def test_the_commands_of_the_page_do_what_they_say(world: World, node: Ros2Node) -> None:
+    """Carried out as `ros2` would: the wheels do not have it."""
+    begin = shown("ros2.md", "slidectl daemon start --ros2")
+    assert begin[1] == ["slidectl", "daemon", "start", "--ros2"]
+    assert begin[2][1:] == SPAWN
+    for _, *words in shown("ros2.md", "ros2 topic echo")[:4]:
+        match words:
+            case ["topic", "echo", topic]:
+                eventually(lambda topic=topic: topic in node.topics())
+            case ["topic", "pub", "--once", topic, kind, values]:
+                node.advertise(topic, kind)
+                eventually(lambda topic=topic: node.subscribers(topic))
+                node.publish(topic, yaml.safe_load(values))
+            case ["param", "set", name, parameter, value]:
+                given = [{"name": parameter, "value": {"type": 3, "double_value": float(value)}}]
+                kind = "rcl_interfaces/srv/SetParameters"
+                [result] = node.call(f"{name}/set_parameters", kind, {"parameters": given})["results"]
+                assert result["successful"]
+            case ["service", "call", service, kind]:
+                node.call(service, kind, {})
+            case _:
+                pytest.fail(f"not carried out: {words}")
+    with world.client() as client:
+        assert client.params.get(f"{CONTROLLER}/pid/p") == 120.0
+        assert client.call("/slidectl/status")["paused"]
+        client.resume()
+        with client.subscribe(f"{CONTROLLER}/state", queue_length=1) as state:
+            eventually(lambda: state.get(timeout=60)["set_point"] == 1.0)
 
 
 def test_services_are_called_both_ways(world: World, node: Ros2Node) -> None:
