@@ -145,7 +145,7 @@ class AsyncClient:
 
     def send_line(self, raw: bytes) -> None:
         """Send a line, with its line end, unchanged. Does nothing after the daemon has ended."""
-        if self._transport is not None:
+        if self._transport is not None and not self._transport.is_closing():
             self._transport.write(raw)
 
     async def restrict(self, *permitted: str) -> None:
