@@ -117,6 +117,10 @@ class Node:
     def line(self) -> str:
         return self._output.readline().strip()
 
+    def ended(self) -> None:
+        """Wait until it has ended by itself."""
+        self._process.wait(_LIMIT_S)
+
     def close(self) -> None:
         self._process.kill()
         self._process.communicate()

@@ -82,13 +82,16 @@ import threading
 node = Node(f"bench_counter_{{time.monotonic_ns()}}")
 taken = []
 node.create_subscription({kind}, "{topic}", lambda message: taken.append({time_of}), 1000)
-threading.Thread(target=rclpy.spin, args=(node,), daemon=True).start()
+spinning = threading.Thread(target=rclpy.spin, args=(node,))
+spinning.start()
 while len(taken) < 10:
     time.sleep(0.01)
 print("ready", flush=True)
 sys.stdin.readline()
 times = [round((one.sec + one.nanosec * 1e-9) * 1000) for one in list(taken)]
 print(times[-1] - times[0] + 1 - len(times), len(times), flush=True)
+rclpy.shutdown()  # one that is killed counts as a subscriber for 20 s more
+spinning.join()
 """
 
 
@@ -198,4 +201,5 @@ def _count(counter: Node) -> tuple[int, int]:
     """How many messages a node has lost, and how many it has."""
     counter.tell("stop")
     lost, taken = map(int, counter.line().split())
+    counter.ended()
     return lost, taken

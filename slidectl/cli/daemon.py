@@ -30,8 +30,10 @@ if TYPE_CHECKING:
 PORTS: dict[str, int] = {}
 """Kind of a gateway -> its port; empty where the extension of the gateways is left out."""
 _OF_ENVIRONMENT = "environment"
+"""The value of --ros2 without a domain."""
 if TYPE_CHECKING or has_module("extensions.gateways"):
     from slidectl.extensions.gateways.commands import gateway_commands
+    from slidectl.extensions.gateways.ros2 import MOST_DOMAIN
 
     PORTS = gateway_commands.PORTS
 
@@ -120,7 +122,7 @@ class _Domain(click.IntRange):
 
 
 def _gateways(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Add an option for each gateway of slidectl, with an optional port, and one for those of installed packages."""
+    """Add an option for each gateway of slidectl, with an optional port or domain, and one for installed packages'."""
     if not PORTS:
         return function
     function = click.option(
@@ -132,7 +134,7 @@ def _gateways(function: Callable[..., Any]) -> Callable[..., Any]:
     )(function)
     function = click.option(
         "--ros2",
-        type=_Domain(0, gateway_commands.MOST_DOMAIN),
+        type=_Domain(0, MOST_DOMAIN),
         is_flag=False,
         flag_value=_OF_ENVIRONMENT,
         metavar="[DOMAIN]",
@@ -180,7 +182,10 @@ def start(click_context: click.Context, /, **world: Any) -> None:
             if was_running and port != PORTS[kind]:
                 ctx.warn(f"the {kind} gateway runs already, so port {port} had no effect")
     if domain is not None:
-        gateway_commands.start(ctx, "ros2", {"domain": None if domain == _OF_ENVIRONMENT else domain})
+        is_chosen = domain != _OF_ENVIRONMENT
+        was_running = gateway_commands.start(ctx, "ros2", {"domain": domain if is_chosen else None})
+        if was_running and is_chosen:
+            ctx.warn(f"the ros2 gateway runs already, so domain {domain} had no effect")
     for kind in others:
         gateway_commands.start(ctx, kind, {})
     if already and given:

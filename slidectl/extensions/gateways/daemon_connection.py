@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import logging
 import traceback
-from collections.abc import Callable, Collection
+from collections.abc import Awaitable, Callable, Collection
 
 from slidectl.client.async_client import AsyncClient
 from slidectl.effects import Effect
-from slidectl.errors import SlidectlError
+from slidectl.errors import Refused, SlidectlError
 from slidectl.paths import InstancePaths
+
+_log = logging.getLogger(__name__)
 
 GRAPH_CHANGES, PARAMETER_CHANGES = "/slidectl/graph_changes", "/slidectl/parameter_changes"
 """Topics that announce changes: std_msgs/Empty and slidectl/ParameterChanges."""
@@ -61,3 +64,17 @@ class DaemonConnection(AsyncClient):
             return str(error)
         traceback.print_exception(error)
         return "internal error; the log of the gateway has more"
+
+
+async def connect_as(
+    node: str, system: str, other: str, connect: Callable[[str], Awaitable[DaemonConnection]]
+) -> DaemonConnection:
+    """Connect on behalf of a node of another system; under the `other` name when the daemon has a node of this name.
+
+    Raises Refused: both names are taken; NoDaemon.
+    """
+    try:
+        return await connect(node)
+    except Refused as error:
+        _log.warning("the node %s of %s is %s in slidectl: %s", node, system, other, error.message)
+        return await connect(other)

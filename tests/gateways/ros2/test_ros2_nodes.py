@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import signal
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -17,6 +19,7 @@ from ros2_world import SPAWN, World, running_world, serving
 from waiting import eventually
 
 from slidectl.client import Client
+from slidectl.operating_system import LINUX
 
 CONTROLLER = "/slider/joint1_position_controller"
 JOINT_STATE, FLOAT, TRIGGER = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64", "std_srvs/srv/Trigger"
@@ -265,6 +268,45 @@ def test_every_common_type_survives_the_way_there_and_back(node: Ros2Node) -> No
     result = node.round_trips()
     assert result["differ"] == []
     assert result["types"] > 80
+
+
+def test_names_that_ros_2_does_not_accept_are_left_out_alone(world: World, node: Ros2Node) -> None:
+    with world.client() as client:
+        client.params["/lab/2nd/robot_description"] = "<robot/>"
+        client.advertise("/lab/2nd/numbers", "std_msgs/Float64")
+        client.advertise("/lab/second/numbers", "std_msgs/Float64")
+        names = {"/lab/2nd/robot_description", "/lab/2nd/numbers"}
+        eventually(lambda: names <= set(world.status()["left_out"].split(", ")))
+        eventually(lambda: "/lab/second/numbers" in node.topics())
+        del client.params["/lab/2nd/robot_description"]
+
+
+@pytest.mark.skipif(not LINUX, reason="/proc says which sockets a process has")
+def test_the_gateway_listens_on_loopback_alone(world: World) -> None:
+    """A socket that only sends has a port, too: this one is not of the domain."""
+    pid = int(json.loads(world.run("gateway", "ros2", "status", "--json").stdout)["pid"])
+    links = [os.readlink(path) for path in Path(f"/proc/{pid}/fd").iterdir()]
+    own = {link.removeprefix("socket:[").removesuffix("]") for link in links if link.startswith("socket:[")}
+    rows = [line.split() for line in Path("/proc/net/udp").read_text("utf-8").splitlines()[1:]]
+    heard = [address for _, address, *rest in rows if rest[7] in own for address in [address.split(":")]]
+    ports = range(7400 + 250 * world.domain, 7400 + 250 * (world.domain + 1))  # DDS counts them so
+    of_domain = [address for address, port in heard if int(port, 16) in ports]
+    assert of_domain
+    assert set(of_domain) == {"0100007F"}
+
+
+def test_parameters_of_all_kinds_are_listed_as_far_as_ros_2_has_them(world: World, node: Ros2Node) -> None:
+    values = {"i": [1, 2], "f": [1, 2.5], "s": ["a"], "none": [], "huge": [2**70], "mixed": [1, "a"], "b": [True]}
+    with world.client() as client:
+        for name, value in values.items():
+            client.params[f"{CONTROLLER}/kinds/{name}"] = value
+        names = [f"kinds.{name}" for name in values]
+        kind = "rcl_interfaces/srv/GetParameterTypes"
+        types = node.call(f"{CONTROLLER}/get_parameter_types", kind, {"names": names})["types"]
+        del client.params[f"{CONTROLLER}/kinds"]
+    assert dict(zip(values, types, strict=True)) == {
+        "i": 7, "f": 8, "s": 9, "none": 9, "huge": 0, "mixed": 0, "b": 6,
+    }  # fmt: skip
 
 
 def test_what_ros_2_lacks_is_named_once(world: World) -> None:

@@ -120,6 +120,8 @@ def test_the_daemon_starts_it_in_a_domain(tmp_path: Path) -> None:
             started = [json.loads(line) for line in text.splitlines()]
             assert started[1]["kind"] == "ros2"
             assert started[1]["address"].startswith(f"ROS_DOMAIN_ID={domain} ")
+            _, text = slidectl(runtime, "daemon", "start", "--ros2", str(domain), programs=programs)
+            assert f"the ros2 gateway runs already, so domain {domain} had no effect" in text
         finally:
             slidectl(runtime, "daemon", "stop", programs=programs)
     assert not list(runtime.paths.folder.glob("gateway-ros2.lock"))

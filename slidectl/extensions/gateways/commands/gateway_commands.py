@@ -17,6 +17,7 @@ from slidectl.entry_points import Part, PartError
 from slidectl.errors import NoDaemon, Refused
 from slidectl.extensions.gateways import gateway_kinds
 from slidectl.extensions.gateways.gateway_kinds import GATEWAYS
+from slidectl.extensions.gateways.ros2 import MOST_DOMAIN
 from slidectl.paths import command
 
 if TYPE_CHECKING:
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
 
 PORTS = {"ros1": 11311, "websocket": 9090, "foxglove": 8765}
 """The default port of each gateway, as of roscore, rosbridge and Foxglove's bridge."""
-MOST_DOMAIN = 232
-"""The highest ROS_DOMAIN_ID for which DDS has ports."""
 _ACTIONS = ("run", "start", "stop", "status")
 
 

@@ -13,7 +13,12 @@ from typing import Any
 
 from slidectl.effects import Effect
 from slidectl.errors import NoDaemon, Refused, SlidectlError, UsageError, cut
-from slidectl.extensions.gateways.daemon_connection import GRAPH_CHANGES, PARAMETER_CHANGES, DaemonConnection
+from slidectl.extensions.gateways.daemon_connection import (
+    GRAPH_CHANGES,
+    PARAMETER_CHANGES,
+    DaemonConnection,
+    connect_as,
+)
 from slidectl.extensions.gateways.gateway import Gateway, GatewayOptions, is_offered
 from slidectl.extensions.gateways.ros1 import xmlrpc
 from slidectl.extensions.gateways.ros1.api_calls import Answered, Api
@@ -227,11 +232,7 @@ class Ros1Gateway(Gateway):
 
     async def _connect_proxy(self, node: str) -> DaemonConnection:
         """Connect on behalf of a foreign node; under another name when the daemon has a node of this name."""
-        try:
-            return await self._proxy(node)
-        except Refused as error:
-            _log.warning("the node %s of ROS is %s_ros1 in slidectl: %s", node, node, error.message)
-            return await self._proxy(f"{node}_ros1")
+        return await connect_as(node, "ROS", f"{node}_ros1", self._proxy)
 
     async def _proxy(self, name: str) -> DaemonConnection:
         """Connect and register the connection in `_proxies`. Raises as `_connect`."""

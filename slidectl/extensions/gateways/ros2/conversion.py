@@ -181,7 +181,7 @@ def _field(owner: str, field: Field, theirs: str) -> tuple[Convert | None, Conve
         element, length = array["type"], int(array["length"])
     else:
         element = theirs
-    is_list = element is not theirs and element != theirs
+    is_list = element != theirs
     if is_list != (field.array != SCALAR) or (length is not None and length != field.array):
         raise _differs(owner, field, theirs)
     to, fro = _element(owner, field, element, theirs)

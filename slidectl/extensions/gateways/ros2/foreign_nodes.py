@@ -37,7 +37,7 @@ class ForeignNodes:
         self._connections: dict[str, DaemonConnection] = {}
         self._parts: dict[str, NodePart] = {}
         self._refused: dict[tuple[str, str, str], str] = {}
-        """(node, topic or service, type) -> why the daemon does not have it: it is not asked for again.
+        """(node, topic or service, type) -> why the daemon did not take it, for the log to have each reason once.
 
         Without a topic: the last message that was refused, since a node may send a thousand of these a second.
         """
@@ -83,19 +83,17 @@ class ForeignNodes:
             daemon.advertise(topic, kind)
             part.published[topic] = kind
         for topic, kind in _new(part.subscribed, wanted.subscribed):
-            if (name, topic, kind) not in self._refused:
-                try:
-                    await daemon.subscribe(topic, kind, throttle_rate=_LISTED_ONLY_MS, take=lambda _: None)
-                    part.subscribed[topic] = kind
-                except Refused as error:
-                    self._note(name, topic, kind, error)
+            try:
+                await daemon.subscribe(topic, kind, throttle_rate=_LISTED_ONLY_MS, take=lambda _: None)
+                part.subscribed[topic] = kind
+            except Refused as error:
+                self._note(name, topic, kind, error)
         for service, kind in _new(part.services, wanted.services):
-            if (name, service, kind) not in self._refused:
-                try:
-                    await self._offer(daemon, service, kind)
-                    part.services[service] = kind
-                except Refused as error:
-                    self._note(name, service, kind, error)
+            try:
+                await self._offer(daemon, service, kind)
+                part.services[service] = kind
+            except Refused as error:
+                self._note(name, service, kind, error)
 
     async def _offer(self, daemon: DaemonConnection, service: str, kind: str) -> None:
         async def handle(request: Message) -> Message:

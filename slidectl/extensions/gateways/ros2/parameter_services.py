@@ -147,11 +147,11 @@ def _type_of(value: Any) -> int:
     if isinstance(value, str):
         return 0 if value == _UNSET else 4
     if isinstance(value, list):
-        kinds = {type(one) for one in value}
+        kinds = {type(one) for one in value} or {str}
         if kinds == {int, float}:
             return _LISTS[float]
-        kind = kinds.pop() if len(kinds) == 1 else str
-        return _LISTS.get(kind, 0) if not kinds else 0
+        has_type = len(kinds) == 1 and (kinds != {int} or all(one in _INT64 for one in value))
+        return _LISTS.get(kinds.pop(), 0) if has_type else 0
     return 0
 
 

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from slidectl.errors import Refused, UsageError, cut
+from slidectl.extensions.gateways.ros2 import MOST_DOMAIN
 from slidectl.paths import install_command
 
 T = TypeVar("T")
@@ -26,9 +27,10 @@ Received = Callable[[Any, dict[str, Any]], None]
 Answer = Callable[[Any], Awaitable[Any]]
 _log = logging.getLogger(__name__)
 
-_MOST_DOMAIN = 232
-"""DDS has no ports for higher domains."""
-_RANGE, _DOMAIN = "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_DOMAIN_ID"
+_DOMAIN = "ROS_DOMAIN_ID"
+_RANGE, _PEERS = "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS"
+_PROFILES = ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE")
+"""Where users of Fast DDS name a configuration of their own."""
 _STOP_LIMIT_S = 5.0
 _GO_ON_AFTER_S = 0.1
 _KINDS = ("subscription", "service", "client")
@@ -48,19 +50,20 @@ class Participant:
         try:
             self.domain = int(given or 0) if domain is None else domain
         except ValueError:
-            raise UsageError(f"{_DOMAIN}={cut(given, 40)} is not a number from 0 to {_MOST_DOMAIN}") from None
-        if not 0 <= self.domain <= _MOST_DOMAIN:
-            raise UsageError(f"the domain {self.domain} is not from 0 to {_MOST_DOMAIN}")
+            raise UsageError(f"{_DOMAIN}={cut(given, 40)} is not a number from 0 to {MOST_DOMAIN}") from None
+        if not 0 <= self.domain <= MOST_DOMAIN:
+            raise UsageError(f"the domain {self.domain} is not from 0 to {MOST_DOMAIN}")
         self._any_host = any_host
         self._context: Any = None
-        self._topics: _WaitLoop | None = None
-        self._services: _WaitLoop | None = None
-        self._loop: asyncio.AbstractEventLoop | None = None
 
     def open(self) -> str:
         """Join the domain. Returns its name for people. Raises Refused: there is no usable rclpy."""
         # Read by the DDS or Zenoh of the user's choice when the context is made.
-        os.environ[_RANGE] = os.environ.get(_RANGE, "SUBNET") if self._any_host else "LOCALHOST"
+        if not self._any_host:
+            os.environ[_RANGE] = "LOCALHOST"
+            os.environ.pop(_PEERS, None)
+            if not any(os.environ.get(name) for name in _PROFILES):
+                os.environ[_PROFILES[0]] = str(Path(__file__).with_name("loopback.xml"))
         rclpy = _rclpy()
         try:
             self._context = rclpy.Context()
@@ -75,8 +78,6 @@ class Participant:
 
     async def run(self, work: Callable[[], T]) -> T:
         """Do `work` where all of rclpy's objects are made and ended, and return its result."""
-        assert self._loop is not None
-        assert self._topics is not None
         loop = self._loop
         done: asyncio.Future[Any] = loop.create_future()
 
@@ -117,7 +118,6 @@ class Participant:
 
     def subscribe(self, node: Any, message_class: Any, topic: str, profile: Any, received: Received) -> Any:
         """Subscribe by a node of ours; `received` gets each message with its origin, in rclpy's thread."""
-        assert self._topics is not None
         made = node.create_subscription(message_class, topic, lambda _: None, profile)
 
         def take() -> None:
@@ -130,21 +130,22 @@ class Participant:
         return made
 
     def unsubscribe(self, node: Any, subscription: Any) -> None:
-        assert self._topics is not None
         self._topics.remove("subscription", subscription.handle)
         node.destroy_subscription(subscription)
 
     def offer(self, node: Any, service_class: Any, name: str, answer: Answer) -> Any:
         """Offer a service by a node of ours; `answer` is run in the event loop for each request."""
-        assert self._services is not None
-        assert self._loop is not None
         loop = self._loop
         made = node.create_service(service_class, name, lambda _, response: response)
 
         async def respond(request: Any, header: Any) -> None:
             response = await answer(request)
-            with suppress(Exception):  # the service or its client has ended meanwhile
+            try:
                 made.send_response(response, header)
+            except Exception as error:  # a text that UTF-8 cannot hold; or the service has ended meanwhile
+                _log.warning("%s: the answer cannot be sent: %s", name, error)
+                with suppress(Exception):
+                    made.send_response(service_class.Response(), header)
 
         def take() -> None:
             request, header = made.handle.service_take_request(service_class.Request)
@@ -155,14 +156,11 @@ class Participant:
         return made
 
     def withdraw(self, node: Any, service: Any) -> None:
-        assert self._services is not None
         self._services.remove("service", service.handle)
         node.destroy_service(service)
 
     def client(self, node: Any, service_class: Any, name: str, answered: Callable[[int, Any], None]) -> Any:
         """A client of a service; `answered` gets the number of each request and its response, in the event loop."""
-        assert self._services is not None
-        assert self._loop is not None
         loop = self._loop
         made = node.create_client(service_class, name)
 
@@ -175,7 +173,6 @@ class Participant:
         return made
 
     def end_client(self, node: Any, client: Any) -> None:
-        assert self._services is not None
         self._services.remove("client", client.handle)
         node.destroy_client(client)
 
@@ -184,8 +181,7 @@ class Participant:
         if self._context is None:
             return
         for loop in (self._topics, self._services):
-            if loop is not None:
-                loop.close()
+            loop.close()
         self._context.try_shutdown()
         self._context = None
 
@@ -211,6 +207,7 @@ class _WaitLoop:
         """Objects that were removed while they were perhaps waited for."""
         self._has_changed = True
         self._is_ending = False
+        self._problem = ""
         self._thread = threading.Thread(target=self._run, name=f"rclpy-{name}", daemon=True)
         self._thread.start()
 
@@ -243,21 +240,20 @@ class _WaitLoop:
         waits: Any = None
         ends: dict[str, dict[int, tuple[Any, Callable[[], None]]]] = {}
         while not self._is_ending:
-            if self._has_changed:
-                with self._lock:
-                    self._has_changed = False
-                    ends = {kind: dict(known) for kind, known in self._ends.items()}
-                    released, self._released = self._released, []
-                counts = [len(ends[kind]) for kind in ("client", "service")]
-                waits = self._rclpy.WaitSet(len(ends["subscription"]), 1, 0, *counts, 0, self._context.handle)
-                for handle in released:
-                    handle.__exit__(None, None, None)
             try:
+                if self._has_changed:
+                    with self._lock:
+                        self._has_changed = False
+                        ends = {kind: dict(known) for kind, known in self._ends.items()}
+                        released, self._released = self._released, []
+                    counts = [len(ends[kind]) for kind in ("client", "service")]
+                    waits = self._rclpy.WaitSet(len(ends["subscription"]), 1, 0, *counts, 0, self._context.handle)
+                    for handle in released:
+                        handle.__exit__(None, None, None)
                 self._wait(waits, ends)
-            except Exception:  # an object was ended while it was waited for, or a message cannot be read
-                if not self._is_ending:
-                    _log.exception("rclpy")
-                    time.sleep(_GO_ON_AFTER_S)
+            except Exception:  # of the middleware; the gateway would stand still without this thread
+                _log.exception("rclpy")
+                time.sleep(_GO_ON_AFTER_S)
 
     def _wait(self, waits: Any, ends: dict[str, dict[int, tuple[Any, Callable[[], None]]]]) -> None:
         waits.clear_entities()
@@ -269,9 +265,17 @@ class _WaitLoop:
         waits.wait(-1)
         for kind, known in ends.items():
             for pointer in waits.get_ready_entities(kind) if known else ():
-                known[pointer][1]()
+                self._take(known[pointer][1])
         while self._posted:
             self._posted.popleft()()
+
+    def _take(self, take: Callable[[], None]) -> None:
+        try:
+            take()
+        except Exception as error:  # a message that rclpy cannot read, such as one of another version of its type
+            if str(error) != self._problem:
+                self._problem = str(error)
+                _log.warning("rclpy: %s", error)
 
 
 def _rclpy() -> Any:
@@ -287,14 +291,14 @@ def _rclpy() -> Any:
         missing = error.name or ""
         if missing.partition(".")[0] != "rclpy":
             raise Refused(f"rclpy, ROS 2's client for Python, needs the module {missing}", _how()) from None
-        raise _for_another_python(error) or Refused("rclpy, ROS 2's client for Python, is not here", _how()) from None
+        raise _for_another_python() or Refused("rclpy, ROS 2's client for Python, is not here", _how()) from None
     except ImportError as error:
-        raise _for_another_python(error) or Refused(f"rclpy cannot be loaded: {cut(str(error), 400)}", _how()) from None
+        raise _for_another_python() or Refused(f"rclpy cannot be loaded: {cut(str(error), 400)}", _how()) from None
     return rclpy
 
 
 def _starts() -> bool:
-    """False when rclpy ends a process that imports it, or is not there; a check that costs 0.2 s."""
+    """False when rclpy is there and ends a process that imports it. The check costs 0.2 s."""
     words = [sys.executable, "-c", "import rclpy; rclpy.init()"]
     ended = subprocess.run(words, stdin=subprocess.DEVNULL, capture_output=True, check=False)
     return not ended.returncode or b"ModuleNotFoundError" in ended.stderr or b"ImportError" in ended.stderr
@@ -304,7 +308,7 @@ def _how() -> str:
     return f"source a ROS 2 first (/opt/ros/DISTRO/setup.bash), or, with Python 3.12: {install_command('ros2')}"
 
 
-def _for_another_python(_: ImportError) -> Refused | None:
+def _for_another_python() -> Refused | None:
     """The refusal of an rclpy that was built for another version of Python, or None."""
     for folder in sys.path:
         built = sorted((Path(folder) / "rclpy").glob("_rclpy_pybind11.cpython-*.so"))

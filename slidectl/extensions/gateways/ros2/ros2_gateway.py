@@ -6,15 +6,21 @@ import asyncio
 import json
 import logging
 import os
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 from slidectl import msgs, names
-from slidectl.errors import NoDaemon, Refused, SlidectlError
-from slidectl.extensions.gateways.daemon_connection import GRAPH_CHANGES, PARAMETER_CHANGES, DaemonConnection
+from slidectl.errors import NoDaemon, SlidectlError
+from slidectl.extensions.gateways.daemon_connection import (
+    GRAPH_CHANGES,
+    PARAMETER_CHANGES,
+    DaemonConnection,
+    connect_as,
+)
 from slidectl.extensions.gateways.gateway import Gateway, GatewayOptions, is_offered
 from slidectl.extensions.gateways.ros2 import conversion as types
 from slidectl.extensions.gateways.ros2.foreign_nodes import ForeignNodes, NodePart
@@ -27,6 +33,7 @@ from slidectl.paths import InstancePaths
 from slidectl.web_access import check_effects
 from slidectl.wire.messages import Message
 
+T = TypeVar("T")
 _log = logging.getLogger(__name__)
 
 _OWN_NODE = "/ros2_gateway"
@@ -138,6 +145,7 @@ class Ros2Gateway(Gateway):
         await self._participant.run(self._end_all)
         for known in (self._bridges, self._offered, self._descriptions, self._latched, self._managed):
             known.clear()
+        self._left_out = {name: why for name, why in self._left_out.items() if not name.startswith("/")}
 
     def _end_all(self) -> None:
         """End everything in ROS 2 but the gateway's own node."""
@@ -178,11 +186,7 @@ class Ros2Gateway(Gateway):
 
     async def _connect_proxy(self, node: str) -> DaemonConnection:
         """Connect on behalf of a node of ROS 2; under another name when the daemon has a node of this name."""
-        try:
-            return await self._proxy(node)
-        except Refused as error:
-            _log.warning("the node %s of ROS 2 is %s_ros2 in slidectl: %s", node, node, error.message)
-            return await self._proxy(f"{node}_ros2")
+        return await connect_as(node, "ROS 2", f"{node}_ros2", self._proxy)
 
     async def _proxy(self, name: str) -> DaemonConnection:
         connection = await self._connect(name)
@@ -463,7 +467,10 @@ class Ros2Gateway(Gateway):
             answer = await self._main.call("/rosapi/get_param", {"name": name, "default": '""'})
             text = json.loads(answer["value"])
             if self._is_bridged(name) and isinstance(text, str):
-                await self._participant.run(partial(self._describe, name, text))
+                try:
+                    await self._participant.run(partial(self._describe, name, text))
+                except Exception as error:  # rclpy refuses a name, or there is no std_msgs
+                    self._leave_out(name, str(error))
 
     def _describe(self, name: str, text: str) -> None:
         from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -484,16 +491,15 @@ class Ros2Gateway(Gateway):
 
     def _conversion(self, kind: str) -> types.Conversion | None:
         """The conversion of a message type; None, with a note in the log, when ROS 2 does not have it."""
-        try:
-            return types.conversion(kind)
-        except SlidectlError as error:
-            self._leave_out(getattr(error, "package", "") or kind, str(error))
-            return None
+        return self._found(types.conversion, kind)
 
     def _service_conversion(self, kind: str) -> types.ServiceConversion | None:
         """As `_conversion`, of a service type."""
+        return self._found(types.service_conversion, kind)
+
+    def _found(self, find: Callable[[str], T], kind: str) -> T | None:
         try:
-            return types.service_conversion(kind)
+            return find(kind)
         except SlidectlError as error:
             self._leave_out(getattr(error, "package", "") or kind, str(error))
             return None

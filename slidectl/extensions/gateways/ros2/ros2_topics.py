@@ -108,6 +108,8 @@ class TopicBridge:
         self._subscription: Any = None
         self._sent: dict[int, int] = {}
         """Number -> key of messages sent to ROS 2 while it is subscribed here too: they come back that way."""
+        self._sent_before: dict[int, int] = {}
+        """The same of the publisher before the present one: its last messages may still come back."""
         self._sent_number = 0
         """How many messages the present publisher has sent."""
         self._echoes = Echoes()
@@ -151,14 +153,13 @@ class TopicBridge:
             reliability=ReliabilityPolicy.BEST_EFFORT if self.has.is_best_effort else ReliabilityPolicy.RELIABLE,
             durability=DurabilityPolicy.TRANSIENT_LOCAL if self.has.is_transient else DurabilityPolicy.VOLATILE,
         )
-
         node = self._nodes[self.has.subscriber]
         return self._participant.subscribe(node, self.conversion.ros2_class, self.name, profile, self._received)
 
     def _end_publisher(self, node: str) -> None:
         if self._publisher is not None:
             publisher, self._publisher = self._publisher, None
-            self._sent_number = 0
+            self._sent_before, self._sent, self._sent_number = self._sent, {}, 0
             if node in self._nodes:
                 self._nodes[node].destroy_publisher(publisher)
 
@@ -175,7 +176,7 @@ class TopicBridge:
 
         A new publisher of latched messages gets those that the daemon has.
         """
-        is_needed = bool(self.has.publisher) and (self.has.is_latched or bool(self.foreign.subscribers))
+        is_needed = self._publisher is not None and (self.has.is_latched or bool(self.foreign.subscribers))
         goes_on = not self.has.is_latched or self._publisher is self._began_with
         if is_needed == self._is_streaming and (goes_on or not is_needed):
             return
@@ -230,10 +231,11 @@ class TopicBridge:
 
         Not every rclpy says who the publisher is. Then the number and the content of the message decide.
         """
-        if not self._sent or (identity is not None and bytes(identity["data"]) in self.foreign.sources):
+        sent = (self._sent, self._sent_before)
+        if not any(sent) or (identity is not None and bytes(identity["data"]) in self.foreign.sources):
             return False
         key = self._key(message)
-        return self._sent.get(number) == key if number is not None else key in self._sent.values()
+        return any(one.get(number) == key if number is not None else key in list(one.values()) for one in sent)
 
     def _hand_over(self) -> None:
         """Publish what waits in the daemon, as far as the connections take it."""
