@@ -56,6 +56,7 @@ class Ros2Node:
 _ARGUMENTS = {
     "subscribe": ("topic", "type", "qos"), "advertise": ("topic", "type", "qos"), "messages": ("topic",),
     "publish": ("topic", "values", "times"), "subscribers": ("topic",), "publishers_of": ("topic",),
+    "all_are_reached": ("topic",),
     "offer": ("service", "type", "values"),
     "call": ("service", "type", "values"),
 }  # fmt: skip

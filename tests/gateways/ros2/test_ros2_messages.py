@@ -74,6 +74,12 @@ def test_transforms_of_a_node_are_those_of_the_daemon_too(world: World) -> None:
             )
 
 
+def test_transforms_that_only_nodes_have_are_the_daemons_too(world: World) -> None:
+    with world.node("/other/marker") as marker:
+        marker.advertise("/other/tf", TRANSFORMS)
+        eventually(lambda: "/other/tf" in world.run("topic", "list").stdout)
+
+
 def test_fixed_transforms_of_a_node_are_those_of_the_daemon_too(world: World) -> None:
     mark = {"header": {"frame_id": "map"}, "child_frame_id": "fixed", "transform": {"translation": {"x": 1.5}}}
     with world.node("/fixed_marker") as marker:

@@ -23,7 +23,6 @@ _TYPES = {
     "time": "builtin_interfaces/msg/Time",
     "duration": "builtin_interfaces/msg/Duration",
     "rosgraph_msgs/Log": "rcl_interfaces/msg/Log",
-    "tf/tfMessage": "tf2_msgs/msg/TFMessage",
 }
 """Types of ROS 1 that have another name or package in ROS 2."""
 _FIELDS = {
@@ -245,7 +244,10 @@ def _differs(owner: str, field: Field, theirs: str) -> NotInRos2:
 
 
 def _log_conversion(ros2_class: Any) -> Conversion:
-    """rosgraph_msgs/Log has a header and a list of topics, rcl_interfaces/msg/Log a stamp and levels of its own."""
+    """rosgraph_msgs/Log has a header and a list of topics, rcl_interfaces/msg/Log a stamp and levels of its own.
+
+    The node `/ns/name` is the logger `ns.name` there.
+    """
     time = _time_conversion("time")
     back_levels = {theirs: ours for ours, theirs in _LOG_LEVELS.items()}
 
@@ -253,7 +255,8 @@ def _log_conversion(ros2_class: Any) -> Conversion:
         return ros2_class(
             stamp=time.to_ros2(message["header"]["stamp"]),
             level=_LOG_LEVELS.get(message["level"], 20),
-            **{name: message[name] for name in ("name", "msg", "file", "function", "line")},
+            name=message["name"].strip("/").replace("/", "."),
+            **{name: message[name] for name in ("msg", "file", "function", "line")},
         )
 
     def from_ros2(message: Any) -> Message:

@@ -93,15 +93,13 @@ class ParameterServices:
         ]
 
     async def _list(self, request: Any, response: Any) -> None:
-        depth = request.depth
-        found = []
-        for name in await self._values():
-            prefix = next((p for p in request.prefixes or [""] if not p or name == p or name.startswith(f"{p}.")), None)
-            if prefix is None:
-                continue
-            below = name[len(prefix) :].strip(".") if prefix else name
-            if depth == 0 or below.count(".") < depth:
-                found.append(name)
+        def is_listed(name: str, prefix: str) -> bool:
+            if prefix and name != prefix and not name.startswith(f"{prefix}."):
+                return False
+            return not request.depth or name[len(prefix) :].strip(".").count(".") < int(request.depth)
+
+        prefixes = request.prefixes or [""]
+        found = [name for name in await self._values() if any(is_listed(name, prefix) for prefix in prefixes)]
         response.result.names = found
         response.result.prefixes = sorted({name.rpartition(".")[0] for name in found if "." in name})
 

@@ -15,6 +15,7 @@ import time
 from collections import deque
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -25,12 +26,13 @@ from slidectl.paths import install_command
 T = TypeVar("T")
 Received = Callable[[Any, dict[str, Any]], None]
 Answer = Callable[[Any], Awaitable[Any]]
+Answered = Callable[[Any, int, Any], None]
 _log = logging.getLogger(__name__)
 
 _DOMAIN = "ROS_DOMAIN_ID"
 _RANGE, _PEERS = "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS"
 _PROFILES = ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE")
-"""Where users of Fast DDS name a configuration of their own."""
+"""Where users of Fast DDS name a configuration of their own: the first since Kilted, the second before."""
 _STOP_LIMIT_S = 5.0
 _GO_ON_AFTER_S = 0.1
 _KINDS = ("subscription", "service", "client")
@@ -63,7 +65,7 @@ class Participant:
             os.environ[_RANGE] = "LOCALHOST"
             os.environ.pop(_PEERS, None)
             if not any(os.environ.get(name) for name in _PROFILES):
-                os.environ[_PROFILES[0]] = str(Path(__file__).with_name("loopback.xml"))
+                os.environ.update(dict.fromkeys(_PROFILES, str(Path(__file__).with_name("loopback.xml"))))
         rclpy = _rclpy()
         try:
             self._context = rclpy.Context()
@@ -101,6 +103,7 @@ class Participant:
         """A new node of the full name. Raises ValueError: ROS 2 has no such names."""
         from rclpy.exceptions import InvalidNamespaceException, InvalidNodeNameException
         from rclpy.node import Node
+        from rclpy.parameter import Parameter
 
         namespace, _, own = name.rpartition("/")
         try:
@@ -112,6 +115,7 @@ class Participant:
                 enable_rosout=False,
                 start_parameter_services=False,
                 enable_logger_service=False,
+                parameter_overrides=[Parameter("start_type_description_service", value=False)],
             )
         except (InvalidNamespaceException, InvalidNodeNameException) as error:
             raise ValueError(f"{name} is no name of a node in ROS 2: {str(error).splitlines()[0]}") from None
@@ -159,15 +163,21 @@ class Participant:
         self._services.remove("service", service.handle)
         node.destroy_service(service)
 
-    def client(self, node: Any, service_class: Any, name: str, answered: Callable[[int, Any], None]) -> Any:
-        """A client of a service; `answered` gets the number of each request and its response, in the event loop."""
+    def client(self, node: Any, service_class: Any, name: str, answered: Answered) -> Any:
+        """A client of a service; `answered` gets it, the number of each request and its response, in the event loop.
+
+        Not before the work of `run` that sent the request is done.
+        """
         loop = self._loop
         made = node.create_client(service_class, name)
 
         def take() -> None:
             header, response = made.handle.take_response(service_class.Response)
             if header is not None:
-                loop.call_soon_threadsafe(answered, header.request_id.sequence_number, response)
+                self._topics.post(partial(hand_over, header.request_id.sequence_number, response))
+
+        def hand_over(number: int, response: Any) -> None:
+            loop.call_soon_threadsafe(answered, made, number, response)
 
         self._services.add("client", made.handle, take)
         return made

@@ -14,7 +14,7 @@ from functools import partial
 from typing import Any, TypeVar
 
 from slidectl import msgs, names
-from slidectl.errors import NoDaemon, SlidectlError
+from slidectl.errors import Refused, SlidectlError, TimedOut
 from slidectl.extensions.gateways.daemon_connection import (
     GRAPH_CHANGES,
     PARAMETER_CHANGES,
@@ -96,7 +96,8 @@ class Ros2Gateway(Gateway):
         self._left_out: dict[str, str] = {}
         """Package or type that ROS 2 lacks -> why."""
         self._dropped = 0
-        self._proxy_names: set[str] = set()
+        self._proxies = ForeignNodes(self._connect_proxy, self._call_foreign)
+        self._proxy_names: dict[str, DaemonConnection] = {}
         """Names in the daemon of nodes of ROS 2, and of those that have just ended."""
 
     # --- Gateway ------------------------------------------------------------------------------------------------
@@ -119,7 +120,6 @@ class Ros2Gateway(Gateway):
         self._main = main = await self._connect(_OWN_NODE)
         self._asker = await self._connect(f"{_OWN_NODE}_latched")
         main.on_refused = lambda text: _log.warning("%s", text)
-        self._proxies = ForeignNodes(self._connect_proxy, self._call_foreign)
         self._described = None
         await main.subscribe(GRAPH_CHANGES, "std_msgs/Empty", take=lambda _: self._graph_changed.set())
         await main.subscribe(PARAMETER_CHANGES, "slidectl/ParameterChanges", take=self._take_changes)
@@ -190,7 +190,7 @@ class Ros2Gateway(Gateway):
 
     async def _proxy(self, name: str) -> DaemonConnection:
         connection = await self._connect(name)
-        self._proxy_names.add(name)
+        self._proxy_names[name] = connection
         return connection
 
     def _take_changes(self, published: Message) -> None:
@@ -207,15 +207,19 @@ class Ros2Gateway(Gateway):
                 if self._graph_changed.is_set():
                     await asyncio.sleep(_GATHER_S)  # a spawn makes many changes
                 await self._settle()
-            except NoDaemon:
-                return
             except SlidectlError as error:
+                if self._main is None or not self._main.is_open:
+                    return
                 _log.warning("the graph: %s; it is asked again", error)
-                self._graph_changed.set()
-                await asyncio.sleep(_ASK_AGAIN_S)
+                await self._ask_again()
             except Exception:  # an internal error with one graph must not stop the next
                 _log.exception("the graph")
-                await asyncio.sleep(_ASK_AGAIN_S)
+                await self._ask_again()
+
+    async def _ask_again(self) -> None:
+        """Let the next look take everything in once more, after a while."""
+        self._graph_changed.set()
+        await asyncio.sleep(_ASK_AGAIN_S)
 
     async def _settle(self) -> None:
         """Bring both sides up to date. Raises SlidectlError."""
@@ -240,6 +244,9 @@ class Ros2Gateway(Gateway):
 
     async def _read_native(self, main: DaemonConnection) -> None:
         state = await main.call("/slidectl/graph")
+        nodes = {node for topic in state["topics"] for node in (*topic["publishers"], *topic["subscribers"])}
+        nodes |= {one["node"] for one in state["services"]}
+        self._proxy_names = {name: one for name, one in self._proxy_names.items() if one.is_open or name in nodes}
         hidden = {*self._proxy_names, _OWN_NODE, f"{_OWN_NODE}_latched"}
         own = f"/slidectl_{os.getpid()}_"
         topics = []
@@ -256,12 +263,17 @@ class Ros2Gateway(Gateway):
             if one["node"] not in hidden and not one["node"].startswith(own) and is_offered(one, self._permitted)
         ]
         self._native = {"topics": topics, "services": services}
-        managers = [one["name"] for one in services if one["name"].endswith(f"{_MANAGER}/list_controllers")]
         managed: dict[str, None] = {}
-        for service in managers:
-            manager = names.parent(service)
+        for service in services:
+            manager, kind = names.parent(service["name"]), "controller_manager_msgs/ListControllers"
+            if service["type"] != kind or not manager.endswith(_MANAGER):
+                continue
             managed[manager] = None
-            answer = await main.call(service)
+            try:
+                answer = await main.call(service["name"])
+            except (Refused, TimedOut) as error:  # that of some program
+                _log.warning("%s: %s", service["name"], error)
+                continue
             managed.update((names.join(names.parent(manager), one["name"]), None) for one in answer["controller"])
         self._managed = managed
 
@@ -313,7 +325,7 @@ class Ros2Gateway(Gateway):
         proxy = self._proxies.connection(source) if self._proxies.publishes(source, bridge.name) else None
         daemon = proxy or self._main
         if daemon is not None:
-            daemon.publish(bridge.name, message, bridge.conversion.name)
+            daemon.publish(bridge.name, message, bridge.conversion.name, latch=bridge.foreign.is_transient)
         return daemon
 
     # --- the daemon's nodes, topics and services in ROS 2 -------------------------------------------------------
@@ -382,7 +394,7 @@ class Ros2Gateway(Gateway):
                 known = self._bridges[name] = TopicBridge(name, conversion, self._participant, self._forward)
             by_type = self._foreign.topics.get(name, {})
             known.foreign = by_type.get(types.ros2_name(topic["type"]), UNUSED)
-            wanted = await self._wanted(topic, known.foreign)
+            wanted = await self._wanted(topic, known)
             if wanted != known.has:
                 changes.append((known, wanted))
 
@@ -404,14 +416,15 @@ class Ros2Gateway(Gateway):
         found = {}
         for name, by_type in self._foreign.topics.items():
             kind = self._known_type(name, by_type, {})
-            if kind and by_type[types.ros2_name(kind)].is_awaited:
+            if kind and by_type[types.ros2_name(kind)].subscribers and name not in self._descriptions:
                 found[name] = {"name": name, "type": kind, "publishers": [], "subscribers": []}
         return found
 
-    async def _wanted(self, topic: dict[str, Any], foreign: Ros2Topic) -> Wanted:
+    async def _wanted(self, topic: dict[str, Any], bridge: TopicBridge) -> Wanted:
+        foreign = bridge.foreign
         name, publishers, subscribers = topic["name"], topic["publishers"], topic["subscribers"]
         publisher = (
-            self._made_owner(name, publishers[0]) if publishers else self._own_node if foreign.is_awaited else ""
+            self._made_owner(name, publishers[0]) if publishers else self._own_node if foreign.subscribers else ""
         )
         subscriber = self._made_owner(name, subscribers[0]) if subscribers and not self._options.read_only else ""
         if publishers and name not in self._latched:
@@ -420,6 +433,8 @@ class Ros2Gateway(Gateway):
             publisher,
             subscriber,
             self._latched.get(name, False),
+            # Not taken back: its subscribers would lose the messages until they have found the next publisher.
+            self._latched.get(name, False) or foreign.wants_kept or (bool(publisher) and bridge.has.is_kept),
             foreign.is_best_effort,
             foreign.is_transient,
         )
@@ -463,8 +478,9 @@ class Ros2Gateway(Gateway):
             answer = await self._main.call("/rosapi/get_param_names")
             self._described = {name for name in answer["names"] if name.endswith(_DESCRIPTION)}
         while self._described:
-            name = self._described.pop()
+            name = next(iter(self._described))
             answer = await self._main.call("/rosapi/get_param", {"name": name, "default": '""'})
+            self._described.discard(name)
             text = json.loads(answer["value"])
             if self._is_bridged(name) and isinstance(text, str):
                 try:

@@ -20,8 +20,8 @@ class Ros2Topic(NamedTuple):
     """True when a publisher offers no reliable delivery."""
     is_transient: bool
     """True when all publishers keep messages for late subscribers."""
-    is_awaited: bool
-    """True when it has subscribers, and none of them wants messages from before its subscription."""
+    wants_kept: bool
+    """True when a subscriber wants messages from before its subscription."""
     sources: dict[bytes, str]
     """Identity of a publisher -> its node."""
 
@@ -49,13 +49,19 @@ class GraphReader:
     def __init__(self, node: Any) -> None:
         self._node = node
         self._known: dict[str, tuple[tuple[int, int], dict[str, Ros2Topic]]] = {}
+        self._present: list[str] = []
 
     def read(self, own: frozenset[str]) -> Ros2Graph:
         """The present graph without the nodes of this process, whose full names are `own`.
 
-        A topic is looked at more closely only when the number of its publishers or subscribers has changed.
+        A topic is looked at more closely only when the nodes, or the number of its publishers or subscribers, have
+        changed.
         """
         node = self._node
+        present = [_full(one, space) for one, space in node.get_node_names_and_namespaces() if one != _UNKNOWN]
+        if present != self._present:
+            self._present = present
+            self._known.clear()
         topics: dict[str, tuple[tuple[int, int], dict[str, Ros2Topic]]] = {}
         unnamed = set()
         for name, _ in node.get_topic_names_and_types():
@@ -70,7 +76,6 @@ class GraphReader:
                     unnamed.add(name)
             topics[name] = known
         self._known = {name: known for name, known in topics.items() if name not in unnamed}
-        present = [_full(one, space) for one, space in node.get_node_names_and_namespaces() if one != _UNKNOWN]
         services = self._services({name for name in present if name not in own})
         doubles = frozenset(name for name in own if present.count(name) > 1)
         return Ros2Graph({name: topic for name, (_, topic) in topics.items()}, services, doubles)
@@ -94,7 +99,7 @@ class GraphReader:
                 tuple(dict.fromkeys(node for node, _ in subscribed)),
                 any(end.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT for _, end in published),
                 {end.qos_profile.durability for _, end in published} == {DurabilityPolicy.TRANSIENT_LOCAL},
-                {end.qos_profile.durability for _, end in subscribed} == {DurabilityPolicy.VOLATILE},
+                any(end.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for _, end in subscribed),
                 {bytes(end.endpoint_gid): node for node, end in published},
             )
         return found, len(publishers) + len(subscribers)

@@ -5,10 +5,9 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
-from functools import partial
 from typing import Any
 
-from slidectl.errors import Refused
+from slidectl.errors import Refused, TimedOut
 from slidectl.extensions.gateways.daemon_connection import DaemonConnection
 from slidectl.extensions.gateways.ros2.conversion import ServiceConversion
 from slidectl.extensions.gateways.ros2.participant import Participant
@@ -18,8 +17,9 @@ _log = logging.getLogger(__name__)
 
 _REASON = ("message", "status_message", "error_message")
 """Fields in which a response of ROS 2 can say why the call failed: its services have nothing else for it."""
-_LOOK_EVERY_S = 1.0
-"""Wall seconds between two looks whether the provider of a called service is still there."""
+_LOOK_EVERY_S, _LONGEST_CALL_S = 1.0, 600.0
+"""Wall seconds between two looks whether the provider of a called service is still there, and for a whole call: the
+daemon does not say that its caller waits no longer."""
 
 
 class OfferedService:
@@ -79,33 +79,38 @@ class ForeignServices:
         self._participant = participant
         self._node = node
         self._clients: dict[str, Any] = {}
-        self._waiting: dict[tuple[str, int], asyncio.Future[Any]] = {}
+        self._waiting: dict[tuple[Any, int], asyncio.Future[Any]] = {}
+        """Client and number of a request -> its response."""
 
     async def call(self, service: str, conversion: ServiceConversion, request: Message) -> Message:
-        """Call a service and return its response; without a limit, as long as it is there. Raises Refused."""
-        answered: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
+        """Call a service and return its response. Raises Refused: its provider has ended; TimedOut."""
+        loop = asyncio.get_running_loop()
+        answered: asyncio.Future[Any] = loop.create_future()
 
-        def begin() -> int:
-            if service not in self._clients:
-                self._clients[service] = self._participant.client(
-                    self._node, conversion.ros2_class, service, partial(self._answered, service)
-                )
-            number = int(self._clients[service].handle.send_request(conversion.request.to_ros2(request)))
-            self._waiting[service, number] = answered
-            return number
+        def begin() -> tuple[Any, int]:
+            used = self._clients.get(service)
+            if used is None:
+                used = self._participant.client(self._node, conversion.ros2_class, service, self._answered)
+                self._clients[service] = used
+            sent = used, int(used.handle.send_request(conversion.request.to_ros2(request)))
+            self._waiting[sent] = answered
+            return sent
 
-        number = await self._participant.run(begin)
+        sent = await self._participant.run(begin)
+        client: Any = sent[0]
+        until_s = loop.time() + _LONGEST_CALL_S
         try:
             while not (await asyncio.wait([answered], timeout=_LOOK_EVERY_S))[0]:
-                client = self._clients.get(service)
-                if client is None or not client.service_is_ready():
+                if self._clients.get(service) is not client or not sent[0].service_is_ready():
                     raise Refused(f"{service}: the node of ROS 2 that provides it has ended")
+                if loop.time() > until_s:
+                    raise TimedOut(f"{service}: its node in ROS 2 did not answer within {_LONGEST_CALL_S:g} s")
             return conversion.response.from_ros2(answered.result())
         finally:
-            self._waiting.pop((service, number), None)
+            self._waiting.pop(sent, None)
 
-    def _answered(self, service: str, number: int, response: Any) -> None:
-        waiting = self._waiting.get((service, number))
+    def _answered(self, client: Any, number: int, response: Any) -> None:
+        waiting = self._waiting.get((client, number))
         if waiting is not None and not waiting.done():
             waiting.set_result(response)
 

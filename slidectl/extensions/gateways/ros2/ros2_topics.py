@@ -26,7 +26,7 @@ READ_AHEAD = 10_000
 """Messages that the daemon queues for the gateway: ten seconds at 1 kHz, in case the CPU is busy."""
 _DEPTH = 1000
 """Messages of a topic that ROS 2 queues for a slow reader, either way."""
-_MOST_LATCHED = 100
+_MOST_KEPT = 100
 _MOST_WAITING = 10_000
 """Messages of ROS 2 that wait for the event loop; beyond that the newest are dropped."""
 _MOST_ECHOES = 2 * READ_AHEAD
@@ -45,11 +45,16 @@ class Wanted(NamedTuple):
     subscriber: str
     """The node of ours that subscribes it there; empty when nobody does."""
     is_latched: bool
+    """The daemon keeps messages of it for late subscribers."""
+    is_kept: bool
+    """So does the publisher in ROS 2, also because a subscriber there asks for it."""
     is_best_effort: bool
     is_transient: bool
 
 
-NOTHING = Wanted("", "", False, False, False)
+_SUBSCRIBED = Wanted._fields.index("is_best_effort")
+"""From here on, the fields of `Wanted` are of the subscription."""
+NOTHING = Wanted("", "", False, False, False, False)
 
 
 class Echoes:
@@ -86,6 +91,33 @@ def _less(counts: Counter[int], key: int) -> None:
         del counts[key]
 
 
+class Sender:
+    """A publisher in ROS 2, and what it has sent that comes back, since its topic is subscribed here too."""
+
+    def __init__(self, publisher: Any) -> None:
+        self.publisher = publisher
+        self._number = 0
+        self._sent: dict[int, int] = {}
+        """Number -> key of a message that has not come back yet."""
+
+    def send(self, message: Any, key: int | None) -> None:
+        """Send a message; with its key when it comes back."""
+        if key is not None:
+            self._sent[self._number + 1] = key
+            self._sent.pop(self._number - _MOST_SENT, None)
+        self.publisher.publish(message)
+        self._number += 1
+
+    def has_sent(self, number: int | None, key: int) -> bool:
+        """True, once, for a message that was sent. Some middlewares give no numbers."""
+        if number is None:
+            number = next((one for one, sent in list(self._sent.items()) if sent == key), 0)
+        if self._sent.get(number) != key:
+            return False
+        self._sent.pop(number, None)
+        return True
+
+
 class TopicBridge:
     """A topic that the daemon knows, with the type that both sides have."""
 
@@ -104,17 +136,16 @@ class TopicBridge:
         self._forward = forward
         self._loop = asyncio.get_running_loop()
         self._nodes: dict[str, Any] = {}
-        self._publisher: Any = None
+        self._seen: dict[tuple[int, int | None], None] = {}
+        """Time and number of the last messages: a subscription that is made anew gets those again that are kept."""
+        self._sender: Sender | None = None
+        self._sender_before: Sender | None = None
+        """Its last messages may still come back."""
         self._subscription: Any = None
-        self._sent: dict[int, int] = {}
-        """Number -> key of messages sent to ROS 2 while it is subscribed here too: they come back that way."""
-        self._sent_before: dict[int, int] = {}
-        """The same of the publisher before the present one: its last messages may still come back."""
-        self._sent_number = 0
-        """How many messages the present publisher has sent."""
         self._echoes = Echoes()
         """Messages of ROS 2 published in the daemon: it sends them back, and its subscribers have them."""
-        self._waiting: deque[tuple[str, Message]] = deque()
+        self._waiting: deque[tuple[str, Message, int]] = deque()
+        """Node, message and its key."""
         self._draining: asyncio.Task[None] | None = None
         self._problem = ""
         self._is_streaming = False
@@ -126,11 +157,11 @@ class TopicBridge:
     def set_ends(self, wanted: Wanted, nodes: dict[str, Any]) -> None:
         """Make and end the publisher and the subscription. Only in rclpy's thread."""
         before, self.has, self._nodes = self.has, wanted, nodes
-        if (before.publisher, before.is_latched) != (wanted.publisher, wanted.is_latched):
+        if (before.publisher, before.is_kept) != (wanted.publisher, wanted.is_kept):
             self._end_publisher(before.publisher)
             if wanted.publisher:
-                self._publisher = self._made_publisher()
-        if before._replace(publisher="", is_latched=False) != wanted._replace(publisher="", is_latched=False):
+                self._sender = Sender(self._made_publisher())
+        if before[_SUBSCRIBED:] != wanted[_SUBSCRIBED:] or before.subscriber != wanted.subscriber:
             self._end_subscription(before.subscriber)
             if wanted.subscriber:
                 self._subscription = self._made_subscription()
@@ -138,10 +169,10 @@ class TopicBridge:
     def _made_publisher(self) -> Any:
         from rclpy.qos import DurabilityPolicy, QoSProfile
 
-        is_latched = self.has.is_latched
+        is_kept = self.has.is_kept
         profile = QoSProfile(
-            depth=_MOST_LATCHED if is_latched else _DEPTH,
-            durability=DurabilityPolicy.TRANSIENT_LOCAL if is_latched else DurabilityPolicy.VOLATILE,
+            depth=_MOST_KEPT if is_kept else _DEPTH,
+            durability=DurabilityPolicy.TRANSIENT_LOCAL if is_kept else DurabilityPolicy.VOLATILE,
         )
         return self._nodes[self.has.publisher].create_publisher(self.conversion.ros2_class, self.name, profile)
 
@@ -157,11 +188,10 @@ class TopicBridge:
         return self._participant.subscribe(node, self.conversion.ros2_class, self.name, profile, self._received)
 
     def _end_publisher(self, node: str) -> None:
-        if self._publisher is not None:
-            publisher, self._publisher = self._publisher, None
-            self._sent_before, self._sent, self._sent_number = self._sent, {}, 0
+        if self._sender is not None:
+            self._sender_before, self._sender = self._sender, None
             if node in self._nodes:
-                self._nodes[node].destroy_publisher(publisher)
+                self._nodes[node].destroy_publisher(self._sender_before.publisher)
 
     def _end_subscription(self, node: str) -> None:
         if self._subscription is not None:
@@ -176,29 +206,29 @@ class TopicBridge:
 
         A new publisher of latched messages gets those that the daemon has.
         """
-        is_needed = self._publisher is not None and (self.has.is_latched or bool(self.foreign.subscribers))
-        goes_on = not self.has.is_latched or self._publisher is self._began_with
+        is_needed = self._sender is not None and (self.has.is_latched or bool(self.foreign.subscribers))
+        goes_on = not self.has.is_kept or self._sender is self._began_with
         if is_needed == self._is_streaming and (goes_on or not is_needed):
             return
         if self._is_streaming:
             daemon.unsubscribe(self.name)
-        self._is_streaming, self._began_with = is_needed, self._publisher
+        self._is_streaming, self._began_with, self._echoes = False, self._sender, Echoes()
         if is_needed:
             await daemon.subscribe(self.name, self.conversion.name, READ_AHEAD, take=self._send)
+            self._is_streaming = True
 
     def _send(self, published: Message) -> None:
-        publisher = self._publisher
-        if publisher is None:
+        sender = self._sender
+        if sender is None:
             return
         message = published["msg"]
         if self._echoes.are_expected and self._echoes.came(self._key(message)):
             return
         try:
-            if self._subscription is not None:
-                self._sent[self._sent_number + 1] = self._key(message)
-                self._sent.pop(self._sent_number - _MOST_SENT, None)
-            publisher.publish(self.conversion.to_ros2(message))
-            self._sent_number += 1
+            made = self.conversion.to_ros2(message)
+            # What comes back has lost what ROS 2 does not have.
+            key = None if self._subscription is None else self._key(self.conversion.from_ros2(made))
+            sender.send(made, key)
         except Exception as error:  # of rclpy, too: the publisher may just have been ended
             self._tell(f"a message cannot be sent to ROS 2: {error}")
 
@@ -209,44 +239,50 @@ class TopicBridge:
 
     def _received(self, message: Any, info: dict[str, Any]) -> None:
         """Convert a message, in rclpy's thread, and hand it to the event loop."""
-        identity = info.get("publisher_gid")
+        identity, number = info.get("publisher_gid"), info.get("publication_sequence_number")
+        moment = info["source_timestamp"], number
+        if moment in self._seen:
+            return
+        self._seen[moment] = None
+        if len(self._seen) > _DEPTH:
+            del self._seen[next(iter(self._seen))]
         try:
             converted = self.conversion.from_ros2(message)
-            if self._is_own(identity, info.get("publication_sequence_number"), converted):
-                return
+            key = self._key(converted)
         except Exception as error:  # a value that the type does not have here, such as a time before 1970
             self._tell(f"a message of ROS 2 is not taken: {error}")
+            return
+        if self._is_own(identity, number, key):
             return
         publishers = self.foreign.publishers
         source = self.foreign.sources.get(bytes(identity["data"]), "") if identity else ""
         if len(self._waiting) >= _MOST_WAITING:
             self.dropped += 1
             return
-        self._waiting.append((source or (publishers[0] if publishers else ""), converted))
+        self._waiting.append((source or (publishers[0] if publishers else ""), converted, key))
         if len(self._waiting) == 1:
             self._loop.call_soon_threadsafe(self._hand_over)
 
-    def _is_own(self, identity: dict[str, Any] | None, number: int | None, message: Message) -> bool:
+    def _is_own(self, identity: dict[str, Any] | None, number: int | None, key: int) -> bool:
         """True for a message that this process has sent.
 
         Not every rclpy says who the publisher is. Then the number and the content of the message decide.
         """
-        sent = (self._sent, self._sent_before)
-        if not any(sent) or (identity is not None and bytes(identity["data"]) in self.foreign.sources):
+        if identity is not None and bytes(identity["data"]) in self.foreign.sources:
             return False
-        key = self._key(message)
-        return any(one.get(number) == key if number is not None else key in list(one.values()) for one in sent)
+        senders = (self._sender, self._sender_before)
+        return any(sender.has_sent(number, key) for sender in senders if sender is not None)
 
     def _hand_over(self) -> None:
         """Publish what waits in the daemon, as far as the connections take it."""
         while self._waiting and self._draining is None:
-            source, message = self._waiting.popleft()
+            source, message, key = self._waiting.popleft()
             if self._is_streaming:
-                self._echoes.expect(self._key(message))
+                self._echoes.expect(key)
             try:
                 daemon = self._forward(self, source, message)
-            except SlidectlError as error:
-                self._tell(str(error))
+            except Exception as error:  # one message must not stop the next
+                self._tell(f"a message of ROS 2 cannot be published: {error}")
                 continue
             if daemon is not None and not daemon.takes_more:
                 self._draining = self._loop.create_task(self._drain(daemon))
