@@ -85,7 +85,8 @@ def test_fixed_transforms_of_a_node_are_those_of_the_daemon_too(world: World) ->
     with world.node("/fixed_marker") as marker:
         marker.advertise("/tf_static", TRANSFORMS, "transient")
         marker.publish("/tf_static", {"transforms": [mark]})
-        eventually(lambda: "/fixed_marker" in world.run("topic", "info", "/tf_static").stdout)
+        eventually(lambda: "fixed" in world.run("tf", "list").stdout)
+        assert "/fixed_marker" in world.run("topic", "info", "/tf_static").stdout
         assert "1.5" in world.run("tf", "echo", "map", "fixed").stdout
 
 
