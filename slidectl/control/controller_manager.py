@@ -570,8 +570,8 @@ class ControllerManager:
     def _load(self, name: str) -> LoadedController:
         node = self._node.child(name)
         try:
-            type_name = _type_of(node)
-            controller, code = self.known.create(type_name), self.known.code
+            type_name, for_ros2 = _type_of(node, self._hw.is_of_ros2)
+            controller, code = self.known.create(type_name, for_ros2=for_ros2), self.known.code
             guard = CallbackGuard(type(controller), code, node) if is_of_a_user(type(controller)) else None
             node.guard = guard
             of_all = WatchedHandles(*self._hw.joint_handles(only_new=False), file_of(type(controller)))
@@ -754,16 +754,22 @@ class ControllerManager:
         return False
 
 
-def _type_of(node: NodeHandle) -> str:
-    """The parameter `type`. For a type of ROS 2 the one of slidectl, with the parameters set that it needs here."""
+def _type_of(node: NodeHandle, for_ros2: bool) -> tuple[str, bool]:
+    """The parameter `type`, and whether the controller is one of ros2_controllers.
+
+    For a type of ROS 2 that is none of slidectl, the equivalent, with the parameters set that it needs here.
+    """
     type_name = node.get_param("type", None)
     if not isinstance(type_name, str):
         hint = "load its configuration first: slidectl controller config FILE.yaml"
         raise Refused(f"parameter {names.join(node.namespace, 'type')} is not set", hint)
-    here = counterpart(type_name, node.get_param(node.namespace, {}))
+    values = node.get_param(node.namespace, {})
+    if registry.is_of_ros2(type_name, values, for_ros2):
+        return type_name, True
+    here = counterpart(type_name, values)
     if here is None:
-        return type_name
+        return type_name, False
     for name, value in here.values.items():
         node.set_param(name, value)
     node.log("warn", f"{node.namespace}: {here.remark}")
-    return here.type
+    return here.type, False

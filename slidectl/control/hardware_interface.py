@@ -310,6 +310,9 @@ class CommandAttribute(NamedTuple):
 class RobotHW:
     """The interfaces of a robot by type. `read` and `write` are called once per cycle."""
 
+    is_of_ros2 = False
+    """True for a robot with a `<ros2_control>` tag: its controllers behave as in ros2_controllers."""
+
     def __init__(self) -> None:
         self._interfaces: dict[str, AnyInterface] = {}
 

@@ -6,7 +6,7 @@ classes come from files, from modules, and from the entry points of installed pa
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
 from importlib import import_module
@@ -15,7 +15,7 @@ from pkgutil import iter_modules
 from types import ModuleType
 from typing import Any, TypeVar
 
-from slidectl.control import user_classes, user_modules
+from slidectl.control import ros2_names, user_classes, user_modules
 from slidectl.control.controller_interface import Compiled, ControllerBase
 from slidectl.control.hardware_interface import RobotHW
 from slidectl.control.user_classes import ControllerClass
@@ -29,13 +29,15 @@ C = TypeVar("C", bound=type[ControllerBase])
 BASE_CLASS = "controller_interface::ControllerBase"
 _shared: dict[str, ControllerClass] = {}
 """The types that all worlds know: shipped ones, and those that a script registers by itself."""
+_of_ros2: dict[str, ControllerClass] = {}
+"""The shipped types that behave as in ros2_controllers. Some have the name of one of ros_controllers."""
 _importing: list[dict[str, ControllerClass]] = []
 """The types of the worlds that are importing users' code, the innermost last."""
 
 
 def _shipped() -> set[str]:
     _import_shipped()
-    return {name for name, cls in _shared.items() if not user_classes.is_of_a_user(cls)}
+    return {*_of_ros2, *(name for name, cls in _shared.items() if not user_classes.is_of_a_user(cls))}
 
 
 def _expected(found: Any) -> str:
@@ -70,6 +72,28 @@ def controller(*type_names: str) -> Callable[[C], C]:
         return cls
 
     return register
+
+
+def ros2_controller(*type_names: str) -> Callable[[C], C]:
+    """Class decorator of the shipped controllers that behave as in ros2_controllers: register the class under these.
+
+    Where ros_controllers have a type of the same name, the robot decides (see ControllerTypes.find).
+    """
+
+    def register(cls: C) -> C:
+        _of_ros2.update(dict.fromkeys(type_names, cls))
+        return cls
+
+    return register
+
+
+def is_of_ros2(type_name: str, parameters: Mapping[str, Any], for_ros2: bool) -> bool:
+    """True when the shipped class of ros2_controllers is meant: the robot is of ROS 2, no other class has this type, or
+    the parameters, nested or by full names, are those of ROS 2."""
+    _import_shipped()
+    if type_name not in _of_ros2:
+        return False
+    return for_ros2 or type_name not in _shared or ros2_names.has_parameters_of(type_name, parameters)
 
 
 class HardwareTypes:
@@ -142,14 +166,14 @@ class ControllerTypes:
         """All registered types and those of installed packages, alphabetical."""
         return sorted({*self._known(), *INSTALLED.parts()})
 
-    def find(self, type_name: str) -> ControllerClass:
-        """The class of that type.
+    def find(self, type_name: str, *, for_ros2: bool = False) -> ControllerClass:
+        """The class of that type. `for_ros2`: of two shipped classes with this type, the one of ros2_controllers.
 
         Raises:
             UnknownType: no class has this type. BadFile: the code of the installed package that names it fails.
             PartError: several packages claim it.
         """
-        cls = self._known().get(type_name)
+        cls = self._known(for_ros2=for_ros2).get(type_name)
         if cls is None:
             point = INSTALLED.find(type_name)
             if point is None:
@@ -159,9 +183,9 @@ class ControllerTypes:
                 cls = self._own[type_name] = user_classes.chosen_class(module, point.attr)
         return cls
 
-    def create(self, type_name: str) -> ControllerBase:
-        """A fresh controller of that type. Raises as `find`."""
-        return user_classes.made(self.find(type_name), self.code)
+    def create(self, type_name: str, *, for_ros2: bool = False) -> ControllerBase:
+        """A fresh controller of that type. Arguments and errors as of `find`."""
+        return user_classes.made(self.find(type_name, for_ros2=for_ros2), self.code)
 
     def add_file(self, file: str, class_name: str) -> str:
         """Import the file again and register its controllers. Returns the type of the class of that name, `STEM/CLASS`.
@@ -219,10 +243,12 @@ class ControllerTypes:
             if (registered.__module__, registered.__name__) == (cls.__module__, cls.__name__):
                 self._own[type_name] = cls
 
-    def _known(self) -> dict[str, ControllerClass]:
-        """The registered classes by type."""
+    def _known(self, *, for_ros2: bool = False) -> dict[str, ControllerClass]:
+        """The registered classes by type. A user's class hides a shipped one."""
         _import_shipped()
-        return {**_shared, **self._own}
+        users = {name: cls for name, cls in _shared.items() if user_classes.is_of_a_user(cls)}
+        shipped = {**_shared, **_of_ros2} if for_ros2 else {**_of_ros2, **_shared}
+        return {**shipped, **users, **self._own}
 
     def _register_all(self, module: ModuleType) -> None:
         for class_name, cls in user_classes.classes_of(module).items():
@@ -263,5 +289,10 @@ def _import_shipped() -> tuple[ControllerClass, ...]:
     package = import_module("slidectl.control.controllers")
     for module in iter_modules(package.__path__):
         import_module(f"{package.__name__}.{module.name}")
-    classes = {cls for each in _shared.values() for cls in each.__mro__ if issubclass(cls, ControllerBase)}
+    classes = {
+        cls
+        for each in (*_shared.values(), *_of_ros2.values())
+        for cls in each.__mro__
+        if issubclass(cls, ControllerBase)
+    }
     return tuple(sorted(classes, key=lambda cls: f"{cls.__module__}.{cls.__qualname__}"))

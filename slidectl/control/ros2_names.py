@@ -128,6 +128,16 @@ class NoCounterpart(Refused):
     """A type of ROS 2 without an equivalent here, or whose parameters do not determine the equivalent."""
 
 
+IDENTIFIED_BY: dict[str, tuple[str, ...]] = {}
+"""By type that ros_controllers have as well: parameters that only ros2_controllers read."""
+
+
+def has_parameters_of(type_name: str, parameters: Mapping[str, Any]) -> bool:
+    """True when the parameters, nested or by full names, are those of the type of ros2_controllers."""
+    names = {name for name, _ in leaves(parameters)}
+    return any(name in names for name in IDENTIFIED_BY.get(type_name, ()))
+
+
 def counterpart(type_name: str, parameters: Mapping[str, Any]) -> Counterpart | None:
     """The equivalent of a type with these parameters, nested or by full names; None: not a type of ROS 2 only.
 
