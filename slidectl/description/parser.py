@@ -127,7 +127,7 @@ def parse_tree(root: Element, meshes: MeshFiles, report: Report, strict: bool = 
     for element in root.find_all("gazebo"):
         gazebo.read(element)
     of_ros2.check_sensors([sensor.name for sensor in gazebo.sensors.sensors])
-    control = of_ros2.result(gazebo.ros2_plugin) if is_ros2 else None
+    control = of_ros2.result(gazebo.ros2_plugin)
     if is_whole:
         for follower, (mimic, plugin) in gazebo.drives.mimics.items():
             if (kind := joints[follower].type) not in MOVING:

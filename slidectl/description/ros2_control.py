@@ -193,7 +193,7 @@ class Ros2ControlReader:
         """What was read; None without any tag."""
         if not self._components:
             if plugin is not None:
-                self._report.wrong(plugin, f"has no effect without a <{TAG}>")
+                self._report.wrong(plugin, f"has no effect without a <{TAG}> that drives the joints")
             return None
         components = tuple(component for _, component in self._components.values())
         found = Ros2Control(components, self._controlled)
@@ -319,7 +319,7 @@ class Ros2ControlReader:
                     self._report.ignored(param, "has no effect on the simulation", f"{where}/<param>, {key}")
             if name not in known:
                 verb = "take" if tag == "command_interface" else "measure"
-                text = f"has no effect: simulated joints {verb} {listing(known)}"
+                text = f"has no effect: simulated joints {verb} position, velocity and effort"
                 self._report.ignored(child, text, where)
                 continue
             is_limited = self._is_limited(child, where)

@@ -101,11 +101,13 @@ def tightened(limits: JointLimits | None, controlled: ControlledJoint, joint: Jo
         flag, name = f"has_{quantity}_limits", f"max_{quantity}"
         if value is not None:
             before = getattr(found, name) if getattr(found, flag) else LARGEST
-            found = replace(found, **{flag: True, name: min(before, value)})
+            changes: dict[str, Any] = {flag: True, name: min(before, value)}
+            found = replace(found, **changes)
     # Laws of effort and of soft positions read the velocity limit.
     for flag, name in (("has_velocity_limits", "max_velocity"), ("has_effort_limits", "max_effort")):
         if not getattr(found, flag):
-            found = replace(found, **{flag: True, name: LARGEST})
+            unlimited: dict[str, Any] = {flag: True, name: LARGEST}
+            found = replace(found, **unlimited)
     return found
 
 

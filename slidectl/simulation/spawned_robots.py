@@ -25,7 +25,7 @@ from slidectl.description.gazebo_tags import TRANSMISSIONS
 from slidectl.description.robot import ControlPlugin, Robot, check_position
 from slidectl.description.ros2_control import start_positions
 from slidectl.effects import Effect
-from slidectl.errors import BadFile, Refused, UnknownName, quoted
+from slidectl.errors import BadFile, Refused, UnknownName
 from slidectl.physics import EngineError, Overlap, World
 from slidectl.physics.attached_robot import AttachedRobot
 from slidectl.physics.hulls import Hull, Hulls
@@ -489,7 +489,7 @@ def _control_period(plugin: ControlPlugin, loop: Loop, robot: SpawnedRobot) -> i
         where = names.join(robot.namespace, UPDATE_RATE)
         rate = loop.graph.parameters.get(where, DEFAULT_UPDATE_RATE_HZ)
         if not isinstance(rate, int) or isinstance(rate, bool) or rate <= 0:
-            raise Refused(f"parameter {where} must be a whole number above 0, in Hz, not {quoted(rate)}")
+            raise Refused(f"parameter {where} must be a whole number above 0, in Hz, not {rate!r}")
         period_ns = SECOND // rate
         if period_ns < step_ns:
             text = f"{robot.name}: controllers cannot run faster than the simulation: update_rate {rate} Hz, the "
