@@ -404,6 +404,12 @@ class MujocoRobotHW(RobotHW):
         UnsupportedInterface, MissingJoint: a transmission cannot be simulated. Refused: limits that no handle takes.
     """
 
+    how_to_drive = (
+        "has no <transmission> in the model, so nothing can command it; a <transmission> names the joint and its "
+        "<hardwareInterface>"
+    )
+    """What a joint lacks that no controller can command, as the rest of a sentence."""
+
     def __init__(self, world: World, attached: AttachedRobot, robot: Robot, node: NodeHandle, namespace: str) -> None:
         super().__init__()
         self.robot = robot
@@ -450,10 +456,7 @@ class MujocoRobotHW(RobotHW):
         if name not in self._attached.joints:
             return f"joint {quoted(name)} is {joint.type}: it does not move, so nothing can command it"
         if not any(offered.name == name for offered in self._offered):
-            return (
-                f"joint {quoted(name)} has no <transmission> in the model, so nothing can command it; a <transmission> "
-                "names the joint and its <hardwareInterface>"
-            )
+            return f"joint {quoted(name)} {self.how_to_drive}"
         return super().about_joint(name)
 
     def joint_state(self, joint: str) -> tuple[float, float, float]:

@@ -152,6 +152,10 @@ class Ros2RobotHW(MujocoRobotHW):
     """
 
     is_of_ros2 = True
+    how_to_drive = (
+        "is in no <ros2_control> of the model, so nothing can command it; a <joint> in there names it, with a "
+        "<command_interface>"
+    )
 
     @property
     def control(self) -> Ros2Control:
@@ -230,12 +234,6 @@ class Ros2RobotHW(MujocoRobotHW):
     def load_state(self, state: dict[str, Any]) -> None:
         super().load_state(state)
         self._began_s = state["began_s"]
-
-    def modes(self) -> dict[str, str]:
-        """The quantity by which each joint is commanded now; `held` or `free` where no controller commands it."""
-        return {
-            one.name: one.interface.declared.name if isinstance(one, Released) else one.quantity for one in self._joints
-        }
 
 
 def _claims(infos: Sequence[ControllerInfo]) -> set[tuple[str, str]]:

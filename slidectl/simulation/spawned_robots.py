@@ -440,7 +440,8 @@ class Robots:
         if owner is not None:
             text = f"the namespace {namespace} belongs to robot {owner.name!r} already"
             hint = (
-                "give this one another namespace; a model with an xacro argument `namespace` gets its own with -n NAME"
+                "give this one another with --namespace NAMESPACE; a model with an xacro argument `namespace` gets its "
+                "own with -n NAME"
             )
             raise Refused(text, hint)
 
