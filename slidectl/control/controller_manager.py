@@ -749,7 +749,7 @@ class ControllerManager:
         """Raise Refused when another controller has handles of this one."""
         if users := [one.name for one in self._users_of(entry)]:
             verb = "have" if len(users) > 1 else "has"
-            hint = f"unload it first: slidectl controller unload {users[0]}"
+            hint = f"unload before it: slidectl controller unload {' '.join(users)}"
             raise Refused(f"{listing(map(quoted, users))} {verb} interfaces of it", hint)
 
     def _shut_down(self, entry: LoadedController) -> None:
