@@ -543,7 +543,12 @@ def _absence(robot: Robot, joint: str) -> str | None:
 
 
 def _trouble(model: Model, joint: str, cls: type[ControllerBase]) -> str | None:
-    """Why the controller cannot use the joint; None when it can."""
+    """Why the controller cannot use the joint; None when it can.
+
+    `controller/joint` is exported by another controller, which may be in another file.
+    """
+    if "/" in joint:
+        return None
     if absence := _absence(model.robot, joint):
         return absence
     offered = model.driven.get(joint)

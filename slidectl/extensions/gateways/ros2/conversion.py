@@ -23,6 +23,7 @@ _TYPES = {
     "time": "builtin_interfaces/msg/Time",
     "duration": "builtin_interfaces/msg/Duration",
     "rosgraph_msgs/Log": "rcl_interfaces/msg/Log",
+    "slidectl/PidState": "control_msgs/msg/PidState",
 }
 """Types of ROS 1 that have another name or package in ROS 2."""
 _FIELDS = {
