@@ -18,9 +18,11 @@ from slidectl.control import registry
 from slidectl.control.controller_interface import HOOKS, ControllerBase, State
 from slidectl.control.duration import NANOSECONDS, to_seconds
 from slidectl.control.hardware_interface import (
+    JOINT_STATES,
     CommandAttribute,
     Conflict,
     ControllerInfo,
+    HardwareComponent,
     JointHandle,
     JointStateInterface,
     RobotHW,
@@ -41,6 +43,7 @@ from slidectl.control.user_classes import (
     watched_hardware,
 )
 from slidectl.control.user_modules import UserCode
+from slidectl.description import interfaces
 from slidectl.errors import BadName, Refused, SlidectlError, UnknownName, listing, quoted
 
 if TYPE_CHECKING:
@@ -107,7 +110,8 @@ class UpdateTimes:
 class LoadedController:
     """A loaded controller of a manager. Times are nanoseconds of simulated time."""
 
-    __slots__ = ("_code", "_is_of_user", "_watched", "controller", "failure", "info", "may_compile", "node", "times")
+    __slots__ = ("_code", "_is_of_user", "_watched", "controller", "failure", "info", "is_configured", "is_of_ros2",
+                 "loaded_with", "may_compile", "node", "states_read", "times")  # fmt: skip
 
     def __init__(
         self,
@@ -117,9 +121,12 @@ class LoadedController:
         node: NodeHandle,
         code: UserCode,
         handles: WatchedHandles | None = None,
+        *,
+        is_of_ros2: bool = False,
+        states_read: Iterable[str] = (),
     ) -> None:
         """`code`: the users' code of the world. `handles`: the joint handles that a user's controller has got; None for
-        a controller of slidectl."""
+        a controller of slidectl. `is_of_ros2`: its robot is one of ROS 2. `states_read`: as the attribute."""
         self.controller = controller
         self.node = node
         self.info = ControllerInfo(name, type_name, controller.claimed_resources)
@@ -128,6 +135,13 @@ class LoadedController:
         """The message of the exception that aborted it since its last start; empty: none."""
         self.may_compile = True
         """False when the compiled form that a user's class declares has failed."""
+        self.is_of_ros2 = is_of_ros2
+        self.is_configured = not is_of_ros2
+        """False in the state `unconfigured` of ROS 2, in which it cannot start. Its `init` was called nevertheless."""
+        self.loaded_with: Any = node.get_param(node.namespace, None) if is_of_ros2 else None
+        """Its parameters right after it was loaded, for `configure`; None: it must be loaded again."""
+        self.states_read = tuple(states_read)
+        """The states of joints that it can read, as `joint1/position`; only for a robot of ROS 2."""
         self._is_of_user = is_of_a_user(type(controller))
         self._code = code
         self._watched = watched(type(controller), code, handles)
@@ -149,6 +163,13 @@ class LoadedController:
     def state(self) -> State:
         """The controller's state."""
         return self.controller.state
+
+    @property
+    def shown_state(self) -> str:
+        """The state for clients: of a controller of a robot of ROS 2, the one that ros2_control has for it."""
+        if not self.is_of_ros2:
+            return str(self.state)
+        return "active" if self.is_running else "inactive" if self.is_configured else "unconfigured"
 
     @property
     def is_running(self) -> bool:
@@ -236,8 +257,26 @@ class LoadedController:
             {"hardware_interface": claim.hardware_interface, "resources": list(claim.resources)}
             for claim in self.info.claimed_resources
         ]
-        state = str(self.state)
+        state = self.shown_state
         return {"name": self.name, "state": state, "type": self.info.type, "claimed_resources": claimed}
+
+    def commands(self) -> list[str]:
+        """The commands that it claims, by their names in ros2_control, as `joint1/effort`."""
+        claims = self.info.claimed_resources
+        return [name for one in claims for name in interfaces.ros2_commands(one.hardware_interface, one.resources)]
+
+    def message_of_ros2(self, rate_hz: int) -> dict[str, Any]:
+        """The entry as slidectl/ControllerState, which has the fields of ros2_control."""
+        commands = self.commands() if self.is_configured else []
+        return {
+            "name": self.name,
+            "state": self.shown_state,
+            "type": self.info.type,
+            "update_rate": rate_hz,
+            "claimed_interfaces": commands if self.is_running else [],
+            "required_command_interfaces": commands,
+            "required_state_interfaces": list(self.states_read) if self.is_configured else [],
+        }
 
 
 BEST_EFFORT = 1
@@ -264,6 +303,14 @@ def _known(
     unknown = [name for name in wanted if name not in loaded]
     if unknown and strict:
         raise _not_loaded(loaded, unknown[0], verb, node)
+    unconfigured = [entry.name for entry in found if verb == "start" and not entry.is_configured]
+    if unconfigured:
+        reason = f"cannot start controller {quoted(unconfigured[0])}: it is unconfigured"
+        hint = f"configure it first: slidectl controller configure {unconfigured[0]}"
+        if strict:
+            raise Refused(reason, hint)
+        node.log("warn", f"{reason}; {hint}; the rest of the request goes on")
+        found = [entry for entry in found if entry.is_configured]
     if unknown:
         node.log("warn", f"no controller {listing(map(quoted, unknown))} to {verb}; the rest of the request goes on")
     if len(found) > MOST_NAMES:
@@ -386,6 +433,8 @@ class ControllerManager:
         self._further: tuple[CommandAttribute, ...] = ()
         """Those of these commands that are not the attribute `command`."""
         self._switch: Switch | None = None
+        self.on_change: Callable[[], None] = lambda: None
+        """Called when controllers have started, stopped or failed."""
 
     # The cycle.
 
@@ -499,8 +548,14 @@ class ControllerManager:
         found = [command for _, commands in self._commands for command in commands]
         self._commanded = tuple(command.handle for command in found if command.attribute == "command")
         self._further = tuple(command for command in found if command.attribute != "command")
+        self.on_change()
 
     # Queries.
+
+    @property
+    def is_of_ros2(self) -> bool:
+        """True for a robot with a `<ros2_control>` tag: the states of its controllers are those of ros2_control."""
+        return self._hw.is_of_ros2
 
     @property
     def switching(self) -> bool:
@@ -529,17 +584,33 @@ class ControllerManager:
         """All loaded controllers in load order, each as controller_manager_msgs/ControllerState."""
         return [entry.message() for entry in self._loaded.values()]
 
+    def list_as_in_ros2(self, rate_hz: int) -> Messages:
+        """As `list`, each as slidectl/ControllerState. `rate_hz` is the rate of the updates."""
+        return [entry.message_of_ros2(rate_hz) for entry in self._loaded.values()]
+
+    def states(self) -> dict[str, str]:
+        """Name -> state of all loaded controllers as clients see it, in load order."""
+        return {entry.name: entry.shown_state for entry in self._loaded.values()}
+
+    def components(self) -> Sequence[HardwareComponent]:
+        """The hardware components of a robot of ROS 2."""
+        return self._hw.components()
+
+    def claimed_commands(self) -> set[str]:
+        """The commands that running controllers claim, by their names in ros2_control."""
+        return {name for entry in self._running for name in entry.commands()}
+
     def update_times(self) -> Messages:
         """The update times of all loaded controllers, in load order, each as slidectl/UpdateTimes."""
         return [entry.times.message() for entry in self._loaded.values()]
 
     def types(self) -> Names:
-        """The controller types that can be loaded."""
-        return self.known.types()
+        """The controller types that can be loaded; for a robot of ROS 2, those that behave as in ros2_controllers."""
+        return self.known.types_of_ros2() if self.is_of_ros2 else self.known.types()
 
     def base_classes(self) -> Names:
         """The base class of each of `types`."""
-        return len(self.known.types()) * [registry.BASE_CLASS]
+        return len(self.types()) * [registry.BASE_CLASS_OF_ROS2 if self.is_of_ros2 else registry.BASE_CLASS]
 
     # Loading.
 
@@ -555,7 +626,8 @@ class ControllerManager:
         """As `load`, but raises the error."""
         if name in self._loaded:
             is_running = self._loaded[name].is_running
-            next_step = ", and running" if is_running else f"; start it: slidectl controller start {name}"
+            verb = "configure" if not self._loaded[name].is_configured else "start"
+            next_step = ", and running" if is_running else f"; {verb} it: slidectl controller {verb} {name}"
             raise Refused(f"it is loaded already{next_step}")
         self.check_new(name)
         self._loaded[name] = self._load(name)
@@ -584,10 +656,59 @@ class ControllerManager:
                 failure.hint = f"{failure.hint}\n{self._hw.about_joint(failure.name)}"
             raise
         node.guard_params(partial(judge, node, controller.parameters))
-        if guard is None:
-            return LoadedController(name, type_name, controller, node, code)
-        guard.handles = WatchedHandles(*self._hw.joint_handles(only_new=True), file_of(type(controller)))
-        return LoadedController(name, type_name, controller, node, code, guard.handles)
+        handed_out = self._hw.joint_handles(only_new=True)
+        if guard is not None:
+            guard.handles = WatchedHandles(*handed_out, file_of(type(controller)))
+        is_of_ros2 = self._hw.is_of_ros2
+        read = sorted({handle.name for handle in handed_out[0]}) if is_of_ros2 else ()
+        states = [f"{joint}/{state}" for joint in read for state in JOINT_STATES]
+        handles = guard.handles if guard is not None else None
+        return LoadedController(
+            name, type_name, controller, node, code, handles, is_of_ros2=is_of_ros2, states_read=states
+        )
+
+    def configure(self, name: str) -> bool:
+        """Make a controller of a robot of ROS 2 `inactive`, so that it can start. Its parameters count as they are now.
+
+        False: it is not loaded, it runs, a switch is pending, or it cannot be loaded with its parameters.
+        """
+        entry = self._idle(name, "configure")
+        if entry is None:
+            return False
+        if entry.is_configured or entry.loaded_with != entry.node.get_param(entry.node.namespace, None):
+            self._clean_up(entry)
+            entry.node.shutdown()
+            try:
+                entry = self._loaded[name] = self._load(name)  # an existing key keeps its place in the order
+            except Exception as failure:
+                return self._refuse(f"cannot configure controller {quoted(name)}: {described(failure)}")
+        entry.is_configured = True
+        return True
+
+    def clean_up(self, name: str) -> bool:
+        """Make a controller of a robot of ROS 2 `unconfigured`. False: it is not loaded, it runs, or a switch is
+        pending."""
+        entry = self._idle(name, "clean up")
+        if entry is not None and entry.is_configured:
+            self._clean_up(entry)
+        return entry is not None
+
+    def _clean_up(self, entry: LoadedController) -> None:
+        entry.is_configured, entry.loaded_with = False, None
+
+    def _idle(self, name: str, verb: str) -> LoadedController | None:
+        """The controller of that name, unless it runs or a switch is pending. Logs why it is None."""
+        entry = self._loaded.get(name)
+        if entry is None:
+            self._refuse(f"cannot {verb}: {described(_not_loaded(self._loaded, name, verb, self._node))}")
+        elif self._switch is not None:
+            self._refuse(f"cannot {verb} controller {quoted(name)}: a switch is in progress")
+        elif entry.is_running:
+            hint = f"deactivate it first: slidectl controller stop {name}"
+            self._refuse(f"cannot {verb} controller {quoted(name)}: it is active; {hint}")
+        else:
+            return entry
+        return None
 
     def unload(self, name: str) -> bool:
         """Remove a controller that is not running. False: it runs, it is not loaded, or a switch is pending."""
@@ -627,10 +748,11 @@ class ControllerManager:
         entry = self._loaded[name]
         if entry.is_running:
             return self._refuse(f"cannot reload controller {quoted(name)}: it is still running")
-        former = type(entry.controller)
+        former, is_configured = type(entry.controller), entry.is_configured
         entry.node.shutdown()
         try:
             self._loaded[name] = self._load(name)  # an existing key keeps its place in the order
+            self._loaded[name].is_configured = is_configured
         except Exception as failure:
             text = f"cannot load controller {quoted(name)} from its edited file: {described(failure)}"
             self.known.restore(former)
@@ -638,6 +760,7 @@ class ControllerManager:
             return True
         try:
             self._loaded[name] = self._load(name)
+            self._loaded[name].is_configured = is_configured
         except Exception:
             del self._loaded[name]
             return self._refuse(f"{text}; nor can the former class be loaded again")
@@ -650,12 +773,14 @@ class ControllerManager:
             "controllers": {name: entry.controller for name, entry in entries},
             "states": {name: entry.state for name, entry in entries},
             "failures": {name: entry.failure for name, entry in entries},
+            "configured": [name for name, entry in entries if entry.is_configured],
         }
 
     def load_state(self, state: dict[str, Any]) -> None:
         """Restore states and failures. The controllers' own attributes are already restored."""
         for name, entry in self._loaded.items():
             entry.controller.state, entry.failure = state["states"][name], state["failures"][name]
+            entry.is_configured = name in state["configured"]
         if [entry for entry in self._loaded.values() if entry.is_running] != list(self._running):
             self._refresh()
 
@@ -670,14 +795,14 @@ class ControllerManager:
             self.unload(entry.name)
 
     def reload_libraries(self, force_kill: bool) -> bool:
-        """Prepare a reload of libraries. Refused while controllers are loaded, unless `force_kill`, which unloads them.
+        """Prepare a reload of libraries, for which all controllers are unloaded. Registered classes stay.
 
-        Registered classes stay.
+        Refused without `force_kill` while controllers are loaded; for a robot of ROS 2, while controllers run.
         """
-        if self._loaded and not force_kill:
-            return self._refuse(
-                f"cannot reload while {len(self._loaded)} controllers are loaded; unload them, or force it"
-            )
+        in_the_way = len(self._running if self.is_of_ros2 else self._loaded)
+        if in_the_way and not force_kill:
+            are = "active" if self.is_of_ros2 else "loaded"
+            return self._refuse(f"cannot reload while {in_the_way} controllers are {are}; unload them, or force it")
         if self._loaded:
             self._node.log("info", f"stopping and unloading {len(self._loaded)} controllers")
             is_stopped = self.request_switch([], self.names(), BEST_EFFORT)
