@@ -460,9 +460,10 @@ def spawn(ctx: Context, manager: str | None, stopped: bool, wait: bool, names: t
     target, local, before = owner(ctx, manager, names)
     calls = _ask_for_parameters(target, local)
     loads = target.ask_to_load([name for name in local if name not in before])
+    listing = target.ask_for_controllers() if loads and not stopped else None
     _warn_unknown(ctx, target, calls)
     with _changes(ctx, target, local, before) as after:
-        after |= target.bring_up(local, start=not stopped, states=before, loads=loads)
+        after |= target.bring_up(local, start=not stopped, states=before, loads=loads, listing=listing)
 
 
 @controller.command("unspawn", examples=["slidectl controller unspawn joint1_position_controller"])

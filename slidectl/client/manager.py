@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from slidectl import names
-from slidectl.errors import Refused, UnknownName
+from slidectl.errors import Refused
 
 if TYPE_CHECKING:
     from slidectl.client.connection import GraphClient
@@ -134,7 +134,9 @@ class Manager:
     def _act_of_ros2(self, verb: str, name: str) -> None:
         try:
             self._act(f"{verb} {name}", f"{verb}_controller", name=name)
-        except UnknownName:
+        except Refused:
+            if f"{self.name}/{verb}_controller" in self.client.services():
+                raise
             text = (
                 f"cannot {verb} {name}: {self.namespace} is no robot of ROS 2; its controllers are configured by load"
             )
@@ -199,6 +201,7 @@ class Manager:
         stop: Sequence[str] = (),
         states: Mapping[str, str] | None = None,
         loads: dict[str, str] | None = None,
+        listing: str | None = None,
     ) -> dict[str, str]:
         """Load the controllers that are not loaded, then start the idle ones in one strict switch. Returns the states.
 
@@ -208,16 +211,18 @@ class Manager:
             stop: running controllers that the same switch stops.
             states: the states before; None: they are requested.
             loads: calls of `ask_to_load` under way; None: the missing controllers are loaded here.
+            listing: a call of `ask_for_controllers` that was sent after `loads`; None: it is sent here.
 
         Raises:
             Refused: a controller cannot be loaded, and none is started; or one did not start.
         """
         states = self.states() if states is None else states
         loads = self.ask_to_load([name for name in wanted if name not in states]) if loads is None else loads
-        asked = self.ask_for_controllers() if start and loads else None  # in the time of the loads
+        if start and loads and listing is None:
+            listing = self.ask_for_controllers()  # in the time of the loads
         self.loaded(loads)
-        if asked is not None:
-            states = self.states(asked)
+        if listing is not None:
+            states = self.states(listing)
         idle = [name for name in dict.fromkeys(wanted) if states.get(name) not in RUNNING]
         if not start or not (idle or stop):
             return self.states()
