@@ -19,7 +19,17 @@ from slidectl.cli import completion, robots
 from slidectl.cli.commands import Variadic, group, number, seconds, wait_for_world_s
 from slidectl.cli.context import Context
 from slidectl.cli.topic_streams import pause_remark
-from slidectl.client.manager import BEST_EFFORT, STARTED, STRICT, UNLOADED, Manager, claimed_text, configured, each
+from slidectl.client.manager import (
+    BEST_EFFORT,
+    RUNNING,
+    STARTED,
+    STRICT,
+    UNLOADED,
+    Manager,
+    claimed_text,
+    configured,
+    each,
+)
 from slidectl.command_steps import CommandStep, StepEffects
 from slidectl.errors import AmbiguousName, NoDaemon, Refused, TimedOut, UnknownName, UsageError
 from slidectl.names import join, resolve
@@ -295,8 +305,34 @@ def reload(ctx: Context, manager: str | None, names: tuple[str, ...]) -> None:
         state = target.states().get(name, UNLOADED)
         record = {"manager": target.namespace, "name": name, "state": state, "before": before}
         ctx.done(record, f"{name}: reloaded, {state}" + ("" if state == before else f" (was {before})"))
-        if state == "running":
+        if state in RUNNING:
             ctx.say(pause_remark(ctx.call("/slidectl/status"), "nothing runs until it goes on"))
+
+
+@controller.command("configure", examples=["slidectl controller configure joint_trajectory_controller"])
+@_cm
+@_names
+@click.pass_obj
+def configure(ctx: Context, manager: str | None, names: tuple[str, ...]) -> None:
+    """Configure loaded controllers of a robot of ROS 2, which become inactive and can be started.
+
+    Controllers that are inactive already are configured again with their present parameters. 'controller spawn' and
+    'controller start' configure by themselves.
+    """
+    target, local, before = owner(ctx, manager, names)
+    with _changes(ctx, target, local, before):
+        each(target.configure, local)
+
+
+@controller.command("cleanup", examples=["slidectl controller cleanup joint_trajectory_controller"])
+@_cm
+@_names
+@click.pass_obj
+def cleanup(ctx: Context, manager: str | None, names: tuple[str, ...]) -> None:
+    """Make inactive controllers of a robot of ROS 2 unconfigured."""
+    target, local, before = owner(ctx, manager, names)
+    with _changes(ctx, target, local, before):
+        each(target.cleanup, local)
 
 
 @controller.command("unload", examples=["slidectl controller unload joint1_position_controller"])
@@ -316,7 +352,7 @@ def unload(ctx: Context, manager: str | None, names: tuple[str, ...]) -> None:
 @_names
 @click.pass_obj
 def start(ctx: Context, manager: str | None, strict: bool, asap: bool, names: tuple[str, ...]) -> None:
-    """Start loaded controllers, all in the same cycle."""
+    """Start loaded controllers, all in the same cycle. Those of a robot of ROS 2 are configured first."""
     _switch(ctx, manager, names, (), strict, asap)
 
 
@@ -394,6 +430,7 @@ def _switch(
     known = local if strict else target.known()
     _command_stopped_joints(ctx, target, stopping, rest, check_only=True, left_to=starting)
     with _changes(ctx, target, [name for name in local if name in known], before) as after:
+        target.make_ready(starting, before)
         target.switch(starting, stopping, STRICT if strict else BEST_EFFORT, asap)
         if strict:
             after |= target.check_started(starting)
@@ -415,16 +452,18 @@ def _switch(
 def spawn(ctx: Context, manager: str | None, stopped: bool, wait: bool, names: tuple[str, ...]) -> None:
     """Load controllers and start them, all in the same cycle.
 
-    Controllers that are loaded or running already stay as they are. If one cannot be loaded, none is started.
+    Those of a robot of ROS 2 are configured in between. Controllers that are loaded or running already stay as they
+    are. If one cannot be loaded, none is started.
     """
     if wait:
         wait_for_owner(ctx, manager, names)
     target, local, before = owner(ctx, manager, names)
     calls = _ask_for_parameters(target, local)
     loads = target.ask_to_load([name for name in local if name not in before])
+    listing = target.ask_for_controllers() if loads and not stopped else None
     _warn_unknown(ctx, target, calls)
     with _changes(ctx, target, local, before) as after:
-        after |= target.bring_up(local, start=not stopped, states=before, loads=loads)
+        after |= target.bring_up(local, start=not stopped, states=before, loads=loads, listing=listing)
 
 
 @controller.command("unspawn", examples=["slidectl controller unspawn joint1_position_controller"])

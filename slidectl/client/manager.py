@@ -21,7 +21,11 @@ if TYPE_CHECKING:
 STRICT = 2
 BEST_EFFORT = 1
 UNLOADED = "unloaded"
-STARTED = ("running", "waiting")
+RUNNING = ("running", "active")
+"""The states of a running controller: that of ros_control, and that of ros2_control for a robot of ROS 2."""
+STARTED = (*RUNNING, "waiting")
+UNCONFIGURED = "unconfigured"
+"""The state of ros2_control in which a controller cannot start."""
 _MANAGER_SERVICES = ("load_controller", "switch_controller", "unload_controller")
 
 
@@ -119,6 +123,29 @@ class Manager:
         """Load a controller. Raises Refused with the reason."""
         self._act(f"load {name}", "load_controller", name=name)
 
+    def configure(self, name: str) -> None:
+        """Configure a controller of a robot of ROS 2, which then can start. Raises Refused with the reason."""
+        self._act_of_ros2("configure", name)
+
+    def cleanup(self, name: str) -> None:
+        """Make a controller of a robot of ROS 2 unconfigured. Raises Refused with the reason."""
+        self._act_of_ros2("cleanup", name)
+
+    def _act_of_ros2(self, verb: str, name: str) -> None:
+        try:
+            self._act(f"{verb} {name}", f"{verb}_controller", name=name)
+        except Refused:
+            if f"{self.name}/{verb}_controller" in self.client.services():
+                raise
+            text = (
+                f"cannot {verb} {name}: {self.namespace} is no robot of ROS 2; its controllers are configured by load"
+            )
+            raise Refused(text, f"slidectl controller start {name}") from None
+
+    def make_ready(self, wanted: Sequence[str], states: Mapping[str, str]) -> None:
+        """Configure those of these controllers that are unconfigured by these states. Raises Refused."""
+        each(self.configure, [name for name in dict.fromkeys(wanted) if states.get(name) == UNCONFIGURED])
+
     def unload(self, name: str) -> None:
         """Unload a controller. Raises Refused with the reason."""
         self._act(f"unload {name}", "unload_controller", name=name)
@@ -154,7 +181,7 @@ class Manager:
         request = {"robot": self.namespace, "name": name}
         before = self.states().get(name)
         self._answered(f"reload {name}", self.client.call_async("/slidectl/reload_controller", request))
-        if before in STARTED or before == "aborted":
+        if before in (*STARTED, "aborted"):
             self.check_started([name])
 
     def ask_to_load(self, wanted: Sequence[str]) -> dict[str, str]:
@@ -174,21 +201,32 @@ class Manager:
         stop: Sequence[str] = (),
         states: Mapping[str, str] | None = None,
         loads: dict[str, str] | None = None,
+        listing: str | None = None,
     ) -> dict[str, str]:
         """Load the controllers that are not loaded, then start the idle ones in one strict switch. Returns the states.
+
+        Controllers of a robot of ROS 2 are configured, too, unless `start` is False.
 
         Args:
             stop: running controllers that the same switch stops.
             states: the states before; None: they are requested.
             loads: calls of `ask_to_load` under way; None: the missing controllers are loaded here.
+            listing: a call of `ask_for_controllers` that was sent after `loads`; None: it is sent here.
 
         Raises:
             Refused: a controller cannot be loaded, and none is started; or one did not start.
         """
         states = self.states() if states is None else states
-        self.loaded(self.ask_to_load([name for name in wanted if name not in states]) if loads is None else loads)
-        idle = [name for name in dict.fromkeys(wanted) if states.get(name) != "running"]
-        return self.start(idle, stop) if start and (idle or stop) else self.states()
+        loads = self.ask_to_load([name for name in wanted if name not in states]) if loads is None else loads
+        if start and loads and listing is None:
+            listing = self.ask_for_controllers()  # in the time of the loads
+        self.loaded(loads)
+        if listing is not None:
+            states = self.states(listing)
+        idle = [name for name in dict.fromkeys(wanted) if states.get(name) not in RUNNING]
+        if not start or not (idle or stop):
+            return self.states()
+        return self.start(idle, stop, states)
 
     def spawn(self, *wanted: str) -> dict[str, str]:
         """Load the controllers that are not loaded, and start them in one cycle. Returns the states. Raises Refused."""
@@ -205,8 +243,14 @@ class Manager:
             self.switch((), running)
         each(self.unload, list(wanted)[::-1])
 
-    def start(self, wanted: Sequence[str], stop: Sequence[str] = ()) -> dict[str, str]:
-        """Start loaded controllers in one strict switch, check that they run, return the states. Raises Refused."""
+    def start(
+        self, wanted: Sequence[str], stop: Sequence[str] = (), states: Mapping[str, str] | None = None
+    ) -> dict[str, str]:
+        """Start loaded controllers in one strict switch, check that they run, return the states. Raises Refused.
+
+        Those of a robot of ROS 2 are configured first. `states`: the states before; None: they are requested.
+        """
+        self.make_ready(wanted, self.states() if states is None else states)
         self.switch(wanted, stop)
         return self.check_started(wanted)
 

@@ -10,6 +10,7 @@ from contextlib import suppress
 
 from slidectl import names
 from slidectl.client.client import Client
+from slidectl.client.manager import RUNNING
 from slidectl.errors import SlidectlError
 from slidectl.msgs.schema import nanoseconds
 
@@ -58,7 +59,7 @@ def of_joint(client: Client, namespace: str, joint: str) -> str | None:
     try:
         for controller in client.controllers(namespace).controllers():
             space = names.join(namespace, controller["name"])
-            is_one = controller["type"].endswith(_TYPE) and controller["state"] == "running"
+            is_one = controller["type"].endswith(_TYPE) and controller["state"] in RUNNING
             if is_one and client.params.get(f"{space}/joint") == joint:
                 return _of_controller(client, namespace, space, joint)
     except SlidectlError:  # it only explains; the failure itself is told in any case

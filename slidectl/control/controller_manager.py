@@ -18,9 +18,11 @@ from slidectl.control import registry
 from slidectl.control.controller_interface import HOOKS, ControllerBase, State
 from slidectl.control.duration import NANOSECONDS, to_seconds
 from slidectl.control.hardware_interface import (
+    JOINT_STATES,
     CommandAttribute,
     Conflict,
     ControllerInfo,
+    HardwareComponent,
     JointHandle,
     JointStateHandle,
     JointStateInterface,
@@ -43,6 +45,7 @@ from slidectl.control.user_classes import (
     watched_hardware,
 )
 from slidectl.control.user_modules import UserCode
+from slidectl.description import interfaces
 from slidectl.errors import BadName, Refused, SlidectlError, UnknownName, listing, quoted
 
 if TYPE_CHECKING:
@@ -110,8 +113,8 @@ class LoadedController:
     """A loaded controller of a manager. Times are nanoseconds of simulated time."""
 
     __slots__ = (
-        *("_code", "_is_of_user", "_watched", "controller", "failure", "info", "may_compile", "node", "reads_from"),
-        *("times", "writes_to"),
+        *("_code", "_is_of_user", "_watched", "controller", "failure", "info", "is_configured", "is_of_ros2"),
+        *("loaded_with", "may_compile", "node", "reads_from", "states_read", "times", "writes_to"),
     )
 
     def __init__(
@@ -122,9 +125,12 @@ class LoadedController:
         node: NodeHandle,
         code: UserCode,
         handles: WatchedHandles | None = None,
+        *,
+        is_of_ros2: bool = False,
+        states_read: Iterable[str] = (),
     ) -> None:
         """`code`: the users' code of the world. `handles`: the joint handles that a user's controller has got; None for
-        a controller of slidectl."""
+        a controller of slidectl. `is_of_ros2`: its robot is one of ROS 2. `states_read`: as the attribute."""
         self.controller = controller
         self.node = node
         self.info = ControllerInfo(name, type_name, controller.claimed_resources)
@@ -137,6 +143,13 @@ class LoadedController:
         """The chainable controllers whose references it claims: it precedes them in a chain."""
         self.reads_from: tuple[LoadedController, ...] = ()
         """The chainable controllers whose exported states it reads."""
+        self.is_of_ros2 = is_of_ros2
+        self.is_configured = not is_of_ros2
+        """False in the state `unconfigured` of ROS 2, in which it cannot start. Its `init` was called nevertheless."""
+        self.loaded_with: Any = node.get_param(node.namespace, None) if is_of_ros2 else None
+        """Its parameters right after it was loaded, for `configure`; None: it must be loaded again."""
+        self.states_read = tuple(states_read)
+        """The states of joints that it can read, as `joint1/position`; only for a robot of ROS 2."""
         self._is_of_user = is_of_a_user(type(controller))
         self._code = code
         self._watched = watched(type(controller), code, handles)
@@ -158,6 +171,13 @@ class LoadedController:
     def state(self) -> State:
         """The controller's state."""
         return self.controller.state
+
+    @property
+    def shown_state(self) -> str:
+        """The state for clients: of a controller of a robot of ROS 2, the one that ros2_control has for it."""
+        if not self.is_of_ros2:
+            return str(self.state)
+        return "active" if self.is_running else "inactive" if self.is_configured else "unconfigured"
 
     @property
     def is_running(self) -> bool:
@@ -267,8 +287,42 @@ class LoadedController:
             {"hardware_interface": claim.hardware_interface, "resources": list(claim.resources)}
             for claim in self.info.claimed_resources
         ]
-        state = str(self.state)
+        state = self.shown_state
         return {"name": self.name, "state": state, "type": self.info.type, "claimed_resources": claimed}
+
+    def commands(self) -> list[str]:
+        """The commands that it claims, by their names in ros2_control, as `joint1/effort`."""
+        claims = self.info.claimed_resources
+        return [name for one in claims for name in interfaces.ros2_commands(one.hardware_interface, one.resources)]
+
+    def references(self) -> list[str]:
+        """The references that it exports, without its own name, as `joint1/position`."""
+        found = []
+        for kind, handle in self.controller.exported_references:
+            found += interfaces.ros2_commands(kind.type_name, [handle.name.removeprefix(f"{self.name}/")])
+        return found
+
+    def message_of_ros2(self, rate_hz: int) -> dict[str, Any]:
+        """The entry as slidectl/ControllerState, which has the fields of ros2_control."""
+        commands = self.commands() if self.is_configured else []
+        states = [one.name.removeprefix(f"{self.name}/") for one in self.controller.exported_states]
+        exported = [f"{joint}/{state}" for joint in states for state in JOINT_STATES]
+        return {
+            "name": self.name,
+            "state": self.shown_state,
+            "type": self.info.type,
+            "update_rate": rate_hz,
+            "claimed_interfaces": commands if self.is_running else [],
+            "required_command_interfaces": commands,
+            "required_state_interfaces": list(self.states_read) if self.is_configured else [],
+            "is_chainable": bool(self.exported()),
+            "is_chained": self.controller.is_chained,
+            "exported_state_interfaces": exported if self.is_configured else [],
+            "reference_interfaces": self.references() if self.is_configured else [],
+            "chain_connections": [
+                {"name": one.name, "reference_interfaces": one.references()} for one in self.writes_to
+            ],
+        }
 
 
 BEST_EFFORT = 1
@@ -304,6 +358,14 @@ def _known(
     unknown = [name for name in wanted if name not in loaded]
     if unknown and strict:
         raise _not_loaded(loaded, unknown[0], verb, node)
+    unconfigured = [entry.name for entry in found if verb == "start" and not entry.is_configured]
+    if unconfigured:
+        reason = f"cannot start controller {quoted(unconfigured[0])}: it is unconfigured"
+        hint = f"configure it first: slidectl controller configure {unconfigured[0]}"
+        if strict:
+            raise Refused(reason, hint)
+        node.log("warn", f"{reason}; {hint}; the rest of the request goes on")
+        found = [entry for entry in found if entry.is_configured]
     if unknown:
         node.log("warn", f"no controller {listing(map(quoted, unknown))} to {verb}; the rest of the request goes on")
     if len(found) > MOST_NAMES:
@@ -489,6 +551,8 @@ class ControllerManager:
         self._further: tuple[CommandAttribute, ...] = ()
         """Those of these commands that are not the attribute `command`."""
         self._switch: Switch | None = None
+        self.on_change: Callable[[], None] = lambda: None
+        """Called when controllers have started, stopped or failed."""
 
     # The cycle.
 
@@ -632,8 +696,14 @@ class ControllerManager:
         found = [command for _, commands in self._commands for command in commands]
         self._commanded = tuple(command.handle for command in found if command.attribute == "command")
         self._further = tuple(command for command in found if command.attribute != "command")
+        self.on_change()
 
     # Queries.
+
+    @property
+    def is_of_ros2(self) -> bool:
+        """True for a robot with a `<ros2_control>` tag: the states of its controllers are those of ros2_control."""
+        return self._hw.is_of_ros2
 
     @property
     def switching(self) -> bool:
@@ -662,17 +732,33 @@ class ControllerManager:
         """All loaded controllers in the order of updates, each as controller_manager_msgs/ControllerState."""
         return [entry.message() for entry in self._order]
 
+    def list_as_in_ros2(self, rate_hz: int) -> Messages:
+        """As `list`, each as slidectl/ControllerState. `rate_hz` is the rate of the updates."""
+        return [entry.message_of_ros2(rate_hz) for entry in self._order]
+
+    def states(self) -> dict[str, str]:
+        """Name -> state of all loaded controllers as clients see it, in load order."""
+        return {entry.name: entry.shown_state for entry in self._loaded.values()}
+
+    def components(self) -> Sequence[HardwareComponent]:
+        """The hardware components of a robot of ROS 2."""
+        return self._hw.components()
+
+    def claimed_commands(self) -> set[str]:
+        """The commands that running controllers claim, by their names in ros2_control."""
+        return {name for entry in self._running for name in entry.commands()}
+
     def update_times(self) -> Messages:
         """The update times of all loaded controllers, in load order, each as slidectl/UpdateTimes."""
         return [entry.times.message() for entry in self._loaded.values()]
 
     def types(self) -> Names:
-        """The controller types that can be loaded."""
-        return self.known.types()
+        """The controller types that can be loaded; for a robot of ROS 2, those that behave as in ros2_controllers."""
+        return self.known.types_of_ros2() if self.is_of_ros2 else self.known.types()
 
     def base_classes(self) -> Names:
         """The base class of each of `types`."""
-        return len(self.known.types()) * [registry.BASE_CLASS]
+        return len(self.types()) * [registry.BASE_CLASS_OF_ROS2 if self.is_of_ros2 else registry.BASE_CLASS]
 
     # Loading.
 
@@ -688,7 +774,8 @@ class ControllerManager:
         """As `load`, but raises the error."""
         if name in self._loaded:
             is_running = self._loaded[name].is_running
-            next_step = ", and running" if is_running else f"; start it: slidectl controller start {name}"
+            verb = "configure" if not self._loaded[name].is_configured else "start"
+            next_step = ", and running" if is_running else f"; {verb} it: slidectl controller {verb} {name}"
             raise Refused(f"it is loaded already{next_step}")
         self.check_new(name)
         self._loaded[name] = self._load(name)
@@ -721,7 +808,13 @@ class ControllerManager:
         handles, commands = self._hw.joint_handles(only_new=True)
         if guard is not None:
             guard.handles = WatchedHandles(handles, commands, file_of(type(controller)))
-        entry = LoadedController(name, type_name, controller, node, code, guard and guard.handles)
+        is_of_ros2 = self._hw.is_of_ros2
+        read = sorted({handle.name for handle in handles}) if is_of_ros2 else ()
+        states = [f"{joint}/{state}" for joint in read for state in JOINT_STATES]
+        own = guard.handles if guard is not None else None
+        entry = LoadedController(
+            name, type_name, controller, node, code, own, is_of_ros2=is_of_ros2, states_read=states
+        )
         of_others = {id(handle): (kind, one) for one in self._loaded.values() for kind, handle in one.exported()}
         used = [of_others[id(handle)] for handle in handles if id(handle) in of_others]
         entry.writes_to = tuple({one: None for kind, one in used if kind.claims})
@@ -741,7 +834,7 @@ class ControllerManager:
             return f"controller {quoted(owner)} exports: {listing(names_there)}"
         return f"{quoted(joint)} is of controller {quoted(owner)}: load it first: slidectl controller load {owner}"
 
-    def _users_of(self, entry: LoadedController) -> list[LoadedController]:
+    def _users_of(self, entry: LoadedController) -> Sequence[LoadedController]:
         """The loaded controllers that have handles of this one."""
         return [one for one in self._order if entry in one.needs]
 
@@ -756,6 +849,51 @@ class ControllerManager:
         """End its topics, services and exported handles."""
         self._hw.withdraw(handle.name for _, handle in entry.exported())
         entry.node.shutdown()
+
+    def configure(self, name: str) -> bool:
+        """Make a controller of a robot of ROS 2 `inactive`, so that it can start. Its parameters count as they are now.
+
+        False: it is not loaded, it runs, a switch is pending, or it cannot be loaded with its parameters.
+        """
+        entry = self._idle(name, "configure")
+        if entry is None:
+            return False
+        if entry.is_configured or entry.loaded_with != entry.node.get_param(entry.node.namespace, None):
+            self._clean_up(entry)
+            try:
+                self._check_unused(entry)
+                self._shut_down(entry)
+                entry = self._loaded[name] = self._load(name)  # an existing key keeps its place in the order
+            except Exception as failure:
+                return self._refuse(f"cannot configure controller {quoted(name)}: {described(failure)}")
+            self._reorder()
+        entry.is_configured = True
+        return True
+
+    def clean_up(self, name: str) -> bool:
+        """Make a controller of a robot of ROS 2 `unconfigured`. False: it is not loaded, it runs, or a switch is
+        pending."""
+        entry = self._idle(name, "clean up")
+        if entry is not None and entry.is_configured:
+            self._clean_up(entry)
+        return entry is not None
+
+    def _clean_up(self, entry: LoadedController) -> None:
+        entry.is_configured, entry.loaded_with = False, None
+
+    def _idle(self, name: str, verb: str) -> LoadedController | None:
+        """The controller of that name, unless it runs or a switch is pending. Logs why it is None."""
+        entry = self._loaded.get(name)
+        if entry is None:
+            self._refuse(f"cannot {verb}: {described(_not_loaded(self._loaded, name, verb, self._node))}")
+        elif self._switch is not None:
+            self._refuse(f"cannot {verb} controller {quoted(name)}: a switch is in progress")
+        elif entry.is_running:
+            hint = f"deactivate it first: slidectl controller stop {name}"
+            self._refuse(f"cannot {verb} controller {quoted(name)}: it is active; {hint}")
+        else:
+            return entry
+        return None
 
     def unload(self, name: str) -> bool:
         """Remove a controller that is not running. False: it runs, it is not loaded, or a switch is pending."""
@@ -804,10 +942,11 @@ class ControllerManager:
         entry = self._loaded[name]
         if entry.is_running:
             return self._refuse(f"cannot reload controller {quoted(name)}: it is still running")
-        former = type(entry.controller)
+        former, is_configured = type(entry.controller), entry.is_configured
         self._shut_down(entry)
         try:
             self._loaded[name] = self._load(name)  # an existing key keeps its place in the order
+            self._loaded[name].is_configured = is_configured
         except Exception as failure:
             text = f"cannot load controller {quoted(name)} from its edited file: {described(failure)}"
             self.known.restore(former)
@@ -816,6 +955,7 @@ class ControllerManager:
             return True
         try:
             self._loaded[name] = self._load(name)
+            self._loaded[name].is_configured = is_configured
         except Exception:
             del self._loaded[name]
             self._reorder()
@@ -830,12 +970,14 @@ class ControllerManager:
             "controllers": {name: entry.controller for name, entry in entries},
             "states": {name: entry.state for name, entry in entries},
             "failures": {name: entry.failure for name, entry in entries},
+            "configured": [name for name, entry in entries if entry.is_configured],
         }
 
     def load_state(self, state: dict[str, Any]) -> None:
         """Restore states and failures. The controllers' own attributes are already restored."""
         for name, entry in self._loaded.items():
             entry.controller.state, entry.failure = state["states"][name], state["failures"][name]
+            entry.is_configured = name in state["configured"]
         running = [entry for entry in self._order if entry.is_running]
         for entry in running:
             if entry.controller.exported_references:
@@ -854,14 +996,14 @@ class ControllerManager:
             self.unload(entry.name)
 
     def reload_libraries(self, force_kill: bool) -> bool:
-        """Prepare a reload of libraries. Refused while controllers are loaded, unless `force_kill`, which unloads them.
+        """Prepare a reload of libraries, for which all controllers are unloaded. Registered classes stay.
 
-        Registered classes stay.
+        Refused without `force_kill` while controllers are loaded; for a robot of ROS 2, while controllers run.
         """
-        if self._loaded and not force_kill:
-            return self._refuse(
-                f"cannot reload while {len(self._loaded)} controllers are loaded; unload them, or force it"
-            )
+        in_the_way = len(self._running if self.is_of_ros2 else self._loaded)
+        if in_the_way and not force_kill:
+            are = "active" if self.is_of_ros2 else "loaded"
+            return self._refuse(f"cannot reload while {in_the_way} controllers are {are}; unload them, or force it")
         if self._loaded:
             self._node.log("info", f"stopping and unloading {len(self._loaded)} controllers")
             is_stopped = self.request_switch([], self.names(), BEST_EFFORT)

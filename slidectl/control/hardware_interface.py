@@ -51,6 +51,10 @@ class JointHandle(JointStateHandle):
         self.highest = inf
 
 
+JOINT_STATES = ("position", "velocity", "effort")
+"""The names in ros2_control of the states of a joint."""
+
+
 @law
 def is_finite(joint: JointHandle) -> bool:
     """True when the command is finite, or is an infinity that the hardware clips to a finite bound."""
@@ -323,6 +327,18 @@ class CommandAttribute(NamedTuple):
         setattr(self.handle, self.attribute, self.handle.position if is_position else 0.0)
 
 
+@dataclass(frozen=True, slots=True)
+class HardwareComponent:
+    """A part of the hardware as ros2_control lists it: a block `<ros2_control>`. Interfaces are as `joint1/effort`."""
+
+    name: str
+    kind: str
+    """`system`, `actuator` or `sensor`."""
+    plugin: str
+    command_interfaces: tuple[str, ...] = ()
+    state_interfaces: tuple[str, ...] = ()
+
+
 class RobotHW:
     """The interfaces of a robot by type. `read` and `write` are called once per cycle."""
 
@@ -380,6 +396,16 @@ class RobotHW:
                 handles = [handle for handle in interface.handles() if handle.name in claim.resources]
                 found += [CommandAttribute(*one, holds) for handle in handles for one in interface.commands_of(handle)]
         return found
+
+    def components(self) -> list[HardwareComponent]:
+        """The components of a robot of ROS 2. Unless a subclass knows them, all joints are those of one."""
+        commands: dict[str, None] = {}
+        for interface in self._interfaces.values():
+            if isinstance(interface, JointCommands):
+                commands |= dict.fromkeys(interfaces.ros2_commands(interface.type_name, interface.names()))
+        states = self.get(JointStateInterface)
+        read = [f"{joint}/{state}" for joint in (states.names() if states else ()) for state in JOINT_STATES]
+        return [HardwareComponent("hardware", "system", type(self).__name__, tuple(commands), tuple(read))]
 
     def interface_names(self) -> list[str]:
         """The type names of all interfaces, alphabetical."""

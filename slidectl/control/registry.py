@@ -27,6 +27,7 @@ from slidectl.errors import BadFile, Refused, UnknownName
 C = TypeVar("C", bound=type[ControllerBase])
 
 BASE_CLASS = "controller_interface::ControllerBase"
+BASE_CLASS_OF_ROS2 = "controller_interface::ControllerInterface"
 _shared: dict[str, ControllerClass] = {}
 """The types that all worlds know: shipped ones, and those that a script registers by itself."""
 _of_ros2: dict[str, ControllerClass] = {}
@@ -165,6 +166,11 @@ class ControllerTypes:
     def types(self) -> list[str]:
         """All registered types and those of installed packages, alphabetical."""
         return sorted({*self._known(), *INSTALLED.parts()})
+
+    def types_of_ros2(self) -> list[str]:
+        """The types that behave as in ros2_controllers, and those of users, alphabetical."""
+        users = [name for name, cls in self._known().items() if user_classes.is_of_a_user(cls)]
+        return sorted({*_of_ros2, *users, *INSTALLED.parts()})
 
     def find(self, type_name: str, *, for_ros2: bool = False) -> ControllerClass:
         """The class of that type. `for_ros2`: of two shipped classes with this type, the one of ros2_controllers.

@@ -6,6 +6,7 @@ Data only. `control/hardware_interface.py` has the class of each row. The quanti
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -33,6 +34,11 @@ class JointInterface:
         return f"hardware_interface::{self.name}"
 
     @property
+    def ros2_names(self) -> tuple[str, ...]:
+        """The names of its commands in ros2_control, where each is an interface of its own."""
+        return (self.quantity, *(name.removeprefix("command_") for name in self.beside))
+
+    @property
     def written(self) -> str:
         """The preferred name in a transmission."""
         return _PREFIX + self.name
@@ -54,6 +60,12 @@ KNOWN = ", ".join(interface.written for interface in ALL)
 def bare(written: str) -> str:
     """The name of an interface without its prefix."""
     return written.removeprefix(_PREFIX)
+
+
+def ros2_commands(type_name: str, resources: Iterable[str]) -> list[str]:
+    """The names in ros2_control of all commands of these resources of an interface, as `joint1/effort`."""
+    commands = next((one.ros2_names for one in ALL if one.type_name == type_name), (type_name,))
+    return [f"{resource}/{command}" for resource in resources for command in commands]
 
 
 def find(written: str) -> JointInterface | None:

@@ -442,7 +442,7 @@ def _resting_claims(robot: SpawnedRobot, request: Message) -> list[Claim]:
     for name in (*request["controllers"], *request["left_to"]):
         if name not in loaded:
             raise UnknownName("controller", name, list(loaded), f"of robot {robot.name!r}")
-    running = {name for name, one in loaded.items() if one["state"] == "running"}
+    running = {entry.name for entry in robot.manager.running}
     asked = [name for name in loaded if name in set(request["controllers"])]
     if running.intersection(asked) and not request["check_only"]:
         still = ", ".join(name for name in asked if name in running)

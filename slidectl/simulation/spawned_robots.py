@@ -37,7 +37,7 @@ from slidectl.simulation.clock import SECOND
 from slidectl.simulation.cycle import ControlCycle
 from slidectl.simulation.graph import GraphNode
 from slidectl.simulation.loop import Loop
-from slidectl.simulation.manager_services import ManagerServices
+from slidectl.simulation.manager_services import ManagerServices, Ros2ManagerServices
 from slidectl.simulation.parameters import Parameters
 from slidectl.simulation.topics import PeriodicTopic
 
@@ -328,7 +328,11 @@ class Robots:
         parts.manager = ControllerManager(parts.hardware, robot.node, self._types)
         period_ns = _control_period(plugin, loop, robot)
         parts.cycle = ControlCycle(parts.hardware, parts.manager, period_ns, loop.graph.clock.time_ns)
-        robot.services = ManagerServices(parts.manager, robot.node, robot.read_joints, loop)
+        places = parts.manager, robot.node, robot.read_joints, loop
+        if parts.manager.is_of_ros2:
+            robot.services = Ros2ManagerServices(*places, round(SECOND / period_ns))
+        else:
+            robot.services = ManagerServices(*places)
         if parts.hardware.actuator_states():
             topic, period_ns = names.join(robot.namespace, "actuator_states"), SECOND // ACTUATOR_RATE_HZ
             build = partial(_actuator_states, robot)

@@ -9,6 +9,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from slidectl import names
+from slidectl.client.manager import RUNNING
 from slidectl.errors import Refused
 from slidectl.msgs.schema import nanoseconds
 
@@ -183,7 +184,7 @@ def _controller_of(client: Client, robot: RobotInfoMsg, joint: str) -> tuple[str
         kind = controller["type"].rpartition("/")[2]
         if joint in claimed:
             users.append(f"{controller['name']} ({controller['type']}, {controller['state']})")
-        if claimed == {joint} and controller["state"] == "running" and kind in (_POSITION, _VELOCITY, _EFFORT):
+        if claimed == {joint} and controller["state"] in RUNNING and kind in (_POSITION, _VELOCITY, _EFFORT):
             return controller["name"], kind
     raise Refused(
         f"no running controller takes commands for {joint} alone",

@@ -261,7 +261,8 @@ class TopScreen:
 
 
 _STYLES = {
-    "running": "green", "waiting": "yellow", "aborted": "red", "warn": "yellow", "error": "red", "fatal": "red",
+    "running": "green", "active": "green", "waiting": "yellow", "aborted": "red",
+    "warn": "yellow", "error": "red", "fatal": "red",
 }  # fmt: skip
 
 

@@ -11,7 +11,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from slidectl import msgs, names
-from slidectl.client.manager import Manager
+from slidectl.client.manager import RUNNING, Manager
 from slidectl.client.rate_meter import RateMeter
 from slidectl.errors import Refused
 from slidectl.extensions.viewing.graph_drawing import read_graph
@@ -108,7 +108,7 @@ class WorldMonitor:
         found: dict[str, float] = {}
         for controller in self.controllers:
             followed = self._followed.get(f"{controller['name']}/state")
-            if followed is None or controller["state"] != "running":
+            if followed is None or controller["state"] not in RUNNING:
                 continue
             joints, values = controller["claims"], []
             message = followed.message

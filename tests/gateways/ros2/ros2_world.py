@@ -60,9 +60,10 @@ class World:
 
 
 @contextmanager
-def running_world(programs: Path, packages: Path | None = None) -> Iterator[World]:
-    """A world with the slider; `packages` is a folder of further messages for the gateway and the nodes."""
-    with running_daemon(rtf=1.0) as runtime, free_domain() as domain:
+def running_world(programs: Path, packages: Path | None = None, **options: Any) -> Iterator[World]:
+    """A world with the slider; `packages` is a folder of further messages for the gateway and the nodes. `options`:
+    of the daemon."""
+    with running_daemon(rtf=1.0, **options) as runtime, free_domain() as domain:
         one = World(runtime, programs, domain, packages)
         one.spawn()
         one.run("gateway", "ros2", "start")

@@ -19,13 +19,30 @@ from slidectl.errors import SlidectlError
 from slidectl.msgs import Field, Message
 from slidectl.msgs.schema import BYTES, CODES, FLOATS, PRIMITIVES, SCALAR, TIMES, nanoseconds
 
+_MANAGER = "controller_manager_msgs"
 _TYPES = {
     "time": "builtin_interfaces/msg/Time",
     "duration": "builtin_interfaces/msg/Duration",
     "rosgraph_msgs/Log": "rcl_interfaces/msg/Log",
     "slidectl/PidState": "control_msgs/msg/PidState",
+    "slidectl/LifecycleState": "lifecycle_msgs/msg/State",
+    "slidectl/SwitchControllers": f"{_MANAGER}/srv/SwitchController",
+    **{
+        f"slidectl/{name}": f"{_MANAGER}/msg/{name}"
+        for name in (
+            *("ChainConnection", "ControllerManagerActivity", "ControllerState", "HardwareComponentState"),
+            *("HardwareInterface", "NamedLifecycleState"),
+        )
+    },
+    **{
+        f"slidectl/{name}": f"{_MANAGER}/srv/{name}"
+        for name in (
+            *("CleanupController", "ConfigureController", "ListControllers", "ListHardwareComponents"),
+            *("ListHardwareInterfaces", "SetHardwareComponentState"),
+        )
+    },
 }
-"""Types of ROS 1 that have another name or package in ROS 2."""
+"""Types of the daemon that have another name or package in ROS 2."""
 _FIELDS = {
     "control_msgs/JointTrajectoryControllerState": {"desired": "reference", "actual": "feedback"},
     "controller_manager_msgs/SwitchControllerRequest": {
@@ -89,7 +106,8 @@ def ros1_name(name: str) -> str:
     """The daemon's name for a type of ROS 2; of types that the daemon does not know, what it would be."""
     known = {theirs: ours for ours, theirs in _TYPES.items() if "/" in ours}
     package, _, stem = name.partition("/")
-    return known.get(name) or f"{package}/{stem.rpartition('/')[2]}"
+    plain = f"{package}/{stem.rpartition('/')[2]}"
+    return plain if msgs.exists(plain) or msgs.service_exists(plain) else known.get(name, plain)
 
 
 @cache
@@ -273,17 +291,13 @@ def _controller_conversion(ros2_class: Any) -> Conversion:
     """controller_manager_msgs/ControllerState has claims by interface, in any state; ROS 2 has `joint/quantity`."""
     from slidectl.description import interfaces  # the package is slow to import
 
-    quantities = {
-        one.type_name: (one.quantity, *(name.removeprefix("command_") for name in one.beside)) for one in interfaces.ALL
-    }
-    names = {known[0]: name for name, known in quantities.items() if len(known) == 1}
+    names = {one.quantity: one.type_name for one in interfaces.ALL if not one.beside}
 
     def to_ros2(message: Message) -> Any:
         required = [
-            f"{resource}/{quantity}"
+            name
             for claim in message["claimed_resources"]
-            for resource in claim["resources"]
-            for quantity in quantities.get(claim["hardware_interface"], (claim["hardware_interface"],))
+            for name in interfaces.ros2_commands(claim["hardware_interface"], claim["resources"])
         ]
         state = _STATES.get(message["state"], message["state"])
         return ros2_class(

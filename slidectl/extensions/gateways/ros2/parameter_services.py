@@ -7,10 +7,13 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Callable, Coroutine
+import os
+from collections.abc import Callable, Collection, Coroutine
 from typing import Any
 
-from slidectl.errors import SlidectlError
+from slidectl import names
+from slidectl.effects import Effect, NotPermitted
+from slidectl.errors import Refused, SlidectlError, cut
 from slidectl.extensions.gateways.daemon_connection import DaemonConnection
 from slidectl.extensions.gateways.ros2.participant import Participant
 
@@ -115,13 +118,70 @@ class ParameterServices:
         """Set all of them or none. The daemon says why it refuses one."""
         from rcl_interfaces.msg import SetParametersResult
 
-        names = [f"{self._name}/{one.name.replace('.', '/')}" for one in parameters]
         try:
-            values = [json.dumps(_from_ros2(one.value)) for one in parameters]
-            await self._daemon.call("/slidectl/set_params", {"names": names, "values": values})
+            wanted: dict[str, Any] = {}
+            for one in parameters:
+                wanted |= self._placed(one.name, _from_ros2(one.value))
+            texts = [json.dumps(value) for value in wanted.values()]
+            await self._daemon.call("/slidectl/set_params", {"names": list(wanted), "values": texts})
         except (SlidectlError, ValueError) as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
+
+    def _placed(self, name: str, value: Any) -> dict[str, Any]:
+        """The parameters of the daemon, by full name, that a parameter of the node sets. Raises SlidectlError."""
+        return {f"{self._name}/{name.replace('.', '/')}": value}
+
+
+class ManagerParameterServices(ParameterServices):
+    """The services of a controller manager, at which ROS 2 sets the type of a controller and the files of its
+    parameters before it is loaded. Here they are parameters of the controller."""
+
+    def __init__(
+        self, node: str, participant: Participant, daemon: DaemonConnection, permitted: Collection[Effect]
+    ) -> None:
+        """`permitted`: what nodes of ROS 2 may do."""
+        super().__init__(node, participant, daemon)
+        self._permitted = permitted
+
+    def _placed(self, name: str, value: Any) -> dict[str, Any]:
+        namespace = names.parent(self._name)
+        controller, _, own = name.rpartition(".")
+        if controller and own == "type":
+            return {f"{names.join(namespace, controller)}/type": value}
+        placed = super()._placed(name, value)
+        if controller and own == "params_file":
+            if Effect.FILES not in self._permitted:
+                raise NotPermitted(f"the parameter {name}", Effect.FILES, self._permitted)
+            for file in [value] if isinstance(value, str) else value:
+                placed |= _in_file(file, namespace, controller)
+        return placed
+
+    async def _values(self) -> dict[str, Any]:
+        """Those of the manager, and the types of the controllers."""
+        request = {"name": names.parent(self._name), "default": "{}"}
+        tree = json.loads((await self._daemon.call("/rosapi/get_param", request))["value"])
+        found = tree.items() if isinstance(tree, dict) else ()
+        kinds = {f"{name}.type": one["type"] for name, one in found if isinstance(one, dict) and "type" in one}
+        return {**await super()._values(), **{name: kind for name, kind in kinds.items() if isinstance(kind, str)}}
+
+
+def _in_file(file: str, namespace: str, controller: str) -> dict[str, Any]:
+    """The parameters of a controller in a file of ROS 2, by their full names in the daemon. Raises SlidectlError."""
+    from slidectl.description import controllers_file
+    from slidectl.description.parameter_trees import leaves
+
+    if not os.path.isabs(file):
+        raise Refused(f"the file {cut(file, 80)!r} has no absolute path, so it is not known where it is")
+    tree = controllers_file.read(file)
+    found: dict[str, Any] = {}
+    for place in ("", f"**{namespace}", "**", namespace):
+        values = controllers_file.at(tree, f"{place}/{controller}")
+        if isinstance(values, dict):
+            found |= {f"{names.join(namespace, controller)}/{name}": value for name, value in leaves(values)}
+    if not found:
+        raise Refused(f"no parameters of {controller} in {file}", f"they are below '{controller}: ros__parameters:'")
+    return found
 
 
 def _leaves(tree: dict[str, Any], prefix: str = "") -> list[tuple[str, Any]]:

@@ -24,10 +24,15 @@ from slidectl.extensions.gateways.daemon_connection import (
 from slidectl.extensions.gateways.gateway import Gateway, GatewayOptions, is_offered
 from slidectl.extensions.gateways.ros2 import conversion as types
 from slidectl.extensions.gateways.ros2.foreign_nodes import ForeignNodes, NodePart
-from slidectl.extensions.gateways.ros2.parameter_services import ParameterServices
+from slidectl.extensions.gateways.ros2.parameter_services import ManagerParameterServices, ParameterServices
 from slidectl.extensions.gateways.ros2.participant import Participant
 from slidectl.extensions.gateways.ros2.ros2_graph import EMPTY, UNUSED, GraphReader, Ros2Graph, Ros2Topic
-from slidectl.extensions.gateways.ros2.ros2_services import ForeignServices, OfferedService
+from slidectl.extensions.gateways.ros2.ros2_services import (
+    ConfigureOfRos1,
+    ForeignServices,
+    OfferedService,
+    as_in_ros2,
+)
 from slidectl.extensions.gateways.ros2.ros2_topics import NOTHING, TopicBridge, Wanted
 from slidectl.paths import InstancePaths
 from slidectl.web_access import check_effects
@@ -262,7 +267,7 @@ class Ros2Gateway(Gateway):
             for one in state["services"]
             if one["node"] not in hidden and not one["node"].startswith(own) and is_offered(one, self._permitted)
         ]
-        self._native = {"topics": topics, "services": services}
+        self._native = {"topics": topics, "services": as_in_ros2(services)}
         managed: dict[str, None] = {}
         for service in services:
             manager, kind = names.parent(service["name"]), "controller_manager_msgs/ListControllers"
@@ -368,8 +373,13 @@ class Ros2Gateway(Gateway):
                     self._leave_out(name, str(error))
                     continue
                 if name in self._managed and self._main is not None:
-                    self._parameters[name] = ParameterServices(name, self._participant, self._main)
-                    self._parameters[name].open(node)
+                    places = name, self._participant, self._main
+                    is_manager = name.endswith(_MANAGER)
+                    services = (
+                        ManagerParameterServices(*places, self._permitted) if is_manager else ParameterServices(*places)
+                    )
+                    self._parameters[name] = services
+                    services.open(node)
             self._reader.forget()
 
         await self._participant.run(change)
@@ -458,7 +468,9 @@ class Ros2Gateway(Gateway):
             if name in self._offered or (conversion := self._service_conversion(service["type"])) is None:
                 continue
             node = self._made_owner(name, service["node"])
-            one = self._offered[name] = OfferedService(name, node, conversion, self._participant, self._main)
+            offered_class = OfferedService if service["serves"] else ConfigureOfRos1
+            one = offered_class(name, node, conversion, self._participant, self._main, service["serves"])
+            self._offered[name] = one
             made.append(one)
 
         def change() -> None:

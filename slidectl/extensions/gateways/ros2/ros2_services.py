@@ -7,13 +7,20 @@ import logging
 import math
 from typing import Any
 
-from slidectl.errors import Refused, TimedOut
+from slidectl import names
+from slidectl.client.manager import STARTED
+from slidectl.errors import Refused, TimedOut, UnknownName, quoted
 from slidectl.extensions.gateways.daemon_connection import DaemonConnection
 from slidectl.extensions.gateways.ros2.conversion import ServiceConversion
 from slidectl.extensions.gateways.ros2.participant import Participant
 from slidectl.wire.messages import Message
 
 _log = logging.getLogger(__name__)
+
+_CONFIGURE, _LOAD = "slidectl/ConfigureController", "controller_manager_msgs/LoadController"
+_OF_ROS2 = {"slidectl/ListControllers": "list_controllers", "slidectl/SwitchControllers": "switch_controller"}
+"""Types of services that a manager has beside those of ROS 1 of the same purpose -> their names in ROS 2."""
+_OF_ROS1 = ("controller_manager_msgs/ListControllers", "controller_manager_msgs/SwitchController")
 
 _REASON = ("message", "status_message", "error_message")
 """Fields in which a response of ROS 2 can say why the call failed: its services have nothing else for it."""
@@ -32,11 +39,14 @@ class OfferedService:
         conversion: ServiceConversion,
         participant: Participant,
         daemon: DaemonConnection,
+        service: str = "",
     ) -> None:
+        """`service` is its name in the daemon; empty: the same as in ROS 2, `name`."""
         self.name = name
         self.node = node
         """The node of ours that offers it."""
         self.type = conversion.name
+        self._service = service or name
         self._conversion = conversion
         self._participant = participant
         self._daemon = daemon
@@ -51,7 +61,7 @@ class OfferedService:
     async def _answer(self, request: Any) -> Any:
         try:
             given = self._conversion.request.from_ros2(request)
-            answer = await self._daemon.call(self.name, given, timeout=math.inf)
+            answer = await self._call(given)
             text = "\n".join(self._daemon.reasons)
             response = self._conversion.response.to_ros2(answer)
         except Exception as error:  # every request is answered
@@ -65,11 +75,53 @@ class OfferedService:
                     setattr(response, name, text)
         return response
 
+    async def _call(self, request: Message) -> Message:
+        return await self._daemon.call(self._service, request, timeout=math.inf)
+
     def close(self) -> None:
         """Only in rclpy's thread."""
         if self._made is not None:
             self._participant.withdraw(self._owner, self._made)
             self._made = None
+
+
+class ConfigureOfRos1(OfferedService):
+    """The `configure_controller` of a manager as in ROS 1, whose controllers are configured when they are loaded."""
+
+    async def _call(self, request: Message) -> Message:
+        manager, name = names.parent(self.name), request["name"]
+        answer = await self._daemon.call(f"{manager}/list_controllers")
+        states = {one["name"]: one["state"] for one in answer["controller"]}
+        if name not in states:
+            raise UnknownName("controller", name, list(states), "that is loaded")
+        if states[name] in STARTED:
+            raise Refused(f"cannot configure controller {quoted(name)}: it is {states[name]}")
+        return {"ok": True}
+
+
+def as_in_ros2(services: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Services of the daemon, given as in /slidectl/graph, by their names in ROS 2; `serves` is the daemon's.
+
+    A manager has each service once: with the fields of ROS 2 if its robot is of ROS 2, else with those of ROS 1, and
+    then a ConfigureOfRos1 beside them, which serves nothing of the daemon.
+    """
+    of_ros2 = {names.parent(one["name"]) for one in services if one["type"] == _CONFIGURE}
+    found: dict[str, dict[str, Any]] = {}
+    for one in services:
+        manager, _, own = one["name"].rpartition("/")
+        if one["type"] in _OF_ROS2:
+            if manager in of_ros2:
+                name = f"{manager}/{_OF_ROS2[one['type']]}"
+                found[name] = {**one, "name": name, "serves": one["name"]}
+        elif one["type"] in _OF_ROS1:
+            if manager not in of_ros2:
+                found[one["name"]] = {**one, "serves": one["name"]}
+        else:
+            found[one["name"]] = {**one, "serves": one["name"]}
+        if one["type"] == _LOAD and own == "load_controller" and manager not in of_ros2:
+            name = f"{manager}/configure_controller"
+            found.setdefault(name, {**one, "name": name, "type": _CONFIGURE, "serves": ""})
+    return list(found.values())
 
 
 class ForeignServices:

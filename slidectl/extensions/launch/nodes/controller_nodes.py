@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from slidectl import names
-from slidectl.client.manager import BEST_EFFORT, STARTED, Manager
+from slidectl.client.manager import BEST_EFFORT, RUNNING, STARTED, Manager
 from slidectl.description.packages import Packages, is_file
 from slidectl.errors import NoDaemon, Refused, SlidectlError, UnknownName
 from slidectl.extensions.launch.plan import LaunchPlan, Leaf, Node, leaves
@@ -151,6 +151,7 @@ class Spawner(_ControllerTask):
         """Start the controllers that can be started, and leave out the others."""
         reason = Refused("it did not start", "slidectl daemon logs says why")
         try:
+            manager.make_ready(self.loaded, manager.states())
             manager.switch(self.loaded, (), BEST_EFFORT)
         except Refused as error:
             reason = error
@@ -196,7 +197,7 @@ class Spawner(_ControllerTask):
         if not self.loaded or not manager.is_there():
             return
         states = {} if self.has_started else manager.states()
-        running = [name for name in self.loaded if self.has_started or states.get(name) == "running"]
+        running = [name for name in self.loaded if self.has_started or states.get(name) in RUNNING]
         if running:
             _try(run, manager.switch, (), running)
         unloaded = [name for name in reversed(self.loaded) if _try(run, manager.unload, name)]
@@ -228,7 +229,7 @@ class Unspawner(_ControllerTask):
 
     def _stop_running(self, manager: Manager) -> list[str]:
         states = manager.states()
-        running = [name for name in self.controllers if states.get(name) == "running"]
+        running = [name for name in self.controllers if states.get(name) in RUNNING]
         if running:
             manager.switch((), running, BEST_EFFORT)
             self.inhibited += [name for name in running if name not in self.inhibited]
@@ -343,7 +344,7 @@ class ManagerScript(_ControllerTask):
         if self.command != "reload-libraries":
             return [_operation(manager, verb, name) for verb in _VERBS[self.command] for name in self.controllers]
         before = manager.states() if self.restore else {}
-        running = [name for name, state in before.items() if state == "running"]
+        running = [name for name, state in before.items() if state in RUNNING]
         failed = "Failed to reload libraries. Do you still have controllers loaded?"
         operations: list[_Operation] = [(manager.reload_libraries, "Successfully reloaded libraries", failed)]
         operations += [_operation(manager, "load", name) for name in before]
@@ -401,7 +402,7 @@ class GroupScript(_ControllerTask):
         others = {name for group, members in groups.items() if group != self.group for name in members}
         unwanted = others - set(wanted) if self.command == "switch" else set()
         states = manager.states()
-        stop = [name for name, state in states.items() if state == "running" and name in unwanted]
+        stop = [name for name, state in states.items() if state in RUNNING and name in unwanted]
         manager.bring_up(wanted, stop=stop, states=states)
         self.settled(run, f"{', '.join(wanted)} running in {self.node.namespace}", controllers=wanted)
         return None

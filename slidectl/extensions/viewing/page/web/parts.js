@@ -28,6 +28,9 @@ class Store {
 
 export const store = new Store({});
 
+/** States of a controller that runs: that of ros_control, and that of ros2_control. */
+export const RUNNING = ["running", "active"];
+
 /** The value that `select` takes from the store. */
 export function useStore(select) {
   const [, again] = useState(0);
@@ -156,7 +159,7 @@ export function Act({ onClick, disabled, ...rest }) {
 }
 
 export function Chip({ state }) {
-  const kind = { running: "good", waiting: "warning", stopped: "", initialized: "", aborted: "bad", unloaded: "faint" };
+  const kind = { running: "good", active: "good", waiting: "warning", stopped: "", initialized: "", aborted: "bad", unloaded: "faint" };
   return html`<span class="chip ${kind[state] ?? ""}">${state}</span>`;
 }
 

@@ -5,12 +5,12 @@ import { Gains } from "./gains.js";
 import { Joints } from "./joints.js";
 import { Trajectories } from "./trajectories.js";
 import {
-  act, Act, ask, baseName, Button, call, Chip, download, Empty, Group, html, inParts, isUnder, join, notify, page, Select, store, useEffect,
-  useState, useStore,
+  act, Act, ask, baseName, Button, call, Chip, download, Empty, Group, html, inParts, isUnder, join, notify, page, RUNNING, Select, store,
+  useEffect, useState, useStore,
 } from "../parts.js";
 
 const STRICT = 2;
-const STARTED = ["running", "waiting"];
+const STARTED = [...RUNNING, "waiting"];
 
 /** Call a service of the controller manager; the warnings of a success are shown. */
 async function manage(space, verb, args) {
@@ -25,6 +25,10 @@ const change = (space, start, stop) => manage(space, "switch_controller", {
 });
 
 async function start(space, names, stop = []) {
+  const { controller: before } = await call(join(space, "controller_manager/list_controllers"));
+  for (const one of before.filter((each) => names.includes(each.name) && each.state === "unconfigured")) {
+    await manage(space, "configure_controller", { name: one.name });
+  }
   await change(space, names, stop);
   const { controller } = await call(join(space, "controller_manager/list_controllers"));
   const failed = controller.filter((one) => names.includes(one.name) && !STARTED.includes(one.state));

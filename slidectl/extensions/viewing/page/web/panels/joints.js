@@ -1,7 +1,8 @@
 // The joints of a robot: where they are, and a slider for each command topic of a running controller.
 
 import {
-  attempt, Button, call, Group, html, join, jointUnit, notify, number, store, Typed, useEffect, useEvery, useRef, useState, useStore, useTopic,
+  attempt, Button, call, Group, html, join, jointUnit, notify, number, RUNNING, store, Typed, useEffect, useEvery, useRef, useState,
+  useStore, useTopic,
 } from "../parts.js";
 
 const SCALAR = "std_msgs/Float64";
@@ -43,7 +44,7 @@ function drivesOf(robot, controllers, topics) {
     const topic = join(robot.namespace, `${one.name}/command`);
     const claim = one.claimed_resources.find((each) => each.resources.length);
     const kind = topics[topic]?.type;
-    if (one.state !== "running" || !claim || ![SCALAR, ARRAY].includes(kind)) continue;
+    if (!RUNNING.includes(one.state) || !claim || ![SCALAR, ARRAY].includes(kind)) continue;
     const told = [one.type.split("/").pop(), claim.hardware_interface];
     const quantity = told.flatMap((text) => QUANTITIES.filter((word) => text.includes(word)))[0] ?? "Position";
     const joints = kind === SCALAR ? claim.resources.slice(0, 1) : claim.resources;

@@ -3,7 +3,7 @@
 
 import uPlot from "uplot";
 import { expanded, nameOfElement, numbersIn, resolve, steps, unitOf, valueAt } from "../fields.js";
-import { attempt, baseName, Button, download, Field, Group, html, inParts, join, notify, reasonOf, Select, store, useEffect, useRef, useState, useStore } from "../parts.js";
+import { attempt, baseName, Button, download, Field, Group, html, inParts, join, notify, reasonOf, RUNNING, Select, store, useEffect, useRef, useState, useStore } from "../parts.js";
 
 const COLOURS = ["#2f6fed", "#e8710a", "#1e9e5a", "#c5221f", "#8e44c9", "#8d6e63", "#d0459b", "#0f9fb5"];
 const MOST_PLOTS = 8;
@@ -270,7 +270,7 @@ let isShown = false; // the panel: what nobody looks at costs the daemon nothing
 async function plotFirst() {
   const { topics, controllers } = store.values;
   for (const [space, list] of Object.entries(controllers)) {
-    for (const one of list.filter((each) => each.state === "running")) {
+    for (const one of list.filter((each) => RUNNING.includes(each.state))) {
       const state = join(space, `${one.name}/state`);
       const fields = {
         "control_msgs/JointControllerState": ["set_point", "process_value"],

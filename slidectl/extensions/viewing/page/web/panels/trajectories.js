@@ -1,8 +1,8 @@
 // Goals for the trajectory controllers of a robot: where the joints are to be, and when.
 
 import {
-  act, Act, attempt, call, Field, Group, html, isUnder, jointUnit, number, page, Select, store, useEffect, useMessage, useRef, useState,
-  useStore,
+  act, Act, attempt, call, Field, Group, html, isUnder, jointUnit, number, page, RUNNING, Select, store, useEffect, useMessage, useRef,
+  useState, useStore,
 } from "../parts.js";
 import { bounds, placed, stepOf } from "./joints.js";
 
@@ -94,7 +94,7 @@ export function Trajectories({ robot }) {
   const topics = useStore((s) => s.topics);
   const controllers = useStore((s) => s.controllers[robot.namespace]) ?? [];
   const [chosen, setChosen] = useState("");
-  const running = controllers.filter((one) => one.state === "running").map((one) => one.name);
+  const running = controllers.filter((one) => RUNNING.includes(one.state)).map((one) => one.name);
   const found = Object.values(topics).filter((one) => one.type === GOAL && isUnder(one.name, robot.namespace))
     .map((one) => one.name.slice(0, -"/goal".length))
     .filter((action) => running.some((name) => action.slice(0, action.lastIndexOf("/")).endsWith(`/${name}`)));
