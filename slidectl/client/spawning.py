@@ -45,14 +45,15 @@ def document(
     missing: Missing | None = None,
     title: str | None = None,
 ) -> Document:
-    """Expand the model. An xacro argument `namespace` is set to `/name` unless given. Raises BadFile, UnknownName.
+    """Expand the model. An xacro argument `namespace` is set to `/name` unless given or a part of names.
 
-    `places` is where packages are; by default they are searched from the working folder upwards.
+    `places` is where packages are; by default they are searched from the working folder upwards. Raises BadFile,
+    UnknownName.
     """
     from slidectl import description
 
     places = places or description.Packages({}, Path.cwd())
-    if name and "namespace" not in arguments and "namespace" in description.declared_arguments(source, places):
+    if name and "namespace" not in arguments and description.takes_namespace(source, places):
         arguments = {**arguments, "namespace": f"/{names.legal_robot(name)}"}
     return description.load(source, dict(arguments), places, title=title, missing=missing)
 

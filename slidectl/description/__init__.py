@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from slidectl.description.document import (
     Document,
-    declared_arguments,
     load,
+    takes_namespace,
     with_root_fixed,
     with_root_free,
     with_transmissions,
@@ -25,10 +25,10 @@ __all__ = [
     "Packages",
     "Robot",
     "UnknownPackage",
-    "declared_arguments",
     "load",
     "namespace_of",
     "parse",
+    "takes_namespace",
     "with_root_fixed",
     "with_root_free",
     "with_transmissions",

@@ -22,6 +22,8 @@ from slidectl.description.xml_tree import Element
 from slidectl.errors import NotThere, SlidectlError, listing
 
 _FIND = re.compile(r"\$\(find\s+([^\s)]+)\s*\)")
+_NAMESPACE = re.compile(r"\$[({][^)}]*\bnamespace\b")
+"""A use of the argument or property of that name."""
 _JOINT = "world_to_root"
 
 
@@ -172,12 +174,14 @@ def written(source: str | Path, packages: Packages | None = None) -> Written:
     return found
 
 
-def declared_arguments(source: str | Path, packages: Packages | None = None) -> dict[str, str]:
-    """The `<xacro:arg>` of a model and of the files that it includes by plain names, with their defaults.
+def takes_namespace(source: str | Path, packages: Packages | None = None) -> bool:
+    """True for a model with an argument `namespace` which is one of the graph: no part of a link's or joint's name.
 
-    Raises BadFile, UnknownName: as load.
+    TurtleBot3's models for ROS 2 put theirs, `NAME/` or nothing, before each such name. Raises: as load.
     """
-    return {name: element.get("default") or "" for name, element in written(source, packages).arguments.items()}
+    found = written(source, packages)
+    names = (element.get("name") or "" for element in found.elements if element.tag in ("link", "joint"))
+    return "namespace" in found.arguments and not any(_NAMESPACE.search(name) for name in names)
 
 
 # --- the root link ---------------------------------------------------------------------------------------------------

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from slidectl.description import Robot, declared_arguments, load, namespace_of, parse
+from slidectl.description import Robot, load, namespace_of, parse, takes_namespace, written
 from slidectl.description.robot import Box, Limit, Pose, Surface, Vector
 
 EFFORT = ("hardware_interface/EffortJointInterface",)
@@ -58,7 +58,8 @@ def test_the_slider_has_a_transmission_a_plugin_and_nothing_that_is_ignored(slid
 
 @pytest.mark.parametrize("name", ["slider", "rrbot"])
 def test_a_second_robot_gets_another_namespace_by_argument(name: str) -> None:
-    assert declared_arguments(name) == {"namespace": f"/{name}"}
+    assert [argument.get("default") for argument in written(name).arguments.values()] == [f"/{name}"]
+    assert takes_namespace(name)
     document = load(name, {"namespace": "/left"})
     assert namespace_of(parse(document.xml), name) == "/left"
     assert not document.report

@@ -14,7 +14,7 @@ import xacro
 from description_urdf_text import INERTIAL, joint, link
 from xacro import substitution_args
 
-from slidectl.description import declared_arguments, load, parse
+from slidectl.description import load, parse, takes_namespace, written
 from slidectl.errors import BadFile
 
 Write = Callable[[str, str], Path]
@@ -103,8 +103,16 @@ def test_declared_arguments_are_read_from_the_file_and_its_includes(write: Write
             '<xacro:arg name="namespace" default="/bot"/>',
         ),
     )
-    assert declared_arguments(main) == {"colour": "red", "namespace": "/bot"}
-    assert declared_arguments(package) == {"mass": "2"}
+    arguments = {name: argument.get("default") for name, argument in written(main).arguments.items()}
+    assert arguments == {"colour": "red", "namespace": "/bot"}
+    assert list(written(package).arguments) == ["mass"]
+
+
+@pytest.mark.parametrize(("name", "takes"), [("arm", True), ("${namespace}arm", False), ("$(arg namespace)arm", False)])
+def test_a_namespace_that_begins_the_names_of_links_is_none_of_the_graph(write: Write, name: str, takes: bool) -> None:
+    argument = '<xacro:arg name="namespace" default=""/><xacro:property name="namespace" value="$(arg namespace)"/>'
+    assert takes_namespace(write("main.xacro", model(argument, f'<link name="{name}"/>'))) is takes
+    assert not takes_namespace(write("main.xacro", model(f'<link name="{name}"/>')))
 
 
 FAULTS = [

@@ -146,7 +146,7 @@ def test_a_xacro_reads_regular_files_only(
     robot = workspace.write("robot.xacro", XACRO.format("\n" + place.format(path)))
     with pytest.raises(BadFile, match=rf"robot.xacro:\d: .*thing.yaml: is {kind}, and only regular files are read"):
         description.load(robot, {}, workspace.packages)
-    description.declared_arguments(robot, workspace.packages)
+    description.written(robot, workspace.packages)
 
 
 @pytest.mark.parametrize(("make", "kind"), KINDS[1:])

@@ -74,6 +74,16 @@ def test_an_included_file_has_its_own_folder_and_its_own_neighbours(workspace: W
     assert found == {"/d": str(other), "/n": str(neighbour), "/own": str(workspace.package)}
 
 
+def test_a_file_of_a_package_in_source_is_found_where_it_would_be_installed(workspace: Workspace) -> None:
+    (workspace.package / "CMakeLists.txt").write_text("install(DIRECTORY description/urdf DESTINATION share/demo)")
+    source = workspace.package / "description" / "urdf" / "one.xacro"
+    source.parent.mkdir(parents=True)
+    source.write_text("")
+    assert workspace.value("$(find demo)/urdf/$(arg file)", file="one.xacro") == str(source)
+    assert workspace.value("'$(find-pkg-share demo)/urdf/$(arg file)'", file="one.xacro") == f"'{source}'"
+    assert workspace.value("$(find demo)/urdf/two.xacro") == f"{workspace.package}/urdf/two.xacro"
+
+
 def test_find_is_understood_in_what_another_substitution_gives_and_nothing_else_is(
     workspace: Workspace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
