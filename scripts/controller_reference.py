@@ -103,6 +103,50 @@ daemon default: stopped, it was process 4711
 ```
 """
 
+CHAINS = """
+
+## Chain controllers
+
+A chainable controller, such as `pid_controller/PidController`, takes its references from other controllers. It exports
+each reference under a name `CONTROLLER/JOINT`, in the interface of its quantity. Any controller finds and claims it
+there as it does a joint. So a forward command controller gives positions to a PID, and the PID gives efforts to the
+joint, in the same cycle. This file of ROS 2 does that for the shipped slider:
+
+```yaml
+controller_manager:
+  ros__parameters:
+    pid_controller: {type: pid_controller/PidController}
+    position_controller: {type: forward_command_controller/ForwardCommandController}
+
+pid_controller:
+  ros__parameters:
+    dof_names: [joint1]
+    command_interface: effort
+    reference_and_state_interfaces: [position]
+    gains:
+      joint1: {p: 400.0, i: 800.0, d: 40.0, u_clamp_max: 100.0, u_clamp_min: -100.0}
+
+position_controller:
+  ros__parameters:
+    joints: [pid_controller/joint1]
+    interface_name: position
+```
+
+`slidectl spawn slider --controllers chain.yaml --start pid_controller position_controller` loads and starts both.
+
+* **Load** the following controller (here the PID) first: the others find its interfaces then. It cannot be unloaded
+  while another loaded controller has them.
+* **Start** both in one switch, or the following one first. A following controller that runs already is restarted in
+  the same switch. From then on it is in chained mode: messages on its topics have no effect.
+* **Stop** both, or the preceding one alone. The following one is then restarted, and takes messages again.
+* **Order**: a controller is updated before those whose references it writes, and is listed before them.
+* **A failure** of one aborts the whole chain.
+* A reference is nan until it is written.
+
+A chainable controller also exports its states, as `CONTROLLER/JOINT` in the JointStateInterface. A controller that reads
+them needs it running, too. The exported names are none of the robot's joints: joint states do not list them.
+"""
+
 ROS_2 = """slidectl also reads parameter files of ROS 2. It puts parameters below `ros__parameters` directly below their
 node, and those of `controller_manager` beside it, and reads dots in names as slashes. It loads each type of this list
 as its counterpart, and the answer to the load names the counterpart. Other types, such as
@@ -116,7 +160,7 @@ def page() -> str:
         cls = registry.common.find(name)
         families.setdefault(cls.__module__, {})[name] = cls
     lines = [line for module, classes in families.items() for line in family(module, classes)]
-    return HEAD + "".join(line + "\n" for line in (*lines, *names_of_ros_2()))
+    return HEAD + "".join(line + "\n" for line in (*lines, *CHAINS.splitlines()[1:], *names_of_ros_2()))
 
 
 def names_of_ros_2() -> Iterator[str]:
@@ -154,8 +198,9 @@ def sentence(text: str) -> str:
 def family(module: str, classes: dict[str, type[ControllerBase]]) -> Iterator[str]:
     """The controllers of one file: what they are, their types, their parameters."""
     title, _, text = (sys.modules[module].__doc__ or "").partition("\n\n")
-    word = module.rpartition(".")[2].replace("_", " ")
-    yield from ("", f"## {word.capitalize()}", "", sentence(title), "")
+    stem = module.rpartition(".")[2]
+    word = stem.removeprefix("ros2_").replace("_", " ").capitalize()
+    yield from ("", f"## {word}{' of ROS 2' if stem.startswith('ros2_') else ''}", "", sentence(title), "")
     yield from (text.strip(), "")
     for name, cls in classes.items():
         yield f"* `{name}`: {(cls.__doc__ or '').splitlines()[0]}"

@@ -177,6 +177,7 @@ class LivePid:
     """A PID, `pid`, whose gains are the parameters in one namespace, now and after each change of them."""
 
     saved_attributes: ClassVar[tuple[str, ...]] = ("pid",)
+    saved_or_none: ClassVar[tuple[str, ...]] = ("_publisher",)
 
     def __init__(self, node: NodeHandle, gains: str, error_deadband: float, topic: str) -> None:
         """`gains`: the namespace of the gains below that of `node`. `topic`: that of the state, below it too.

@@ -22,7 +22,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 import pytest
 import yaml
-from engine_scenes import EFFORT, GAINS, POSITION, TOPICS, VELOCITY, Heard, add, arm, at_random, happen, usual
+from engine_scenes import EFFORT, GAINS, POSITION, TOPICS, VELOCITY, Heard, add, arm, at_random, happen, switch, usual
 from engine_scenes import vars_of as numbers_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -262,6 +262,28 @@ def stopped() -> tuple[Build, Act]:
     return build, act
 
 
+def chained(interfaces: list[str]) -> tuple[Build, Act]:
+    """A group of ROS 1 before PIDs of ROS 2, which is stopped and started now and then."""
+    gains = {"p": 40.0, "i": 30.0, "d": 4.0, "u_clamp_max": 8.0, "u_clamp_min": -8.0}
+    gains |= {"antiwindup_strategy": "back_calculation", "activate_state_publisher": True}
+    pids = {"type": "pid_controller/PidController", "dof_names": JOINTS, "command_interface": "effort"}
+    pids |= {"reference_and_state_interfaces": interfaces, "gains": dict.fromkeys(JOINTS, gains)}
+    front = {"type": "position_controllers/JointGroupPositionController", "joints": [f"pids/{one}" for one in JOINTS]}
+    own = {"states": {"type": STATES, "publish_rate": 80}, "pids": pids, "front": front}
+
+    def act(simulation: Simulation, dice: Random) -> None:
+        values = [dice.uniform(-1.5, 1.5) for _ in JOINTS]
+        if dice.random() < 0.5:
+            simulation.publish("/a/front/command", {"data": values})
+        elif dice.random() < 0.5:
+            simulation.publish("/a/pids/reference", {"dof_names": JOINTS, "values": values, "values_dot": []})
+        else:
+            running = [one["name"] for one in simulation.robots.get("a").manager.list() if one["state"] == "running"]
+            switch(simulation, "a", **{"stop" if "front" in running else "start": ["front"]})
+
+    return lambda simulation: add(simulation, "a", arm(), own), act
+
+
 SCENES: dict[str, tuple[Build, Act]] = {
     "efforts": one_each("Effort", [POSITION, VELOCITY, EFFORT]),
     "velocities": one_each(
@@ -287,6 +309,8 @@ SCENES: dict[str, tuple[Build, Act]] = {
     ),
     "ackermann": ackermann(),
     "sensors": sensing(),
+    "a chain": chained(["position"]),
+    "a chain with rates": chained(["position", "velocity"]),
     "wheels of a model": plugin_drive("wheels"),
     "a model that glides": plugin_drive("glides"),
     "stops and switches": stopped(),

@@ -1,6 +1,18 @@
-"""`pid_controller/PidController` of ros2_controllers: one PID for each degree of freedom. Chainable.
+"""One PID for each degree of freedom, as in ros2_controllers. It can follow others in a chain.
 
-The references come from `~/reference`, or in chained mode from the controllers that claim the exported handles.
+command = pid(reference - state) + feed-forward. The feed-forward is the gain times the reference; with two interfaces
+it is the gain times the rate. It is outside the bounds of the output. A command stays as it is while its reference or
+state is not finite, and when the controller stops. There is no timeout.
+
+References come on `reference` (control_msgs/MultiDOFCommand) and stay until the next ones; nan leaves a reference as it
+is. With `use_external_measured_states` the states come on `measured_state` (the same type). Each update publishes
+`controller_state` (control_msgs/MultiDOFStateStamped), and, where `activate_state_publisher` is true, the state of a
+PID on `JOINT/pid_state` (slidectl/PidState). In a chain the references come from the handles `CONTROLLER/JOINT` alone.
+
+The PID is that of control_toolbox for ROS 2: output = p error + integral + d error_dot, within `u_clamp_min` and
+`u_clamp_max`; then the integral grows by i error dt, within `i_clamp_min` and `i_clamp_max`. With `back_calculation` it
+also grows by dt (output - unbounded output) / `tracking_time_constant`; with `conditional_integration` it does not grow
+while that would lead further beyond a bound.
 """
 
 from __future__ import annotations
