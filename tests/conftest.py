@@ -133,7 +133,7 @@ def missing_programs(reasons: Iterable[str]) -> str:
 @pytest.fixture
 def no_package_path(monkeypatch: pytest.MonkeyPatch) -> None:
     """The environment of whoever runs the tests finds no package for them."""
-    for variable in ("SLIDECTL_PACKAGE_PATH", "ROS_PACKAGE_PATH"):
+    for variable in ("SLIDECTL_PACKAGE_PATH", "ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH", "COLCON_PREFIX_PATH"):
         monkeypatch.delenv(variable, raising=False)
 
 

@@ -49,6 +49,7 @@ _PLANNERS = "planner_configs"
 _OTHERS = {
     "robot_description": "the robot, for viewers and planners",
     "use_sim_time": "time is always simulated here",
+    "update_rate": "how often the controllers of a robot of ROS 2 run, Hz",
 }
 _HARDWARE = ("joint_limits", "gazebo_ros_control")
 _GAINS = "pid_gains"
@@ -427,7 +428,7 @@ class ControllerCheck:
             if absence:
                 self.source.add("wrong", below, absence)
             elif model is not None and not driven:
-                text = f"no transmission drives joint {joint!r}, so simulated hardware does not read it"
+                text = f"no controller can drive joint {joint!r}, so simulated hardware does not read it"
                 self.source.add("ignored", below, text)
             elif are_gains and driven == [interfaces.EFFORT.name]:
                 text = f"joint {joint!r} takes efforts, for which simulated hardware needs no PID"
@@ -454,12 +455,15 @@ class ControllerCheck:
     def _controller(self, path: str, tree: Mapping[str, Any]) -> None:
         type_name = str(tree["type"])
         self.found[self.source.full(path)] = type_name
+        model = self._model(path)
+        is_ros2 = model is not None and model.robot.ros2_control is not None
+        for_ros2 = registry.is_of_ros2(type_name, tree, is_ros2)
         try:
-            found = counterpart(type_name, tree)
+            found = None if for_ros2 else counterpart(type_name, tree)
             if found is not None:
                 tree = self._translated(path, tree, found)
                 type_name = found.type
-            cls = registry.common.find(type_name)
+            cls = registry.common.find(type_name, for_ros2=for_ros2)
         except (registry.UnknownType, NoCounterpart) as error:
             self.source.absent(f"{path}/type", error.message, error.hint or "", f"controller type {type_name}")
             for name, value in tree.items():
@@ -483,7 +487,6 @@ class ControllerCheck:
             for name, verdict, text in judge_gains(own):
                 self.source.add(verdict, f"{path}/{prefix}{name}", text)
                 said.add(prefix + name)
-        model = self._model(path)
         for name, value in values.items():
             if name not in said:
                 self._value(f"{path}/{name}", name, value, declared, cls, model)
@@ -540,16 +543,22 @@ def _absence(robot: Robot, joint: str) -> str | None:
 
 
 def _trouble(model: Model, joint: str, cls: type[ControllerBase]) -> str | None:
-    """Why the controller cannot use the joint; None when it can."""
+    """Why the controller cannot use the joint; None when it can.
+
+    `controller/joint` is exported by another controller, which may be in another file.
+    """
+    if "/" in joint:
+        return None
     if absence := _absence(model.robot, joint):
         return absence
     offered = model.driven.get(joint)
     if offered is None:
-        return f"no transmission drives joint {joint!r}, so controllers do not know it"
+        driver = "transmission" if model.robot.ros2_control is None else "command_interface"
+        return f"no {driver} drives joint {joint!r}, so controllers do not know it"
     wanted = {interface.type_name.rpartition("::")[2] for interface in _interfaces(cls)}
     if wanted and not wanted & {*offered, JointStateInterface.__name__}:
         needed = f"the controller needs {' or '.join(wanted)}"
-        return f"the transmission of joint {joint!r} offers {' and '.join(offered)}, {needed}"
+        return f"joint {joint!r} offers {' and '.join(offered)}, {needed}"
     return None
 
 

@@ -225,6 +225,10 @@ def _check_unused(written: Written, findings: Findings) -> None:
 
 
 def driven_joints(robot: Robot) -> dict[str, list[str]]:
+    """The names of the interfaces by which each joint takes commands."""
+    if robot.ros2_control is not None:
+        found = {name: one.interfaces() for name, one in robot.ros2_control.joints.items()}
+        return {name: [interface.name for interface in one] for name, one in found.items() if one}
     joints = (joint for _, joint in driving(robot.transmissions))
     return {joint.name: list(map(interfaces.bare, joint.hardware_interfaces)) for joint in joints}
 
@@ -236,6 +240,8 @@ class _Joints:
         self.robot = robot
         self.trace = trace
         self.driven = driven_joints(robot)
+        self.driver = "transmission" if robot.ros2_control is None else "command_interface"
+        self.measured = frozenset(robot.ros2_control.joints) if robot.ros2_control is not None else frozenset()
 
     def explain(self, element: Element, owner: str) -> Iterator[Notice] | None:
         """The findings on a `<limit>`, `<safety_controller>` or `<dynamics>` of the joint `owner`; None for others."""
@@ -259,9 +265,9 @@ class _Joints:
         written = self.driven.get(joint.name, [])
         found = [interface for interface in map(interfaces.find, written) if interface is not None]
         if not written and name in ("velocity", "effort"):
-            return "used", "bounds forces from outside only, as no transmission drives the joint"
+            return "used", f"bounds forces from outside only, as no {self.driver} drives the joint"
         if not written and name in _SOFT:
-            return "ignored", "has no effect, as no transmission drives the joint"
+            return "ignored", f"has no effect, as no {self.driver} drives the joint"
         if joint.type == "continuous" and name in _SOFT and name != "k_velocity":
             return "ignored", "has no effect without position limits, which a continuous joint does not have"
         if found and all(interface.quantity == "position" for interface in found) and name == "effort":
@@ -284,13 +290,14 @@ class _Joints:
         if limit is None:
             yield f"a {joint.type} joint without <limit>: neither its effort nor its velocity is bounded"
         if joint.mimic is not None and joint.name in self.driven:
-            yield f"it has a transmission, and it follows {joint.mimic.joint!r}: two masters"
+            yield f"it has a {self.driver}, and it follows {joint.mimic.joint!r}: two masters"
         wheels = [drive for drive in self.robot.drives if isinstance(drive, WheelDrive)]
         turning = next((drive for drive in wheels if joint.name in (*drive.left, *drive.right)), None)
         if turning is not None and joint.name in self.driven:
-            yield f"it has a transmission, and the plugin {turning.name!r} turns it: two masters"
+            yield f"it has a {self.driver}, and the plugin {turning.name!r} turns it: two masters"
         elif joint.name not in self.driven and joint.mimic is None and turning is None:
-            yield "no transmission drives it: it moves freely, controllers and joint_states do not know it"
+            rest = "" if joint.name in self.measured else ", controllers and joint_states do not know it"
+            yield f"no {self.driver} drives it: it moves freely{rest}"
 
 
 # --- what the simulation makes of it ----------------------------------------------------------------------------------
@@ -373,6 +380,9 @@ def _check_whole(robot: Robot, root: Element, namespace: str, findings: Findings
             registry.common.hardware.check_known(plugin.robot_sim_type)
         except UnknownName as error:
             findings.refuse(BadFile(error.message, plugin.file, plugin.line, error.hint))
+    elif robot.ros2_control is not None:
+        text = f"note: a robot of ROS 2; controllers live in the namespace {namespace}"
+        findings.add("used", f"robot {robot.name!r}", text, root.file, root.line)
     elif is_driven:
         text = f"has transmissions but no {_PLUGIN}; here it is driven all the same, in the namespace {namespace}"
         findings.add("converted", f"robot {robot.name!r}", text, root.file, root.line)

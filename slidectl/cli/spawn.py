@@ -65,6 +65,7 @@ def _step_effects(parameters: Mapping[str, Any], has_daemon: bool) -> StepEffect
 @click.argument("model", shell_complete=completion.models)
 @click.argument("arguments", nargs=-1, metavar="[FILE] [KEY:=VALUE]...")
 @click.option("-n", "--name", metavar="NAME", help="Name of the robot; by default that of the model.")
+@click.option("--namespace", metavar="NAMESPACE", help="Namespace of its controllers; by default that of the model.")
 @click.option(
     "--at",
     cls=Variadic,
@@ -77,7 +78,9 @@ def _step_effects(parameters: Mapping[str, Any], has_daemon: bool) -> StepEffect
     "--joint", "joints", multiple=True, metavar="JOINT=POSITION", help="Where it starts, rad or m; may repeat."
 )
 @click.option("--fixed/--free", "fixed", default=None, help="Fix the root to the world, or free it.")
-@completion.file_option("--controllers", help="Parameters of its controllers (YAML).")
+@completion.file_option(
+    "--controllers", help="Parameters of its controllers (YAML); by default those that a robot of ROS 2 names."
+)
 @click.option("--start", cls=Variadic, metavar="CONTROLLER...", help="Load and start these controllers.")
 @click.option(
     "--transmissions",
@@ -95,6 +98,7 @@ def spawn(
     model: str,
     arguments: tuple[str, ...],
     name: str | None,
+    namespace: str | None,
     at: tuple[float, ...],
     joints: tuple[str, ...],
     fixed: bool | None,
@@ -123,6 +127,8 @@ def spawn(
     source, given = in_package(model, arguments, places)
     if spawning.is_scene(source):
         spawning.check_scene_options(given, controllers, start, positions, transmissions)
+        if namespace is not None:
+            raise UsageError("SDF models have no controllers, so they need no --namespace")
         _spawn_scene(ctx, spawning.scene(source, places, missing), name, at, fixed, strict)
         _warn_left_out(ctx, missing)
         return
@@ -135,15 +141,18 @@ def spawn(
         joints=positions,
         transmissions=transmissions,
         strict=strict,
+        namespace=namespace,
     )
     assert plan.robot is not None
     if remark := names.remark_on_robot(plan.robot.name if name is None else name):
         ctx.warn(remark)
+    for text in plan.warnings if controllers is None else ():
+        ctx.warn(text)
     plan.controllers = list(start)
     spawn = spawning.Spawn(ctx.client, plan, ctx.wait_limit(spawning.LIMIT_S))
-    if controllers is not None:
+    for file in [controllers] if controllers is not None else plan.own_files:
         try:
-            plan.parameters = read_parameters(ctx, controllers, [plan.namespace], reports_moves=name is None)
+            plan.parameters |= read_parameters(ctx, file, [plan.namespace], reports_moves=name is None)
         except NotThere as error:
             missing.note(error, "the parameters of controllers are left out")
             missing.refuse()

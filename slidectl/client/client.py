@@ -63,7 +63,7 @@ class Client(GraphClient):
             name: any text; what is no graph name becomes one, with a warning.
             model: a shipped model's name, the path of a .xacro, .urdf, .sdf or .world file, or `model://NAME`.
             at: x, y, z in m, or these and roll, pitch, yaw in rad.
-            controllers: the YAML file of its controllers' parameters.
+            controllers: the YAML file of its controllers' parameters; by default those that a robot of ROS 2 names.
             start: controllers to load and start.
             joints: start positions of joints, rad or m.
             transmissions: `gazebo` or `real`; overrides the model.
@@ -90,8 +90,12 @@ class Client(GraphClient):
                     raise UsageError(f"{model}: {notice.subject} {notice.text}")
             plan = spawning.robot_plan(document, place, name, joints=joints, transmissions=transmissions)
             plan.controllers = list(start)
-            if controllers is not None:
-                plan.parameters = spawning.controller_parameters(controllers, plan.namespace)
+            files = plan.own_files if controllers is None else [controllers]
+            plan.parameters = spawning.controller_parameters(files, plan.namespace)
+            for text in plan.warnings if controllers is None else ():
+                import warnings
+
+                warnings.warn(text, stacklevel=2)
         spawn = spawning.Spawn(self, plan)
         for unknown in spawn.unknown_controllers():
             raise unknown

@@ -144,6 +144,10 @@ class SpawnPlan:
     """By full name. They are set before the robot is there, because its hardware reads some."""
     controllers: list[str] = field(default_factory=list)
     """Those to load, and to start in one cycle."""
+    own_files: list[str] = field(default_factory=list)
+    """Files of parameters that the model itself names; they count where the user gives none."""
+    warnings: list[str] = field(default_factory=list)
+    """What the model asks for and does not get."""
 
 
 def robot_plan(
@@ -155,6 +159,7 @@ def robot_plan(
     joints: Mapping[str, float] | None = None,
     transmissions: str | None = None,
     strict: bool = False,
+    namespace: str | None = None,
 ) -> SpawnPlan:
     """The plan of a robot of a URDF.
 
@@ -164,6 +169,7 @@ def robot_plan(
         joints: start positions of joints, rad or m.
         transmissions: `gazebo` or `real`; overrides the model.
         strict: refuse impossible masses, inertias and shapes.
+        namespace: of its controllers; by default the model's.
 
     Raises:
         BadFile: the model is broken. BadName. UnknownName: no such moving joint. Refused: a position out of range.
@@ -181,8 +187,17 @@ def robot_plan(
         if joint not in moving:
             raise UnknownName("moving joint", joint, list(moving), f"on robot {chosen!r}")
         check_position(moving[joint], position)
-    namespace = description.namespace_of(robot, chosen)
-    return SpawnPlan([request(chosen, xml, at)], namespace=namespace, robot=robot, joints=joints or {})
+    place = description.namespace_of(robot, chosen) if namespace is None else names.check("/" + namespace.strip("/"))
+    plan = SpawnPlan([request(chosen, xml, at)], namespace=place, robot=robot, joints=joints or {})
+    for file in robot.ros2_control.parameter_files if robot.ros2_control is not None else ():
+        path = (Path(model.file).parent / file).absolute()
+        if path.is_file():
+            plan.own_files.append(str(path))
+        else:
+            plan.warnings.append(
+                f"the model's plugin names the parameters {file}, which are not there: --controllers FILE"
+            )
+    return plan
 
 
 def scene_plan(
@@ -369,12 +384,15 @@ def find(file: str) -> Path:
     return path
 
 
-def controller_parameters(file: str, namespace: str) -> Tree:
-    """The parameters of a file by full name, for the robot in `namespace`. Raises BadFile."""
+def controller_parameters(files: Sequence[str], namespace: str) -> Tree:
+    """The parameters of files by full name, for the robot in `namespace`; a later file counts. Raises BadFile."""
     from slidectl.description import controllers_file
 
-    tree, _ = controllers_file.retarget(controllers_file.read(find(file), []), namespace)
-    return dict(leaves(tree))
+    parameters: Tree = {}
+    for file in files:
+        tree, _ = controllers_file.retarget(controllers_file.read(find(file), []), namespace)
+        parameters.update(leaves(tree))
+    return parameters
 
 
 def placements(tree: Tree, namespaces: Sequence[str]) -> tuple[Tree, str | None, bool]:

@@ -14,6 +14,7 @@ from slidectl.control.hardware_interface import (
     AnyInterface,
     ClaimedResources,
     I,
+    JointCommandInterface,
     JointHandle,
     JointStateHandle,
     RobotHW,
@@ -124,6 +125,16 @@ class ControllerBase:
 
     parameters: ClassVar[tuple[Parameter, ...]] = ()
     """All parameters that the controller reads in its namespace. `slidectl check` judges files by them."""
+
+    exported_references: Sequence[tuple[type[JointCommandInterface], JointHandle]] = ()
+    """Set by the `init` of a chainable controller: handles for other controllers, whose `command` is a reference of
+    this one, and the interface of each. A handle is named for its degree of freedom; the manager puts `<controller>/`
+    before the name."""
+    exported_states: Sequence[JointStateHandle] = ()
+    """As `exported_references`: handles of states that this controller shows, in the JointStateInterface."""
+    is_chained = False
+    """Set by the manager before a chainable controller starts. True: other controllers write its references, so that it
+    takes none from topics."""
 
     def __init__(self) -> None:
         self.state = State.CONSTRUCTED

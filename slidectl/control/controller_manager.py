@@ -24,7 +24,9 @@ from slidectl.control.hardware_interface import (
     ControllerInfo,
     HardwareComponent,
     JointHandle,
+    JointStateHandle,
     JointStateInterface,
+    ResourceManager,
     RobotHW,
     SwitchState,
     UnknownResource,
@@ -110,8 +112,10 @@ class UpdateTimes:
 class LoadedController:
     """A loaded controller of a manager. Times are nanoseconds of simulated time."""
 
-    __slots__ = ("_code", "_is_of_user", "_watched", "controller", "failure", "info", "is_configured", "is_of_ros2",
-                 "loaded_with", "may_compile", "node", "states_read", "times")  # fmt: skip
+    __slots__ = (
+        *("_code", "_is_of_user", "_watched", "controller", "failure", "info", "is_configured", "is_of_ros2"),
+        *("loaded_with", "may_compile", "node", "reads_from", "states_read", "times", "writes_to"),
+    )
 
     def __init__(
         self,
@@ -135,6 +139,10 @@ class LoadedController:
         """The message of the exception that aborted it since its last start; empty: none."""
         self.may_compile = True
         """False when the compiled form that a user's class declares has failed."""
+        self.writes_to: tuple[LoadedController, ...] = ()
+        """The chainable controllers whose references it claims: it precedes them in a chain."""
+        self.reads_from: tuple[LoadedController, ...] = ()
+        """The chainable controllers whose exported states it reads."""
         self.is_of_ros2 = is_of_ros2
         self.is_configured = not is_of_ros2
         """False in the state `unconfigured` of ROS 2, in which it cannot start. Its `init` was called nevertheless."""
@@ -180,6 +188,21 @@ class LoadedController:
     def is_aborted(self) -> bool:
         """True in the state ABORTED: its start or its code has failed."""
         return self.state is State.ABORTED
+
+    @property
+    def needs(self) -> tuple[LoadedController, ...]:
+        """The controllers that must run while this one runs."""
+        return (*self.writes_to, *self.reads_from)
+
+    @property
+    def depth(self) -> int:
+        """How many controllers of a chain follow this one; 0 without a chain."""
+        return max((one.depth + 1 for one in self.needs), default=0)
+
+    def exported(self) -> Sequence[tuple[type[ResourceManager[Any]], JointStateHandle]]:
+        """The handles that the controller exports, with the interface of each."""
+        controller = self.controller
+        return [*controller.exported_references, *((JointStateInterface, one) for one in controller.exported_states)]
 
     def start(self, time_ns: int) -> None:
         """Start the controller, and reset its times and failure."""
@@ -227,8 +250,15 @@ class LoadedController:
     def fail(self, failure: Exception, time_ns: int, hook: str = "") -> None:
         """Log the exception of the controller's code, and abort the controller. `hook`: the method that raised it."""
         where = f" in {hook}" if hook else ""
-        self.failure = f"controller {self.name!r} failed{where} and is aborted: {described(failure)}"
-        self.node.log("fatal", self.failure)
+        self._abort(f"controller {self.name!r} failed{where} and is aborted: {described(failure)}", time_ns)
+
+    def fail_with(self, other: LoadedController, time_ns: int) -> None:
+        """Abort the controller, because another one of its chain is aborted."""
+        self._abort(f"controller {self.name!r} is aborted: {other.name!r}, which is in its chain, is aborted", time_ns)
+
+    def _abort(self, text: str, time_ns: int) -> None:
+        self.failure = text
+        self.node.log("fatal", text)
         if type(self.controller) in self._code.cut_off:
             self.controller.state = State.ABORTED
             return
@@ -265,9 +295,18 @@ class LoadedController:
         claims = self.info.claimed_resources
         return [name for one in claims for name in interfaces.ros2_commands(one.hardware_interface, one.resources)]
 
+    def references(self) -> list[str]:
+        """The references that it exports, without its own name, as `joint1/position`."""
+        found = []
+        for kind, handle in self.controller.exported_references:
+            found += interfaces.ros2_commands(kind.type_name, [handle.name.removeprefix(f"{self.name}/")])
+        return found
+
     def message_of_ros2(self, rate_hz: int) -> dict[str, Any]:
         """The entry as slidectl/ControllerState, which has the fields of ros2_control."""
         commands = self.commands() if self.is_configured else []
+        states = [one.name.removeprefix(f"{self.name}/") for one in self.controller.exported_states]
+        exported = [f"{joint}/{state}" for joint in states for state in JOINT_STATES]
         return {
             "name": self.name,
             "state": self.shown_state,
@@ -276,6 +315,13 @@ class LoadedController:
             "claimed_interfaces": commands if self.is_running else [],
             "required_command_interfaces": commands,
             "required_state_interfaces": list(self.states_read) if self.is_configured else [],
+            "is_chainable": bool(self.exported()),
+            "is_chained": self.controller.is_chained,
+            "exported_state_interfaces": exported if self.is_configured else [],
+            "reference_interfaces": self.references() if self.is_configured else [],
+            "chain_connections": [
+                {"name": one.name, "reference_interfaces": one.references()} for one in self.writes_to
+            ],
         }
 
 
@@ -293,6 +339,15 @@ def _way_out(conflicts: Sequence[Conflict], starting: Collection[str]) -> str:
         return ""
     to_start = " ".join(name for name in claims if name in starting)
     return f"; slidectl controller switch --start {to_start} --stop {' '.join(in_the_way)}"
+
+
+def _in_update_order(loaded: Iterable[LoadedController]) -> tuple[LoadedController, ...]:
+    """The controllers in load order, but each before those whose references it writes, which were loaded before it."""
+    ordered: list[LoadedController] = []
+    for entry in loaded:
+        following = [position for position, one in enumerate(ordered) if one in entry.writes_to]
+        ordered.insert(min(following, default=len(ordered)), entry)
+    return tuple(ordered)
 
 
 def _known(
@@ -346,7 +401,59 @@ class Switch:
     """The controllers that really start; `stop`: that really stop; `running`: that run afterwards."""
     stop: list[ControllerInfo] = field(default_factory=list)
     running: list[ControllerInfo] = field(default_factory=list)
+    modes: list[tuple[LoadedController, bool]] = field(default_factory=list)
+    """The chainable controllers that run afterwards, and whether in chained mode."""
     has_begun: bool = False
+
+    def check_chains(self, loaded: Collection[LoadedController], strict: bool, node: NodeHandle) -> None:
+        """Leave out, with a warning, what would leave a controller without one that it needs.
+
+        Raises Refused: strict, and there is such a controller.
+        """
+        while found := self._broken_chain(loaded):
+            request, entry, refusal = found
+            if strict:
+                raise refusal
+            node.log("warn", f"{described(refusal)}; the rest of the request goes on")
+            request[:] = [one for one in request if one is not entry]
+
+    def _broken_chain(
+        self, loaded: Collection[LoadedController]
+    ) -> tuple[list[LoadedController], LoadedController, Refused] | None:
+        """A list of the request, the controller in it that must not be there, and why; None when there is none."""
+        runs = [one for one in loaded if one in self.start_request or (one.is_running and one not in self.stop_request)]
+        for entry in self.start_request:
+            for need in entry.needs:
+                if need not in runs:
+                    verb = "writes the references" if need in entry.writes_to else "reads the states"
+                    why = "this switch stops" if need.is_running else "does not run"
+                    text = f"cannot start controller {entry.name!r}: it {verb} of {need.name!r}, which {why}"
+                    hint = f"start both: slidectl controller switch --start {need.name} {entry.name}"
+                    return self.start_request, entry, Refused(text, "" if need.is_running else hint)
+        for entry in self.stop_request:
+            for user in runs if entry.is_running and entry not in runs else ():
+                if entry in user.needs:
+                    verb = "writes its references" if entry in user.writes_to else "reads its states"
+                    text = f"cannot stop controller {entry.name!r}: {user.name!r}, which {verb}, goes on"
+                    hint = f"stop both: slidectl controller switch --stop {user.name} {entry.name}"
+                    return self.stop_request, entry, Refused(text, hint)
+        return None
+
+    def plan_chains(self, loaded: Iterable[LoadedController]) -> None:
+        """Set `modes`, and restart the running controllers whose mode changes. Call it after `plan`."""
+        after = {info.name for info in self.running}
+        runs = [entry for entry in loaded if entry.name in after]
+        for entry in runs:
+            if entry.controller.exported_references:
+                is_chained = any(entry in one.writes_to for one in runs)
+                self.modes.append((entry, is_chained))
+                if entry.is_running and entry.controller.is_chained != is_chained:
+                    self.stop_request.append(entry)
+                    if entry not in self.start_request:
+                        self.start_request.append(entry)
+        # Each stops before those that it needs, and starts after them.
+        self.stop_request.sort(key=lambda entry: -entry.depth)
+        self.start_request.sort(key=lambda entry: entry.depth)
 
     def plan(self, loaded: Iterable[LoadedController], strict: bool) -> None:
         """Set `start`, `stop` and `running`.
@@ -379,15 +486,21 @@ class Switch:
         if not self.has_begun:
             hw.do_switch(self.start, self.stop)
             self.has_begun = True
-        for entry in self.stop_request:
-            if entry.is_running:
-                entry.enter_state(State.STOPPED, time_ns)
+            for entry in self.stop_request:
+                if entry.is_running:
+                    entry.enter_state(State.STOPPED, time_ns)
+            for entry, is_chained in self.modes:
+                if entry.controller.is_chained != is_chained:
+                    entry.controller.is_chained = is_chained
         if not self.asap:
             return self._start(self.start_request, None, hw, time_ns)
         for entry in self.start_request:
-            if not entry.is_running:
+            if not entry.is_running and all(need.is_running for need in entry.needs):
                 self._start([entry], entry.info, hw, time_ns)
-        return all(entry.is_running or entry.is_aborted for entry in self.start_request)
+        return all(
+            entry.is_running or entry.is_aborted or any(need.is_aborted for need in entry.needs)
+            for entry in self.start_request
+        )
 
     def give_up(self, time_ns: int) -> None:
         """Abort the controllers that should start, because the hardware failed."""
@@ -399,7 +512,8 @@ class Switch:
         """Start the entries, let them wait, or abort them, by the hardware's state for `info`. False: they wait."""
         if hw.switch_result(info) is SwitchState.DONE:
             for entry in entries:
-                entry.start(time_ns)
+                if all(need.is_running for need in entry.needs):  # else it is aborted with its chain
+                    entry.start(time_ns)
             return True
         has_timed_out = 0.0 < self.timeout_s < to_seconds(time_ns - self.init_time_ns)
         is_over = hw.switch_result(info) is SwitchState.ERROR or has_timed_out
@@ -414,7 +528,7 @@ ControllerStates = list["ControllerStateMsg"]
 
 
 class ControllerManager:
-    """The controllers of one robot in load order. Refusals are logged as errors and answered with False."""
+    """The controllers of one robot. Refusals are logged as errors and answered with False."""
 
     def __init__(self, hw: RobotHW, node: NodeHandle, types: ControllerTypes = registry.common) -> None:
         """`node` is the robot's namespace: a controller's parameters and topics are below `<node>/<name>`. `types` are
@@ -424,6 +538,10 @@ class ControllerManager:
         self.known = types
         """The types of controllers that can be loaded."""
         self._loaded: dict[str, LoadedController] = {}
+        """In load order."""
+        self._order: tuple[LoadedController, ...] = ()
+        """All loaded controllers in the order of their updates: the load order, but each before those whose references
+        it writes."""
         self._running: tuple[LoadedController, ...] = ()
         self._updates: tuple[tuple[Callable[[int, float], None], UpdateTimes], ...] = ()
         self._commands: tuple[tuple[LoadedController, list[CommandAttribute]], ...] = ()
@@ -439,7 +557,7 @@ class ControllerManager:
     # The cycle.
 
     def update(self, time_ns: int, period_s: float, reset_controllers: bool = False) -> None:
-        """One cycle: update every running controller in load order, then carry on with a pending switch.
+        """One cycle: update every running controller, then carry on with a pending switch.
 
         A controller that starts in this cycle has its first update in the next one. `reset_controllers` stops
         and starts all running ones first.
@@ -475,8 +593,7 @@ class ControllerManager:
         if failure is not None:
             self._carry_on(done - 1, failure, time_ns, period_s)
         else:
-            for entry in self._running[done:]:
-                entry.update_if_running(time_ns, period_s)
+            self._update_rest(done, time_ns, period_s)
         self._check_commands(time_ns)
         if self._switch is not None:
             self.manage_switch(time_ns)
@@ -484,17 +601,33 @@ class ControllerManager:
     def _check_commands(self, time_ns: int) -> None:
         """Abort each controller with a command that is not finite: the world could not go on. Its joints get the
         commands that move them least, since a limit would remember the wrong one."""
-        has_failed = False
+        failed = []
         for entry, commands in self._commands:
             errors = [text for one in commands if entry.is_running and (text := one.error_text())]
             if errors:
-                has_failed = True
+                failed.append(entry)
                 entry.fail(Refused(errors[0]), time_ns, "update")
                 for one in commands:
                     if one.error_text():
                         one.rest()
-        if has_failed:
+        if failed:
+            self._abort_chains(failed, time_ns)
             self._refresh()
+
+    def _abort_chains(
+        self, failed: Iterable[LoadedController], time_ns: int, starting: Collection[LoadedController] = ()
+    ) -> None:
+        """Abort the whole chains of controllers that have failed, as far as they run or are `starting`.
+
+        A chain also ends for a controller that reads states of one in it, but such a reader ends no chain.
+        """
+        aborted = list(failed)
+        for one in aborted:
+            for entry in self._order:
+                is_next = one in entry.needs or entry in one.writes_to
+                if is_next and entry not in aborted and (entry.is_running or entry in starting):
+                    entry.fail_with(one, time_ns)
+                    aborted.append(entry)
 
     def manage_switch(self, time_ns: int) -> None:
         """Advance a pending switch by one cycle. For a paused simulation; `update` does it by itself."""
@@ -510,6 +643,8 @@ class ControllerManager:
                 self._node.log("fatal", described(failure))
                 switch.give_up(time_ns)
                 finished, ok = True, False
+            starting = switch.start_request
+            self._abort_chains([one for one in starting if one.is_aborted and switch.has_begun], time_ns, starting)
         self._refresh()
         if finished:
             self._switch = None
@@ -517,28 +652,41 @@ class ControllerManager:
 
     def restart_running(self, time_ns: int) -> None:
         """Stop and start every running controller, one after the other."""
-        for entry in self._running:
+        running = sorted(self._running, key=lambda entry: entry.depth)  # starts each after those that it needs
+        for entry in running:
             entry.enter_state(State.STOPPED, time_ns)
             if not entry.is_aborted:
                 entry.start(time_ns)
+        self._abort_chains([entry for entry in running if entry.is_aborted], time_ns)
         self._refresh()
 
     def stop_running(self, time_ns: int) -> None:
-        """Stop every running controller, in load order, because the robot is removed."""
+        """Stop every running controller, in the order of updates, because the robot is removed."""
         for entry in self._running:
             entry.enter_state(State.STOPPED, time_ns)
         self._refresh()
 
     def _carry_on(self, position: int, failure: Exception, time_ns: int, period_s: float) -> None:
         """Abort the controller at this position and update those after it."""
-        running = self._running
-        running[position].fail(failure, time_ns, "update")
-        for entry in running[position + 1 :]:
-            entry.update_if_running(time_ns, period_s)
+        failed = self._running[position]
+        failed.fail(failure, time_ns, "update")
+        self._abort_chains([failed], time_ns)
+        self._update_rest(position + 1, time_ns, period_s)
         self._refresh()
 
+    def _update_rest(self, done: int, time_ns: int, period_s: float) -> None:
+        """Update the running controllers after the first `done`."""
+        for entry in self._running[done:]:
+            entry.update_if_running(time_ns, period_s)
+            if entry.is_aborted:
+                self._abort_chains([entry], time_ns)
+
+    def _reorder(self) -> None:
+        """Set the order of updates. It is called after each change of the loaded controllers."""
+        self._order = _in_update_order(self._loaded.values())
+
     def _refresh(self) -> None:
-        self._running = tuple(entry for entry in self._loaded.values() if entry.is_running)
+        self._running = tuple(entry for entry in self._order if entry.is_running)
         self._updates = tuple((entry.bare_update, entry.times) for entry in self._running)
         self._commands = tuple(
             (entry, commands)
@@ -564,7 +712,7 @@ class ControllerManager:
 
     @property
     def running(self) -> tuple[LoadedController, ...]:
-        """The running controllers, in load order. A change of these makes a new tuple."""
+        """The running controllers, in the order of their updates. A change of these makes a new tuple."""
         return self._running
 
     def names(self) -> list[str]:
@@ -581,12 +729,12 @@ class ControllerManager:
         return entry.controller if entry is not None else None
 
     def list(self) -> ControllerStates:
-        """All loaded controllers in load order, each as controller_manager_msgs/ControllerState."""
-        return [entry.message() for entry in self._loaded.values()]
+        """All loaded controllers in the order of updates, each as controller_manager_msgs/ControllerState."""
+        return [entry.message() for entry in self._order]
 
     def list_as_in_ros2(self, rate_hz: int) -> Messages:
         """As `list`, each as slidectl/ControllerState. `rate_hz` is the rate of the updates."""
-        return [entry.message_of_ros2(rate_hz) for entry in self._loaded.values()]
+        return [entry.message_of_ros2(rate_hz) for entry in self._order]
 
     def states(self) -> dict[str, str]:
         """Name -> state of all loaded controllers as clients see it, in load order."""
@@ -631,6 +779,7 @@ class ControllerManager:
             raise Refused(f"it is loaded already{next_step}")
         self.check_new(name)
         self._loaded[name] = self._load(name)
+        self._reorder()
 
     def check_new(self, name: str) -> None:
         """Raise Refused when a controller of that name is loaded, BadName when the name is not legal."""
@@ -653,19 +802,53 @@ class ControllerManager:
         except BaseException as failure:
             node.shutdown()
             if isinstance(failure, UnknownResource) and failure.kind == JointStateInterface.kind:
-                failure.hint = f"{failure.hint}\n{self._hw.about_joint(failure.name)}"
+                failure.hint = f"{failure.hint}\n{self._about(failure.name)}"
             raise
         node.guard_params(partial(judge, node, controller.parameters))
-        handed_out = self._hw.joint_handles(only_new=True)
+        handles, commands = self._hw.joint_handles(only_new=True)
         if guard is not None:
-            guard.handles = WatchedHandles(*handed_out, file_of(type(controller)))
+            guard.handles = WatchedHandles(handles, commands, file_of(type(controller)))
         is_of_ros2 = self._hw.is_of_ros2
-        read = sorted({handle.name for handle in handed_out[0]}) if is_of_ros2 else ()
+        read = sorted({handle.name for handle in handles}) if is_of_ros2 else ()
         states = [f"{joint}/{state}" for joint in read for state in JOINT_STATES]
-        handles = guard.handles if guard is not None else None
-        return LoadedController(
-            name, type_name, controller, node, code, handles, is_of_ros2=is_of_ros2, states_read=states
+        own = guard.handles if guard is not None else None
+        entry = LoadedController(
+            name, type_name, controller, node, code, own, is_of_ros2=is_of_ros2, states_read=states
         )
+        of_others = {id(handle): (kind, one) for one in self._loaded.values() for kind, handle in one.exported()}
+        used = [of_others[id(handle)] for handle in handles if id(handle) in of_others]
+        entry.writes_to = tuple({one: None for kind, one in used if kind.claims})
+        entry.reads_from = tuple({one: None for kind, one in used if not kind.claims})
+        for kind, handle in entry.exported():
+            handle.name = f"{name}/{handle.name}"
+            self._hw.export(kind, handle)
+        return entry
+
+    def _about(self, joint: str) -> str:
+        """What to do about a joint that no controller can get."""
+        owner, slash, _ = joint.rpartition("/")
+        if not slash:
+            return self._hw.about_joint(joint)
+        if owner in self._loaded:
+            names_there = list(dict.fromkeys(handle.name for _, handle in self._loaded[owner].exported()))
+            return f"controller {quoted(owner)} exports: {listing(names_there)}"
+        return f"{quoted(joint)} is of controller {quoted(owner)}: load it first: slidectl controller load {owner}"
+
+    def _users_of(self, entry: LoadedController) -> Sequence[LoadedController]:
+        """The loaded controllers that have handles of this one."""
+        return [one for one in self._order if entry in one.needs]
+
+    def _check_unused(self, entry: LoadedController) -> None:
+        """Raise Refused when another controller has handles of this one."""
+        if users := [one.name for one in self._users_of(entry)]:
+            verb = "have" if len(users) > 1 else "has"
+            hint = f"unload before it: slidectl controller unload {' '.join(users)}"
+            raise Refused(f"{listing(map(quoted, users))} {verb} interfaces of it", hint)
+
+    def _shut_down(self, entry: LoadedController) -> None:
+        """End its topics, services and exported handles."""
+        self._hw.withdraw(handle.name for _, handle in entry.exported())
+        entry.node.shutdown()
 
     def configure(self, name: str) -> bool:
         """Make a controller of a robot of ROS 2 `inactive`, so that it can start. Its parameters count as they are now.
@@ -677,11 +860,13 @@ class ControllerManager:
             return False
         if entry.is_configured or entry.loaded_with != entry.node.get_param(entry.node.namespace, None):
             self._clean_up(entry)
-            entry.node.shutdown()
             try:
+                self._check_unused(entry)
+                self._shut_down(entry)
                 entry = self._loaded[name] = self._load(name)  # an existing key keeps its place in the order
             except Exception as failure:
                 return self._refuse(f"cannot configure controller {quoted(name)}: {described(failure)}")
+            self._reorder()
         entry.is_configured = True
         return True
 
@@ -719,8 +904,13 @@ class ControllerManager:
             return self._refuse(f"cannot unload controller {quoted(name)}: a switch is in progress")
         if entry.is_running:
             return self._refuse(f"cannot unload controller {quoted(name)}: it is running; stop it first")
+        try:
+            self._check_unused(entry)
+        except Refused as refusal:
+            return self._refuse(f"cannot unload controller {quoted(name)}: {described(refusal)}")
         del self._loaded[name]
-        entry.node.shutdown()
+        self._reorder()
+        self._shut_down(entry)
         return True
 
     def renew(self, name: str) -> State:
@@ -733,6 +923,10 @@ class ControllerManager:
         if entry is None:
             hint = f"load it: slidectl controller load {name}"
             raise Refused(f"cannot reload controller {quoted(name)}: it is not loaded", hint)
+        try:
+            self._check_unused(entry)
+        except Refused as refusal:
+            raise Refused(f"cannot reload controller {quoted(name)}: {refusal}", refusal.hint) from None
         self.known.renewed(type(entry.controller))
         return entry.state
 
@@ -749,7 +943,7 @@ class ControllerManager:
         if entry.is_running:
             return self._refuse(f"cannot reload controller {quoted(name)}: it is still running")
         former, is_configured = type(entry.controller), entry.is_configured
-        entry.node.shutdown()
+        self._shut_down(entry)
         try:
             self._loaded[name] = self._load(name)  # an existing key keeps its place in the order
             self._loaded[name].is_configured = is_configured
@@ -757,13 +951,16 @@ class ControllerManager:
             text = f"cannot load controller {quoted(name)} from its edited file: {described(failure)}"
             self.known.restore(former)
         else:
+            self._reorder()
             return True
         try:
             self._loaded[name] = self._load(name)
             self._loaded[name].is_configured = is_configured
         except Exception:
             del self._loaded[name]
+            self._reorder()
             return self._refuse(f"{text}; nor can the former class be loaded again")
+        self._reorder()
         return self._refuse(f"{text}; the former class is loaded again")
 
     def save_state(self) -> dict[str, Any]:
@@ -781,13 +978,17 @@ class ControllerManager:
         for name, entry in self._loaded.items():
             entry.controller.state, entry.failure = state["states"][name], state["failures"][name]
             entry.is_configured = name in state["configured"]
-        if [entry for entry in self._loaded.values() if entry.is_running] != list(self._running):
+        running = [entry for entry in self._order if entry.is_running]
+        for entry in running:
+            if entry.controller.exported_references:
+                entry.controller.is_chained = any(entry in one.writes_to for one in running)
+        if running != list(self._running):
             self._refresh()
 
     def keep_only(self, kept: Sequence[str]) -> None:
         """Stop and unload all controllers but these."""
         gone = [entry for name, entry in self._loaded.items() if name not in kept]
-        for entry in gone:
+        for entry in sorted(gone, key=lambda one: -one.depth):
             if entry.is_running:
                 entry.enter_state(State.STOPPED, self._node.now_ns())
         self._refresh()
@@ -808,7 +1009,7 @@ class ControllerManager:
             is_stopped = self.request_switch([], self.names(), BEST_EFFORT)
             if is_stopped:
                 self.manage_switch(self._node.now_ns())
-            if not is_stopped or not all(self.unload(name) for name in self.names()):
+            if not is_stopped or not all(self.unload(entry.name) for entry in self._order):
                 return self._refuse("cannot reload: the controllers could not be stopped and unloaded")
         self._node.log("info", f"searched again for controllers of {registry.BASE_CLASS}")
         return True
@@ -819,14 +1020,18 @@ class ControllerManager:
         if entry is None or not entry.is_running:
             return False
         entry.fail(failure, self._node.now_ns())
+        self._abort_chains([entry], self._node.now_ns())
         self._refresh()
         return True
 
     def kill(self, name: str) -> bool:
-        """Stop a controller at once and unload it. False: it is not loaded, or a switch is pending."""
+        """Stop a controller at once and unload it, and before it those that have handles of it. False: it is not
+        loaded, or a switch is pending."""
         entry = self._loaded.get(name)
         if entry is None or self._switch is not None:
             return False
+        for user in self._users_of(entry):
+            self.kill(user.name)
         if entry.is_running:
             entry.enter_state(State.STOPPED, self._node.now_ns())
             self._refresh()
@@ -858,7 +1063,9 @@ class ControllerManager:
             to_stop = _known(self._loaded, stop, "stop", is_strict, node)
             to_start = _known(self._loaded, start, "start", is_strict, node)
             switch = Switch(to_start, to_stop, start_asap, timeout_s, node.now_ns(), on_done, node.reasons)
+            switch.check_chains(self._loaded.values(), is_strict, node)
             switch.plan(self._loaded.values(), is_strict)
+            switch.plan_chains(self._loaded.values())
             conflicts = self._hw.check_for_conflict(switch.running)
             if conflicts:
                 for conflict in conflicts:

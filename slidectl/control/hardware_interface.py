@@ -131,6 +131,8 @@ class ResourceManager(Generic[H]):
 
     def __init__(self, handles: Iterable[H] = ()) -> None:
         self._handles: dict[str, H] = {}
+        self._exported: dict[str, H] = {}
+        """The handles of chainable controllers. They are none of the robot's joints or sensors."""
         self._claimed: set[str] = set()
         self._handed_out: dict[str, H] = {}
         for handle in handles:
@@ -141,25 +143,39 @@ class ResourceManager(Generic[H]):
         self._handles[handle.name] = handle
 
     def names(self) -> list[str]:
-        """The names of all handles, alphabetical."""
+        """The names of all handles of the robot, alphabetical."""
         return sorted(self._handles)
 
+    def export(self, handle: H) -> None:
+        """Register the handle of a chainable controller."""
+        self._exported[handle.name] = handle
+
+    def withdraw(self, name: str) -> None:
+        """Forget the handle of a chainable controller, if it is there."""
+        self._exported.pop(name, None)
+
+    def exported(self) -> list[H]:
+        """The handles of chainable controllers."""
+        return list(self._exported.values())
+
     def get_handle(self, name: str) -> H:
-        """The handle of that name. An interface with `claims` records the claim.
+        """The handle of that name, of the robot or of a chainable controller. An interface with `claims` records the
+        claim.
 
         Raises:
             UnknownResource: there is no such handle; nothing is claimed.
         """
-        handle = self._handles.get(name)
+        handle = self._handles.get(name) or self._exported.get(name)
         if handle is None:
-            raise UnknownResource(self.kind, name, self.names(), f"in {self.type_name}")
+            known = [*self.names(), *sorted(self._exported)]
+            raise UnknownResource(self.kind, name, known, f"in {self.type_name}")
         if self.claims:
             self._claimed.add(name)
         self._handed_out[name] = handle
         return handle
 
     def handles(self) -> list[H]:
-        """All handles."""
+        """All handles of the robot."""
         return list(self._handles.values())
 
     def pop_claims(self) -> tuple[str, ...]:
@@ -342,12 +358,13 @@ class RobotHW:
         return interface if isinstance(interface, interface_type) else None
 
     def joint_handles(self, *, only_new: bool) -> tuple[list[JointStateHandle], list[tuple[JointHandle, str]]]:
-        """All joint handles, and for each of their commands the handle and the name of the attribute. With `only_new`,
-        only those that were got since the last such call. A handle that stands in two interfaces occurs once."""
+        """All joint handles, also of chainable controllers, and for each of their commands the handle and the name of
+        the attribute. With `only_new`, only those that were got since the last such call. A handle that stands in two
+        interfaces occurs once."""
         handles: dict[int, JointStateHandle] = {}
         commands: dict[tuple[int, str], tuple[JointHandle, str]] = {}
         for interface in self._interfaces.values():
-            for handle in interface.pop_handed_out() if only_new else interface.handles():
+            for handle in interface.pop_handed_out() if only_new else (*interface.handles(), *interface.exported()):
                 if isinstance(handle, JointStateHandle):
                     handles[id(handle)] = handle
                 if isinstance(handle, JointHandle):
@@ -355,8 +372,22 @@ class RobotHW:
                     commands.update({(id(handle), name): (one, name) for one, name in (*found, (handle, "command"))})
         return list(handles.values()), list(commands.values())
 
+    def export(self, interface_type: type[ResourceManager[H]], handle: H) -> None:
+        """Add a handle of a chainable controller to the interface of that type, which is made if there is none."""
+        interface: ResourceManager[H] | None = self.get(interface_type)
+        if interface is None:
+            interface = interface_type()
+            self.register_interface(interface)
+        interface.export(handle)
+
+    def withdraw(self, names: Iterable[str]) -> None:
+        """Remove these handles of chainable controllers from all interfaces."""
+        for name in names:
+            for interface in self._interfaces.values():
+                interface.withdraw(name)
+
     def commands_of(self, claims: Iterable[ClaimedResources]) -> list[CommandAttribute]:
-        """The commands of the joints that are claimed."""
+        """The commands of the robot's joints that are claimed."""
         found = []
         for claim in claims:
             interface = self._interfaces.get(claim.hardware_interface)
@@ -392,13 +423,25 @@ class RobotHW:
         return interface is not None and name in interface.names()
 
     def check_for_conflict(self, infos: Sequence[ControllerInfo]) -> list[Conflict]:
-        """Resources claimed more than once if these controllers ran together, over all interfaces."""
+        """Resources claimed more than once if these controllers ran together, over all interfaces.
+
+        Those of chainable controllers are claimed by interface: a controller may have one for the position and one for
+        the velocity of the same name.
+        """
         claimants: dict[str, list[str]] = {}
         for info in infos:
             for claimed in info.claimed_resources:
-                for resource in claimed.resources:
+                for name in claimed.resources:
+                    resource = self._resource(claimed.hardware_interface, name)
                     claimants.setdefault(resource, []).append(info.name)
         return [Conflict(name, tuple(who)) for name, who in sorted(claimants.items()) if len(who) > 1]
+
+    def _resource(self, type_name: str, name: str) -> str:
+        """The name of a claimed resource; of one that a controller exports, with the quantity behind it."""
+        interface = self._interfaces.get(type_name)
+        if isinstance(interface, JointCommands) and any(handle.name == name for handle in interface.exported()):
+            return f"{name}/{interface.declared.quantity}"
+        return name
 
     def prepare_switch(self, start: Sequence[ControllerInfo], stop: Sequence[ControllerInfo]) -> bool:  # noqa: ARG002
         """True when these controllers can start and stop in one switch. False refuses the switch."""

@@ -104,10 +104,6 @@ OTHERS: dict[str, tuple[str, tuple[str, ...]]] = {
         "position_controllers/GripperActionController, whose goals are control_msgs/GripperCommand",
         (),
     ),
-    "pid_controller/PidController": (
-        "effort_controllers/JointPositionController, or one of its family, with pid/p, pid/i and pid/d for each joint",
-        (),
-    ),
 }
 """Types of ROS 2 without an equivalent: the advice what to write here, and, for a type with the same name here,
 parameters that identify the ROS 2 type."""

@@ -242,7 +242,7 @@ def _punctuality() -> _Found:
 
 
 def _packages() -> _Found:
-    for variable in ("SLIDECTL_PACKAGE_PATH", "ROS_PACKAGE_PATH", "GAZEBO_MODEL_PATH"):
+    for variable in ("SLIDECTL_PACKAGE_PATH", "ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH", "GAZEBO_MODEL_PATH"):
         folders = [folder for folder in os.environ.get(variable, "").split(os.pathsep) if folder]
         gone = [folder for folder in folders if not os.path.isdir(folder)]
         if gone:

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from slidectl.description import models, source_note, xml_tree
+from slidectl.description import install_rules, models, source_note, xml_tree
 from slidectl.description.gazebo_tags import leave_out_hardware, set_transmissions, transmissions_named
 from slidectl.description.mesh_files import MeshFiles
 from slidectl.description.missing import Missing
@@ -157,7 +157,7 @@ def written(source: str | Path, packages: Packages | None = None) -> Written:
                 continue
             try:
                 name = _FIND.sub(lambda match: str(packages.find(match.group(1))), inner.get("filename") or "$")
-                path = folder / name
+                path = install_rules.located(folder / name)
                 if "$" in name or path in seen:
                     found.is_whole &= "$" not in name
                     continue

@@ -12,7 +12,7 @@ from itertools import chain
 from typing import Any, cast, get_args
 
 from slidectl import names
-from slidectl.description import drives, element_values, interfaces
+from slidectl.description import drives, element_values, interfaces, ros2_control
 from slidectl.description.missing import Missing
 from slidectl.description.report import Report
 from slidectl.description.robot import ControlPlugin, Surface, Transmissions
@@ -39,13 +39,22 @@ _NO = ("false", "no", "0")
 class GazeboReader:
     """Reads the `<gazebo>` elements of one robot. `joints` has the parent link and the child link of each joint."""
 
-    def __init__(self, report: Report, links: Collection[str], joints: Mapping[str, tuple[str, str]]) -> None:
+    def __init__(
+        self,
+        report: Report,
+        links: Collection[str],
+        joints: Mapping[str, tuple[str, str]],
+        of_ros2: Collection[str] = (),
+    ) -> None:
+        """`of_ros2`: the sensors of a `<ros2_control>`, which controllers read."""
         self.report = report
         self.links = links
         self.joints = joints
         self.plugin: ControlPlugin | None = None
+        self.ros2_plugin: Element | None = None
+        """The first plugin with a controller manager of ROS 2."""
         self.surfaces: dict[str, Surface] = {}
-        self.sensors = SensorReader(report, links, joints)
+        self.sensors = SensorReader(report, links, joints, of_ros2)
         self.drives = drives.DriveReader(report, joints)
 
     def read(self, element: Element) -> None:
@@ -78,6 +87,12 @@ class GazeboReader:
             self.drives.read_drive(element, library(element), place)
         elif library(element) in drives.MIMIC:
             self.drives.read_mimic(element, place)
+        elif library(element) in ros2_control.PLUGINS:
+            if self.ros2_plugin is not None:
+                line = self.ros2_plugin.line
+                self.report.ignored(element, f"only the first plugin of its kind counts, line {line}", place)
+            else:
+                self.ros2_plugin = element
         elif not _is_control(element):
             from difflib import get_close_matches
 
@@ -173,7 +188,7 @@ def leave_out_hardware(root: Element, missing: Missing) -> None:
     """
     if missing.forgiven != "all" and (missing.world_decides or (not missing and not missing.keeps_going)):
         return
-    for plugin in _control_plugins(root):
+    for plugin in control_plugins(root):
         for kind in plugin.find_all("robotSimType"):
             known = (*SIM_TYPES, *installed_hardware())
             if _text(kind) in known:
@@ -215,7 +230,7 @@ def installed_hardware() -> dict[str, Part]:
 
 def set_transmissions(root: Element, how: Transmissions) -> None:
     """Set `transmissions` of the control plugin; a robot without the plugin gets one."""
-    plugin = next(iter(_control_plugins(root)), None)
+    plugin = next(iter(control_plugins(root)), None)
     if plugin is None:
         attributes = {"name": "gazebo_ros_control", "filename": f"{_CONTROL_PLUGIN}.so"}
         plugin = Element("plugin", attributes, root.file, root.line, [])
@@ -224,7 +239,7 @@ def set_transmissions(root: Element, how: Transmissions) -> None:
     plugin.content.append(Element("transmissions", {}, plugin.file, plugin.line, [how]))
 
 
-def _control_plugins(root: Element) -> list[Element]:
+def control_plugins(root: Element) -> list[Element]:
     """The control plugins of the model; those inside a `<gazebo>` of a link or joint do not count."""
     models = (gazebo for gazebo in root.find_all("gazebo") if not gazebo.get("reference"))
     plugins = (plugin for gazebo in models for plugin in gazebo.find_all("plugin"))

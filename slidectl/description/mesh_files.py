@@ -8,6 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 from urllib.parse import unquote
 
+from slidectl.description import install_rules
 from slidectl.description.packages import Packages, UnknownPackage, is_file
 from slidectl.errors import BadFile
 from slidectl.input_files import ReadInput, from_disk
@@ -47,11 +48,14 @@ class MeshFiles:
             candidates = self._candidates(uri, written_in)
         except UnknownPackage as error:
             return "", str(error)
-        for path in candidates:
+        for path in (*candidates, *map(install_rules.located, candidates)):
             if is_file(path):
                 return str(path.absolute()), ""
+        if not candidates:
+            return "", f"cannot be found: {_USABLE}"
         places = ", ".join(str(path) for path in dict.fromkeys(candidates))
-        return "", f"no such file; looked for {places}" if candidates else f"cannot be found: {_USABLE}"
+        remark = next(filter(None, map(install_rules.remark, candidates)), None)
+        return "", f"no such file; looked for {places}" + (f"; {remark}" if remark else "")
 
     def expected(self, uri: str, written_in: str) -> Path | None:
         """The first place where a missing file was looked for; None when its package is missing too."""

@@ -1,15 +1,19 @@
 """Finds the folders of ROS packages, for `$(find NAME)` and `package://NAME/...`.
 
 The order: given names; folders of SLIDECTL_PACKAGE_PATH and ROS_PACKAGE_PATH; upwards from the file that asks and from
-the working folder, including the `src` of a workspace; last the shipped packages (samples, and counterparts of some
-packages of ROS). No ROS installation is used beyond that.
+the working folder, including the `src` of a workspace; installations of ROS 2 (AMENT_PREFIX_PATH, COLCON_PREFIX_PATH);
+last the shipped packages (samples, and counterparts of some packages of ROS). No ROS installation is used beyond that.
+
+What is in source goes before what is installed: it is what its author edits, and nothing is built here.
+install_rules.py finds the files of such a package that are installed under other names.
 """
 
 from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +25,12 @@ _NAME = re.compile(r"<name\b[^>]*>\s*([^<\s]+)\s*</name>")
 _DEEPEST = 8
 """The deepest folder that is searched. Links may lead in a circle."""
 _VARIABLES = ("SLIDECTL_PACKAGE_PATH", "ROS_PACKAGE_PATH")
+_PREFIXES = ("AMENT_PREFIX_PATH", "COLCON_PREFIX_PATH")
+"""Folders of installations; those of colcon may hold a folder for each package."""
+_INDEX = "ament_index/resource_index/packages"
+"""In the `share` of an installation; it has a file for each package."""
+_MOST_LISTED = 1000
+"""The most entries of a folder that are looked at, beside a file, above it, or of that index."""
 _LEAVE_OUT = ("CATKIN_IGNORE", "AMENT_IGNORE", "COLCON_IGNORE", "rospack_nosubdirs")
 _MARKS = ("package.xml", "manifest.xml")
 """Files that make a folder a package; packages from before catkin have the second one."""
@@ -83,20 +93,22 @@ class Packages:
 
         It returns a list, because an interrupt is lost in a generator that is closed before its end.
         """
-        places: list[Mapping[str, str | Path]] = [self.named, *map(self._packages_below, self._search_path())]
+        places: list[Mapping[str, str | Path]] = [self.named, *map(self._packages_below, _entries(_VARIABLES))]
         found = [Path(packages[name]) for packages in places if name in packages]
         found += [folder for start in self.starts for folder in self._above(name, start)]
+        if not found:
+            above = (folder for start in self.starts for folder in (start, *start.parents))
+            beside = map(self._packages_in, dict.fromkeys(above))
+            found = [Path(packages[name]) for packages in beside if name in packages][:1]
+        found += self._installed(name)
         shipped = self._shipped().get(name)
         return found if shipped is None else [*found, Path(shipped)]
 
     def names(self) -> list[str]:
         """The names of all packages that are found without walking upwards."""
-        below = (name for folder in self._search_path() for name in self._packages_below(folder))
-        return sorted({*self.named, *below})
-
-    def _search_path(self) -> list[Path]:
-        entries = [entry for variable in _VARIABLES for entry in os.environ.get(variable, "").split(os.pathsep)]
-        return list(dict.fromkeys(_folder(entry) for entry in entries if entry))
+        below = (name for folder in _entries(_VARIABLES) for name in self._packages_below(folder))
+        installed = (entry.name for prefix in _entries(_PREFIXES) for entry in _listed(prefix / "share" / _INDEX))
+        return sorted({*self.named, *below, *installed})
 
     def _packages_below(self, folder: Path) -> dict[str, str]:
         """Name and folder of the packages below `folder`. The first one of a name counts."""
@@ -105,6 +117,23 @@ class Packages:
             for package in _crawl(folder):
                 found.setdefault(package_name(package), str(package))
         return self._found[str(folder)]
+
+    def _packages_in(self, folder: Path) -> dict[str, str]:
+        """Name and folder of the packages right in `folder`: the folder may have another name than its package."""
+        key = str(folder / "*")
+        if key not in self._found:
+            found = self._found[key] = {}
+            for inside in _listed(folder):
+                if _is_package(inside):  # a file has none
+                    found.setdefault(package_name(inside), str(inside))
+        return self._found[key]
+
+    def _installed(self, name: str) -> list[Path]:
+        """The share folders of the package in installations of ROS 2."""
+        if not name or "/" in name:
+            return []
+        shares = [share for prefix in _entries(_PREFIXES) for share in (prefix / "share", prefix / name / "share")]
+        return [share / name for share in shares if is_file(share / _INDEX / name) or _is_package(share / name)]
 
     def _shipped(self) -> dict[str, str]:
         return self._packages_below(paths.share("launch"))
@@ -120,9 +149,12 @@ class Packages:
 
     def _searched_places(self) -> list[str]:
         named = (f"--package {name}" for name in self.named)
-        variables = (f"{variable}={value}" for variable in _VARIABLES if (value := os.environ.get(variable)))
+        variables, prefixes = (
+            [f"{variable}={value}" for variable in group if (value := os.environ.get(variable))]
+            for group in (_VARIABLES, _PREFIXES)
+        )
         above = (f"{start} and the folders above it" for start in self.starts)
-        return [*named, *variables, *above, "the packages shipped with slidectl"]
+        return [*named, *variables, *above, *prefixes, "the packages shipped with slidectl"]
 
 
 def package_name(folder: Path) -> str:
@@ -137,6 +169,21 @@ def package_name(folder: Path) -> str:
 def package_of(file: Path) -> Path | None:
     """The folder of the package that a file is in, by its path as written; None when it is in none."""
     return next((folder for folder in file.absolute().parents if _is_package(folder)), None)
+
+
+def _entries(variables: Iterable[str]) -> list[Path]:
+    """The folders that environment variables list."""
+    entries = [entry for variable in variables for entry in os.environ.get(variable, "").split(os.pathsep)]
+    return list(dict.fromkeys(_folder(entry) for entry in entries if entry))
+
+
+def _listed(folder: Path) -> list[Path]:
+    """What is in the folder, by name; nothing when it cannot be read."""
+    try:
+        with os.scandir(folder) as there:
+            return sorted(Path(entry.path) for entry in islice(there, _MOST_LISTED))
+    except OSError:
+        return []
 
 
 def _folder(path: str | Path) -> Path:

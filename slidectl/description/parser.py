@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, cast, get_args
 
 from slidectl.description import element_values, xml_tree
-from slidectl.description.gazebo_tags import GazeboReader
+from slidectl.description.gazebo_tags import GazeboReader, control_plugins
 from slidectl.description.mesh_files import SUFFIXES, ForbiddenMeshes, MeshFiles, MissingMesh, UnknownMesh
 from slidectl.description.packages import Packages
 from slidectl.description.report import Report, one_line
@@ -40,6 +40,7 @@ from slidectl.description.robot import (
     Surface,
     Vector,
 )
+from slidectl.description.ros2_control import TAG, Ros2Control, Ros2ControlReader, start_positions
 from slidectl.description.transmissions import TransmissionReader, driving, has_position_command
 from slidectl.description.xml_tree import Element
 from slidectl.errors import listing
@@ -51,7 +52,7 @@ TOO_DEEP = f"its child hangs more than {DEEPEST} joints below the root"
 STARTS_OUTSIDE = "the joint starts at 0, outside of its limits"
 """The beginning of the notice for such a joint. A caller that spawns the joint at another position may drop it."""
 
-_CHILDREN = {"link", "joint", "material", "transmission", "gazebo"}
+_CHILDREN = {"link", "joint", "material", "transmission", "gazebo", TAG}
 _GEOMETRIES = {"box": ("size",), "cylinder": ("radius", "length"), "sphere": ("radius",), "mesh": ("filename", "scale")}
 _MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 _TYPES: tuple[str, ...] = get_args(JointType)
@@ -112,9 +113,21 @@ def parse_tree(root: Element, meshes: MeshFiles, report: Report, strict: bool = 
             report.wrong(element, f"the text {stray!r} has no effect: is it a tag without its '<'?")
     known = dict.fromkeys(part.get("name") or "" for part in root.find_all("link"))
     ends = {part.get("name") or "": (_end(part, "parent"), _end(part, "child")) for part in root.find_all("joint")}
-    gazebo = GazeboReader(report, known, ends)
+    is_ros2 = bool(root.find_all(TAG)) and not control_plugins(root)
+    of_ros2 = Ros2ControlReader(report, joints, is_whole)
+    for element in root.find_all(TAG):
+        if is_ros2:
+            report.attempt(of_ros2.read, element)
+        else:
+            text = "has no effect: the robot has the plugin of gazebo_ros_control, and its <transmission>s drive it"
+            report.ignored(element, text)
+    for name in of_ros2.changed if is_whole else ():
+        report.attempt(structure.check_mimic, joint_at[name])
+    gazebo = GazeboReader(report, known, ends, of_ros2.sensors)
     for element in root.find_all("gazebo"):
         gazebo.read(element)
+    of_ros2.check_sensors([sensor.name for sensor in gazebo.sensors.sensors])
+    control = of_ros2.result(gazebo.ros2_plugin)
     if is_whole:
         for follower, (mimic, plugin) in gazebo.drives.mimics.items():
             if (kind := joints[follower].type) not in MOVING:
@@ -127,10 +140,16 @@ def parse_tree(root: Element, meshes: MeshFiles, report: Report, strict: bool = 
             report.attempt(structure.check_mimic, joint_at[follower])
     is_real = gazebo.plugin is not None and gazebo.plugin.transmissions == "real"
     reader = TransmissionReader(report, joints, is_whole, is_real)
-    read = (report.attempt(reader.read, element) for element in root.find_all("transmission"))
-    transmissions = tuple(info for info in read if info is not None)
+    transmissions = ()
+    if control is None:
+        read = (report.attempt(reader.read, element) for element in root.find_all("transmission"))
+        transmissions = tuple(info for info in read if info is not None)
+    else:
+        for element in root.find_all("transmission"):
+            report.ignored(element, f"is of ROS 1 and has no effect: joints are driven by <{TAG}>")
     # A position joint moves to its command, which the limits bound, in the first steps.
     moved = {joint.name for _, joint in driving(transmissions) if has_position_command(joint)}
+    moved |= set(_starts(control, joints, report, joint_at))
     for joint in joints.values():
         limit = joint.limit if joint.type in _WITH_RANGE and joint.name not in moved else None
         if limit is not None and limit.lower != limit.upper and not limit.lower <= 0 <= limit.upper:
@@ -140,7 +159,22 @@ def parse_tree(root: Element, meshes: MeshFiles, report: Report, strict: bool = 
         raise report.faults[0]
     links = {key: replace(link, surface=gazebo.surfaces.get(key, Surface())) for key, link in links.items()}
     sensors, drives = tuple(gazebo.sensors.sensors), tuple(gazebo.drives.drives)
-    return Robot(name, links, joints, base, transmissions, gazebo.plugin, report.notices(root), sensors, drives)
+    return Robot(
+        name, links, joints, base, transmissions, gazebo.plugin, report.notices(root), sensors, drives, control
+    )
+
+
+def _starts(
+    control: Ros2Control | None, joints: Mapping[str, Joint], report: Report, joint_at: Mapping[str, Element]
+) -> dict[str, float]:
+    """Where joints of ROS 2 start. One beyond its limits is reported, and starts at the limit."""
+    starts = {} if control is None else start_positions(control, joints)
+    for name, position in starts.items():
+        asked = control.joints[name].start if control is not None else None
+        if asked is not None and asked != position:
+            text = f"initial_value {asked:g} is beyond the limits: the joint starts at {position:g}"
+            report.converted(joint_at[name], text, f"joint {name!r}")
+    return starts
 
 
 def _named(

@@ -27,7 +27,6 @@ _MOST_COMPARED = 100
 
 # Tags of related formats, with the tag that replaces them here.
 _FOREIGN = {
-    "ros2_control": "it is ROS 2's; here joints are driven by <transmission>s",
     "plugin": "it belongs in a <gazebo> without a reference",
     "sensor": "it belongs in a <gazebo>",
     "model": "it is SDF's; here a robot is URDF",

@@ -15,6 +15,7 @@ from slidectl import names, rotations
 from slidectl.errors import Refused
 
 if TYPE_CHECKING:
+    from slidectl.description.ros2_control import Ros2Control
     from slidectl.description.sensors import Sensor
 
 Vector = tuple[float, float, float]
@@ -314,6 +315,8 @@ class Robot:
     report: Sequence[Notice] = field(default=())
     sensors: Sequence[Sensor] = ()
     drives: Sequence[BaseDrive] = ()
+    ros2_control: Ros2Control | None = None
+    """What `<ros2_control>` says: then this is a robot of ROS 2, and has no `transmissions`."""
 
     def children_of(self, link: str) -> Sequence[Joint]:
         """The joints whose parent is `link`, in the order of the file."""
@@ -345,9 +348,13 @@ def check_position(joint: Joint, position: float) -> None:
 def namespace_of(robot: Robot, name: str) -> str:
     """The plugin's `robotNamespace` with a leading slash, else `/name`. An empty one means the root, `/`.
 
+    A robot of ROS 2 is in the root, as its controller manager is there, unless the plugin names a namespace.
+
     A `name` that is no graph name becomes one, part by part (see names.legal_robot).
 
     Raises BadName: a `robotNamespace` that cannot be a namespace.
     """
     written = robot.plugin.robot_namespace if robot.plugin is not None else None
+    if robot.ros2_control is not None:
+        written = robot.ros2_control.namespace
     return names.legal_namespace(name) if written is None else names.check("/" + written.strip("/"))

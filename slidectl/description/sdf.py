@@ -20,7 +20,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from urllib.parse import unquote
 
-from slidectl.description import models, xml_tree
+from slidectl.description import install_rules, models, xml_tree
 from slidectl.description.element_values import (
     LACKS_ANGLES,
     child_text,
@@ -130,12 +130,13 @@ class SdfFiles:
         """The file or folder of a uri. Raises NotThere."""
         scheme, separator, rest = uri.partition("://")
         if not separator:
-            return self._beside(element) / uri
+            return install_rules.located(self._beside(element) / uri)
         if scheme == "file":
-            return Path(unquote(rest)) if rest.startswith("/") else self._beside(element) / unquote(rest)
+            path = Path(unquote(rest)) if rest.startswith("/") else self._beside(element) / unquote(rest)
+            return install_rules.located(path)
         if scheme in ("model", "package"):
             name, _, inside = rest.partition("/")
-            return self.folder(unquote(name), element) / unquote(inside)
+            return install_rules.located(self.folder(unquote(name), element) / unquote(inside))
         raise NotThere(f"{uri!r} cannot be read from here; model://, file:// and paths can", element.file, element.line)
 
     def _beside(self, element: Element) -> Path:

@@ -162,8 +162,15 @@ class JointStates(Sensor):
 class SensorReader:
     """Reads the sensors of one robot."""
 
-    def __init__(self, report: Report, links: Collection[str], joints: Mapping[str, tuple[str, str]]) -> None:
-        """`joints` has the parent link and the child link of each joint."""
+    def __init__(
+        self,
+        report: Report,
+        links: Collection[str],
+        joints: Mapping[str, tuple[str, str]],
+        of_ros2: Collection[str] = (),
+    ) -> None:
+        """`joints` has the parent link and the child link of each joint; `of_ros2` are sensors of `<ros2_control>`."""
+        self.of_ros2 = of_ros2
         self.report = report
         self.links = links
         self.joints = joints
@@ -185,6 +192,8 @@ class SensorReader:
             known = ", ".join([*_OF_LINK, *INSTALLED.parts()])
             return self.report.ignored(sensor, f"has no effect: sensors here are {known}, not {kind!r}", place)
         plugin = next((one for one in sensor.find_all("plugin") if library(one) in _OF_LINK[kind]), None)
+        if plugin is None and kind == "imu" and sensor.get("name") in self.of_ros2:
+            return self._imu_of_ros2(sensor, link, place)
         if plugin is None:
             names = " or ".join(f"{name}.so" for name in _OF_LINK[kind])
             return self.report.ignored(sensor, f"publishes nothing without a <plugin> {names}", place)
@@ -212,6 +221,14 @@ class SensorReader:
             topic = child_text(plugin, "bumperTopicName", "bumper_states")
             self.sensors.append(Bumper(name, link, topic, child_text(plugin, "frameName", "world"), rate, origin, 0.0))
         return None
+
+    def _imu_of_ros2(self, sensor: Element, link: str, place: str) -> None:
+        """Read an IMU that controllers read through `<ros2_control>`, and that no plugin publishes."""
+        self._report_unknown(sensor, place)
+        name, pose, rate = sensor.get("name") or "", sensor.find("pose"), child_rate(sensor, "update_rate", 0.0, place)
+        origin = Pose() if pose is None else _pose(pose, place)
+        noise = below(sensor, "imu", "angular_velocity", "x", "noise")
+        self.sensors.append(Imu(name, link, "", link, rate, origin, self._noise(noise, place)[0]))
 
     def _other(self, link: str, sensor: Element, kind: str, place: str) -> None:
         """Read what sensors of all installed kinds have. Their own tags are read where they measure."""

@@ -6,7 +6,8 @@ the process end the first two, and slidectl.description.guarded_eval refuses the
 xacro 2.1 has no public way to look packages up without ament, or to tell errors by line. So some names of its modules
 are replaced, in that process alone:
 
-* `parse` reads included files into nodes that know their lines, and `open` those of YAML: regular ones, within bounds;
+* `parse` reads included files into nodes that know their lines, and `open` those of YAML: regular ones, within bounds,
+  also at the places where an installation would put them;
 * `warning`, `error`, `message`, `print_location` print; here warnings become notices, and no terminal codes are sent;
 * `handle_macro_call` and `process_include` are wrapped: they leave out what does not exist;
 * `safe_eval`, and `eval` of `substitution_args`, are those of guarded_eval;
@@ -38,7 +39,7 @@ from yaml import YAMLError
 
 from slidectl import confined, input_files
 from slidectl.confined import Limits
-from slidectl.description import guarded_eval, xml_tree, yaml_tree
+from slidectl.description import guarded_eval, install_rules, xml_tree, yaml_tree
 from slidectl.description.missing import Missing
 from slidectl.description.packages import Packages, UnknownPackage, shown
 from slidectl.description.robot import Notice
@@ -207,7 +208,8 @@ class _Run:
                 raise
             del xacro.filestack[depth:]
             text = f"no such file or directory: {file}"
-            absent: NotThere = NoFileThere(text + called, node.file, node.line, thing=text)
+            hint = install_rules.remark(Path(file))
+            absent: NotThere = NoFileThere(text + called, node.file, node.line, hint, text)
             if file.startswith(_NOWHERE):
                 absent = self.unknown[file.removeprefix(_NOWHERE).partition("/")[0]]
             self.missing.note(absent, "what it includes is left out")
@@ -217,13 +219,14 @@ class _Run:
     def parse(self, text: Any, filename: str) -> minidom.Document:
         """Read an included file. For a missing file it raises XacroException, which optional includes catch."""
         assert text is None
+        path = install_rules.located(Path(filename))
         try:
-            content = input_files.read_bytes(filename, xml_tree.MOST_BYTES)
+            content = input_files.read_bytes(path, xml_tree.MOST_BYTES)
         except NotThere as error:
             xacro.filestack.pop()
             absent = FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), filename)
             raise xacro.XacroException(f"{error.reason}: {filename}", exc=absent) from None
-        return self.prefixed(xml_tree.read(content, shown(Path(filename))))
+        return self.prefixed(xml_tree.read(content, shown(path)))
 
     def warning(self, *words: object, **_: object) -> None:
         node = _here()[0] or self.root
@@ -407,8 +410,13 @@ def _bare(element: Element) -> Iterator[Element]:
 
 def _opened(name: str) -> io.StringIO:
     """The text of a YAML file, in the place of Python's `open`. Its errors name the file."""
-    text = io.StringIO(input_files.read_text(name, yaml_tree.MOST_BYTES))
-    text.name = shown(name)  # PyYAML looks for it
+    path = install_rules.located(Path(name))
+    try:
+        text = io.StringIO(input_files.read_text(path, yaml_tree.MOST_BYTES))
+    except NotThere as error:
+        error.hint = install_rules.remark(path) or error.hint
+        raise
+    text.name = shown(path)  # PyYAML looks for it
     return text
 
 

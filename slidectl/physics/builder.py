@@ -457,6 +457,8 @@ class RobotBuilder:
             for written in joint.hardware_interfaces
             if interfaces.find(written) is not interfaces.EFFORT
         }
+        if robot.ros2_control is not None:  # what no controller commands is held by a motor
+            self._motors |= {joint.name for joint in robot.ros2_control.joints.values() if joint.commands}
         """Names of the joints that may get a motor."""
         self._made: dict[str, Any] = {}
         """The MjsJoint of each joint with one position."""

@@ -28,6 +28,7 @@ from slidectl.control.laws import Columns, law
 from slidectl.control.limits import (
     LARGEST,
     NO_LIMITS,
+    JointLimits,
     LimitHandle,
     bounded,
     in_order,
@@ -122,6 +123,10 @@ class HardwareJoint:
         """The command that moves the joint least: its position, or a velocity or effort of 0."""
         return self.handle.position if self.quantity == "position" else 0.0
 
+    def written_limits(self) -> JointLimits | None:
+        """The limits that the model has; None without any."""
+        return limits_from_joint(self.joint)
+
     def register_limits(self, node: NodeHandle) -> None:
         """Read limits from `<limit>`, then from the parameters `joint_limits/<joint>`, which override them by field.
 
@@ -129,7 +134,7 @@ class HardwareJoint:
 
         Raises SlidectlError: a limit that the interface requires is missing.
         """
-        written = limits_from_joint(self.joint)
+        written = self.written_limits()
         limits = limits_from_parameters(node, self.name, written or NO_LIMITS) or written
         if limits is None:
             return
@@ -399,6 +404,12 @@ class MujocoRobotHW(RobotHW):
         UnsupportedInterface, MissingJoint: a transmission cannot be simulated. Refused: limits that no handle takes.
     """
 
+    how_to_drive = (
+        "has no <transmission> in the model, so nothing can command it; a <transmission> names the joint and its "
+        "<hardwareInterface>"
+    )
+    """What a joint lacks that no controller can command, as the rest of a sentence."""
+
     def __init__(self, world: World, attached: AttachedRobot, robot: Robot, node: NodeHandle, namespace: str) -> None:
         super().__init__()
         self.robot = robot
@@ -406,17 +417,15 @@ class MujocoRobotHW(RobotHW):
         self._applied_forces = world.applied_forces
         self._attached = attached
         self._places: dict[str, JointPlace] = {}
-        self._offered = hardware_joints(attached)
-        first = {joint.name: joint for joint in reversed(self._offered)}
-        are_real = any(transmission.is_real for transmission in robot.transmissions)
-        self._joints = [joint for joint in self._offered if not are_real or first[joint.name] is joint]
-        """The joints that are driven now, each through one interface."""
+        self._offered, self._joints = self._made_joints()
+        """All joints with each of their interfaces, and those that are driven now, each through one interface."""
         node = node if node.namespace == namespace else node.child(namespace)
         self._register(node)
         self._transmissions = tuple(RealTransmission(attached, info) for info in robot.transmissions if info.is_real)
         self._limited = tuple(transmission for transmission in self._transmissions if transmission.is_limited)
         self._most = {joint: gears.most_effort(joint) for gears in self._limited for joint in gears.joints}
-        self._drive_of = {joint: drive_for(joint, node) for joint in self._offered if not self._is_pushed(joint)}
+        drives = {joint: self._made_drive(joint, node) for joint in self._offered if not self._is_pushed(joint)}
+        self._drive_of = drives
         self._held: list[float] | None = None
         self._estop = False
         self.engage()
@@ -426,6 +435,16 @@ class MujocoRobotHW(RobotHW):
         self._inherited = frozenset(vars(self)) | {"_inherited"} if is_of_a_user(type(self)) else None
         """Names of the attributes that a user's class inherits; None for our own class."""
         self.init(node)
+
+    def _made_joints(self) -> tuple[list[HardwareJoint], list[HardwareJoint]]:
+        """All joints with each of their interfaces, and those of them that are driven at first."""
+        offered = hardware_joints(self._attached)
+        first = {joint.name: joint for joint in reversed(offered)}
+        are_real = any(transmission.is_real for transmission in self.robot.transmissions)
+        return offered, [joint for joint in offered if not are_real or first[joint.name] is joint]
+
+    def _made_drive(self, joint: HardwareJoint, node: NodeHandle) -> Drive:
+        return drive_for(joint, node)
 
     def init(self, node: NodeHandle) -> None:
         """Hook for users' classes, called once at the spawn: get parameters and topics. `node`: the robot's."""
@@ -437,10 +456,7 @@ class MujocoRobotHW(RobotHW):
         if name not in self._attached.joints:
             return f"joint {quoted(name)} is {joint.type}: it does not move, so nothing can command it"
         if not any(offered.name == name for offered in self._offered):
-            return (
-                f"joint {quoted(name)} has no <transmission> in the model, so nothing can command it; a <transmission> "
-                "names the joint and its <hardwareInterface>"
-            )
+            return f"joint {quoted(name)} {self.how_to_drive}"
         return super().about_joint(name)
 
     def joint_state(self, joint: str) -> tuple[float, float, float]:
@@ -651,7 +667,8 @@ class MujocoRobotHW(RobotHW):
         commands = {kind: kind() for kind in COMMAND_INTERFACES.values()}
         for joint in self._offered:
             states.register_handle(joint.handle)
-            commands[joint.interface].register_handle(joint.handle)
+            if joint.interface in commands:
+                commands[joint.interface].register_handle(joint.handle)
             joint.register_limits(node)
         self.register_interface(states)
         self.register_interface(ImuSensorInterface(self._sensors(Imu, sensing.imu)))

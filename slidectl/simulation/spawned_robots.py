@@ -23,6 +23,7 @@ from slidectl.control.user_classes import file_of, raised, watched_for, watched_
 from slidectl.description import source_note
 from slidectl.description.gazebo_tags import TRANSMISSIONS
 from slidectl.description.robot import ControlPlugin, Robot, check_position
+from slidectl.description.ros2_control import start_positions
 from slidectl.effects import Effect
 from slidectl.errors import BadFile, Refused, UnknownName
 from slidectl.physics import EngineError, Overlap, World
@@ -30,6 +31,7 @@ from slidectl.physics.attached_robot import AttachedRobot
 from slidectl.physics.hulls import Hull, Hulls
 from slidectl.physics.hulls import sources as mesh_sources
 from slidectl.physics.robot_hw import MujocoRobotHW
+from slidectl.physics.ros2_robot_hw import Ros2RobotHW
 from slidectl.rotations import ORIGIN, Pose
 from slidectl.simulation.clock import SECOND
 from slidectl.simulation.cycle import ControlCycle
@@ -41,6 +43,9 @@ from slidectl.simulation.topics import PeriodicTopic
 
 DESCRIPTION = "robot_description"
 ACTUATOR_RATE_HZ = 50
+UPDATE_RATE = "update_rate"
+"""The parameter in a namespace of ROS 2 that sets how often controllers run, Hz: that of its controller manager."""
+DEFAULT_UPDATE_RATE_HZ = 100
 RESERVED = ("world", "map")
 """Names that gazebo_ros takes for the world wherever a model is possible."""
 STANDING = 0.001
@@ -275,7 +280,7 @@ class Robots:
             self._types.hardware.check_known(plugin.robot_sim_type)
         except UnknownName as error:
             raise BadFile(error.message, plugin.file or DESCRIPTION, plugin.line, error.hint) from None
-        is_controlled = not is_model or model.plugin is not None or bool(model.transmissions)
+        is_controlled = not is_model or bool(model.plugin or model.transmissions or model.ros2_control)
         parsed = ParsedRobot(chosen, place, model, urdf, note, self._loop.graph.caller, is_controlled, may_use_files)
         self._check_namespace(place, is_controlled)
         return parsed
@@ -301,6 +306,10 @@ class Robots:
             robot.cleanup.callback(self._forget, robot)
             self._robots[robot.name] = robot
             self._update_loop()
+            if starts := _starts(robot.description):
+                self.set_joints(robot.name, list(starts), list(starts.values()), is_start=True)
+                if robot.is_controlled:
+                    robot.read_joints()
             for notice in robot.description.report:
                 if notice.verdict in _SEVERITIES:
                     robot.node.log(_SEVERITIES[notice.verdict], f"{robot.name}: {notice}")
@@ -317,7 +326,7 @@ class Robots:
         parts.hardware = self._hardware(robot, plugin.robot_sim_type)
         parts.hardware.read(robot.node.now_ns(), 0.0)
         parts.manager = ControllerManager(parts.hardware, robot.node, self._types)
-        period_ns = _control_period(plugin, loop.step_ns, robot)
+        period_ns = _control_period(plugin, loop, robot)
         parts.cycle = ControlCycle(parts.hardware, parts.manager, period_ns, loop.graph.clock.time_ns)
         places = parts.manager, robot.node, robot.read_joints, loop
         if parts.manager.is_of_ros2:
@@ -341,6 +350,8 @@ class Robots:
         """The simulated hardware. Raises BadFile: an unsuitable class. Refused: a user's class failed. Else as
         `MujocoRobotHW`."""
         places = self._world, robot.attached, robot.description, robot.node, robot.namespace
+        if robot.description.ros2_control is not None:
+            return Ros2RobotHW(*places)
         cls = self._types.hardware.find(sim_type)
         if cls is None:
             return MujocoRobotHW(*places)
@@ -433,7 +444,8 @@ class Robots:
         if owner is not None:
             text = f"the namespace {namespace} belongs to robot {owner.name!r} already"
             hint = (
-                "give this one another namespace; a model with an xacro argument `namespace` gets its own with -n NAME"
+                "give this one another with --namespace NAMESPACE; a model with an xacro argument `namespace` gets its "
+                "own with -n NAME"
             )
             raise Refused(text, hint)
 
@@ -466,7 +478,28 @@ def _actuator_states(robot: SpawnedRobot) -> Message:
     }
 
 
-def _control_period(plugin: ControlPlugin, step_ns: int, robot: SpawnedRobot) -> int:
+def _starts(model: Robot) -> dict[str, float]:
+    """Where the model's joints start that do not start at 0, rad or m."""
+    starts = {} if model.ros2_control is None else start_positions(model.ros2_control, model.joints)
+    return {joint: position for joint, position in starts.items() if position}
+
+
+def _control_period(plugin: ControlPlugin, loop: Loop, robot: SpawnedRobot) -> int:
+    """The control period, ns. For a robot of ROS 2 that of the controller manager's parameter `update_rate`.
+
+    Raises Refused: `update_rate` is not a whole number above 0.
+    """
+    step_ns = loop.step_ns
+    if robot.description.ros2_control is not None:
+        where = names.join(robot.namespace, UPDATE_RATE)
+        rate = loop.graph.parameters.get(where, DEFAULT_UPDATE_RATE_HZ)
+        if not isinstance(rate, int) or isinstance(rate, bool) or rate <= 0:
+            raise Refused(f"parameter {where} must be a whole number above 0, in Hz, not {rate!r}")
+        period_ns = SECOND // rate
+        if period_ns < step_ns:
+            text = f"{robot.name}: controllers cannot run faster than the simulation: update_rate {rate} Hz, the "
+            robot.node.log("warn", f"{text}simulation's step {step_ns * 1e-9:g} s")
+        return max(period_ns, step_ns)
     if plugin.control_period is None:
         return step_ns
     period_ns = from_seconds(plugin.control_period)

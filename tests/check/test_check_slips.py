@@ -32,7 +32,7 @@ MODELS = [
     ),
     (cart(OLD, PLUGIN), "wrong 5", "an attribute does not count; add <type>transmission_interface/SimpleTransmission"),
     (driven_cart().replace("libgazebo", "gazebo"), "wrong 6", "did you mean libgazebo_ros_control.so?"),
-    (driven_cart().replace("ros_control.so", "ros2_control.so"), "wrong 6", "did you mean libgazebo_ros_control.so?"),
+    (driven_cart().replace("ros_control.so", "ros2_control.so"), "wrong 6", "has no effect without a <ros2_control>"),
     (UNPLUGGED, "ignored 6", "it belongs in a <gazebo> without a reference"),
     (
         driven_cart().replace("<gazebo>", '<gazebo reference="cart">'),
@@ -41,7 +41,7 @@ MODELS = [
     ),
     (driven_cart().replace("robotNamespace", "robotNameSpace"), "ignored 6", "did you mean <robotNamespace>?"),
     (driven_cart('<gazebo reference="crat"/>'), "wrong 7", "no link or joint 'crat'; the tag has no effect; did you"),
-    (cart('<ros2_control name="a"/>'), "ignored 5", "it is ROS 2's; here joints are driven by <transmission>s"),
+    (driven_cart('<ros2_control name="a"/>'), "ignored 7", "the plugin of gazebo_ros_control, and its <transmission>s"),
     (driven_cart(link=INERTIAL + BALL.replace("collision", "colision")), "ignored 3", "did you mean <collision>?"),
     (driven_cart(joint='<limit lower="-1" uper="1" effort="1" velocity="1"/>'), "ignored 4", "did you mean 'upper'?"),
     (driven_cart(link=BALL), "wrong 3", "has no <inertial>, nor has a link fixed to it; give it an <inertial>"),

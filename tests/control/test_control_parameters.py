@@ -10,11 +10,13 @@ from fake_robot import COMMAND_INTERFACES, FakeRobot
 
 from slidectl.control import params, registry
 from slidectl.control.controllers.diff_drive import WHEELS
+from slidectl.control.controllers.ros2_pid import QUANTITIES, QUANTITY
 from slidectl.control.controllers.steering import TWO
 from slidectl.control.hardware_interface import ForceTorqueSensorInterface, ImuSensorInterface
 from slidectl.control.limits import LIMITS, limits_from_parameters, soft_limits_from_parameters
 from slidectl.control.mobile_base import DIAGONAL
 from slidectl.control.params import Parameter
+from slidectl.control.ros2_pid import STRATEGY
 
 URDF = """<robot name="bot">
   <link name="joint1"/>
@@ -36,7 +38,12 @@ VALUES = {
     WHEELS: "joint1",
     DIAGONAL: [1.0] * 6,
     TWO: ["joint1", "joint1"],
+    STRATEGY: "none",
+    QUANTITY: "effort",
+    QUANTITIES: ["position"],
 }
+BY_NAME = {"u_clamp_max": 2.0, "i_clamp_min": -1.0}
+"""Values of parameters that bound one another."""
 
 TYPES = [name for name in registry.common.types() if not name.startswith("tests/")]  # whatever other tests define
 
@@ -64,7 +71,10 @@ def own(declared: tuple[Parameter, ...]) -> dict[str, Parameter]:
 @pytest.mark.parametrize("type_name", TYPES)
 def test_a_controller_reads_what_it_says_and_says_what_it_reads(type_name: str) -> None:
     declared = own(registry.common.find(type_name).parameters)
-    values = {f"/bot/c/{name}": VALUES[parameter.kind] for name, parameter in declared.items()}
+    values = {
+        f"/bot/c/{name}": BY_NAME.get(name.rpartition("/")[2], VALUES[parameter.kind])
+        for name, parameter in declared.items()
+    }
     graph = WatchedGraph({"/bot/robot_description": URDF, **values})
     robot = FakeRobot(commands=COMMAND_INTERFACES)
     robot.register_interface(ImuSensorInterface())

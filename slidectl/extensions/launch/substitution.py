@@ -1,5 +1,7 @@
 """`$(...)` in a text: `env V`, `optenv V words`, `find PKG`, `anon ID`, `arg A`, `dirname` and `eval EXPRESSION`.
 
+`find-pkg-share PKG`, which ROS 2 has, is `find PKG`.
+
 Texts in, texts out. As in roslaunch, results are searched again for `find` only, so that
 `model:='$(find my_robot)/model.urdf'` works on a command line. This module knows no tags and no places; the caller adds
 the place to an error.
@@ -24,7 +26,7 @@ from typing import Any
 
 from slidectl import confined
 from slidectl.confined import Limits
-from slidectl.description import guarded_eval
+from slidectl.description import guarded_eval, install_rules
 from slidectl.description.packages import Packages, UnknownPackage, is_file
 from slidectl.errors import SlidectlError, closest, listing
 
@@ -172,7 +174,13 @@ class Substitution:
         built = share.parent / "lib" / package / path
         if "/" not in path and share.name == "share" and is_file(built) and os.access(built, os.X_OK):
             return protect(str(built))
-        return protect(folder) + (f"/{path}" if path else "")
+        whole = protect(folder) + (f"/{path}" if path else "")
+        if package in self.absent:
+            return whole
+        bare = whole.rstrip("'\"")  # quotes around the path belong to a command line
+        wanted = Path(plain(bare))
+        found = install_rules.located(wanted)
+        return whole if found == wanted else protect(str(found)) + whole[len(bare) :]
 
     def _folder_of(self, package: str) -> str:
         """The package's folder; for a missing package a mark that `absent_packages` finds."""
@@ -339,6 +347,7 @@ def _split(match: re.Match[str], text: str) -> tuple[str, list[str]]:
         hint = "use $(eval ...), for example $(eval find(arg('package')) + '/urdf')"
         raise SubstitutionError(f"{what} is inside a substitution in {plain(text)!r}", hint)
     command, *words = [word for word in inside.split(" ") if word] or [""]
+    command = "find" if command == "find-pkg-share" else command
     if command == "eval":
         raise SubstitutionError("$(eval) must be the whole value", "put the rest of the value into the expression")
     if command not in COMMANDS:

@@ -24,6 +24,7 @@ _TYPES = {
     "time": "builtin_interfaces/msg/Time",
     "duration": "builtin_interfaces/msg/Duration",
     "rosgraph_msgs/Log": "rcl_interfaces/msg/Log",
+    "slidectl/PidState": "control_msgs/msg/PidState",
     "slidectl/LifecycleState": "lifecycle_msgs/msg/State",
     "slidectl/SwitchControllers": f"{_MANAGER}/srv/SwitchController",
     **{
