@@ -302,11 +302,14 @@ class LoadedController:
             found += interfaces.ros2_commands(kind.type_name, [handle.name.removeprefix(f"{self.name}/")])
         return found
 
+    def shown_states(self) -> list[str]:
+        """The states that it exports, without its own name, as `joint1/position`."""
+        joints = [one.name.removeprefix(f"{self.name}/") for one in self.controller.exported_states]
+        return [f"{joint}/{state}" for joint in joints for state in JOINT_STATES]
+
     def message_of_ros2(self, rate_hz: int) -> dict[str, Any]:
         """The entry as slidectl/ControllerState, which has the fields of ros2_control."""
         commands = self.commands() if self.is_configured else []
-        states = [one.name.removeprefix(f"{self.name}/") for one in self.controller.exported_states]
-        exported = [f"{joint}/{state}" for joint in states for state in JOINT_STATES]
         return {
             "name": self.name,
             "state": self.shown_state,
@@ -317,7 +320,7 @@ class LoadedController:
             "required_state_interfaces": list(self.states_read) if self.is_configured else [],
             "is_chainable": bool(self.exported()),
             "is_chained": self.controller.is_chained,
-            "exported_state_interfaces": exported if self.is_configured else [],
+            "exported_state_interfaces": self.shown_states() if self.is_configured else [],
             "reference_interfaces": self.references() if self.is_configured else [],
             "chain_connections": [
                 {"name": one.name, "reference_interfaces": one.references()} for one in self.writes_to
@@ -744,6 +747,10 @@ class ControllerManager:
         """The hardware components of a robot of ROS 2."""
         return self._hw.components()
 
+    def exporting(self) -> Sequence[LoadedController]:
+        """The configured controllers that export references or states."""
+        return [entry for entry in self._loaded.values() if entry.is_configured and entry.exported()]
+
     def claimed_commands(self) -> set[str]:
         """The commands that running controllers claim, by their names in ros2_control."""
         return {name for entry in self._running for name in entry.commands()}
@@ -858,10 +865,11 @@ class ControllerManager:
         entry = self._idle(name, "configure")
         if entry is None:
             return False
-        if entry.is_configured or entry.loaded_with != entry.node.get_param(entry.node.namespace, None):
-            self._clean_up(entry)
+        has_changed = entry.loaded_with != entry.node.get_param(entry.node.namespace, None)
+        if has_changed or (entry.is_configured and not self._users_of(entry)):
             try:
                 self._check_unused(entry)
+                self._clean_up(entry)
                 self._shut_down(entry)
                 entry = self._loaded[name] = self._load(name)  # an existing key keeps its place in the order
             except Exception as failure:

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, ClassVar
 
-from slidectl.control.hardware_interface import COMMAND_INTERFACES, ControllerInfo, JointCommands
+from slidectl.control.hardware_interface import COMMAND_INTERFACES, ControllerInfo, HardwareComponent, JointCommands
 from slidectl.control.limits import LARGEST, JointLimits, limits_from_joint
 from slidectl.control.node_handle import NodeHandle
 from slidectl.control.pid import Pid
@@ -205,6 +205,16 @@ class Ros2RobotHW(MujocoRobotHW):
                 drive.begin(self._began_s)
             self._began_s = 0.0
         super().write(time_ns, period_s)
+
+    def components(self) -> list[HardwareComponent]:
+        """One for each `<ros2_control>`, with the interfaces of its joints as they are written."""
+        found = []
+        for one in self.control.components:
+            joints = [self.control.joints[name] for name in one.joints]
+            commands = tuple(f"{joint.name}/{name}" for joint in joints for name in joint.commands)
+            states = tuple(f"{joint.name}/{name}" for joint in joints for name in joint.states)
+            found.append(HardwareComponent(one.name, one.type, one.plugin, commands, states))
+        return found
 
     @property
     def has_compiled_form(self) -> bool:

@@ -250,7 +250,7 @@ class Ros2ManagerServices(ManagerServices):
             ),
             "cleanup_controller": ("CleanupController", lambda request, _: {"ok": manager.clean_up(request["name"])}),
             "list_hardware_components": ("ListHardwareComponents", lambda *_: {"component": self._components()}),
-            "list_hardware_interfaces": ("ListHardwareInterfaces", lambda *_: self._interfaces(manager.components())),
+            "list_hardware_interfaces": ("ListHardwareInterfaces", lambda *_: self._all_interfaces()),
             "set_hardware_component_state": ("SetHardwareComponentState", self._set_component_state),
         }
         self._advertise("slidectl", acts)
@@ -358,6 +358,20 @@ class Ros2ManagerServices(ManagerServices):
             }
             for one in self._manager.components()
         ]
+
+    def _all_interfaces(self) -> Message:
+        """The interfaces of the hardware and of controllers; those of a controller are available while it runs."""
+        found, claimed = self._interfaces(self._manager.components()), self._manager.claimed_commands()
+        for entry in self._manager.exporting():
+            for kind, exported in (
+                ("command_interfaces", entry.references()),
+                ("state_interfaces", entry.shown_states()),
+            ):
+                for name in (f"{entry.name}/{each}" for each in exported):
+                    is_claimed = kind == "command_interfaces" and name in claimed
+                    one = {"name": name, "data_type": "double", "is_available": entry.is_running}
+                    found[kind].append({**one, "is_claimed": is_claimed})
+        return {kind: sorted(listed, key=lambda one: str(one["name"])) for kind, listed in found.items()}
 
     def _interfaces(self, components: Sequence[HardwareComponent]) -> Message:
         """The interfaces of components, by name, each as slidectl/HardwareInterface."""

@@ -37,13 +37,14 @@ def pendulum(
 
 
 def spawned(xml: str, *groups: str, rate_hz: int = 100) -> Simulation:
-    """A world with the pendulum, and a group controller of each quantity loaded."""
+    """A world with the pendulum, and a group controller of each quantity loaded and configured."""
     simulation = Simulation(ground=False)
     simulation.parameters.set("/update_rate", rate_hz)
     simulation.spawn(xml, "pendulum")
     for quantity in groups:
         simulation.parameters.set(f"/{quantity}", {"type": GROUPS[quantity], "joints": ["hinge"]})
-        assert simulation.call("/controller_manager/load_controller", {"name": quantity})["ok"]
+        for verb in ("load", "configure"):
+            assert simulation.call(f"/controller_manager/{verb}_controller", {"name": quantity})["ok"]
     return simulation
 
 
@@ -236,3 +237,15 @@ def test_a_snapshot_goes_on_exactly() -> None:
     simulation.load("here")
     simulation.step(77)
     assert state(simulation, "pendulum", "hinge") == expected
+
+
+def test_each_tag_is_a_hardware_component_with_the_interfaces_that_it_names() -> None:
+    simulation = spawned(pendulum("position", "effort"), "effort")
+    [component] = simulation.call("/controller_manager/list_hardware_components")["component"]
+    found = [component[key] for key in ("name", "type", "plugin_name", "rw_rate")]
+    assert found == ["sys", "system", "gz_ros2_control/GazeboSimSystem", 100]
+    assert [one["name"] for one in component["command_interfaces"]] == ["hinge/effort", "hinge/position"]
+    assert [one["name"] for one in component["state_interfaces"]] == ["hinge/effort", "hinge/position", "hinge/velocity"]
+    assert switch(simulation, ["effort"])
+    listed = simulation.call("/controller_manager/list_hardware_interfaces")["command_interfaces"]
+    assert {one["name"]: one["is_claimed"] for one in listed} == {"hinge/effort": True, "hinge/position": False}

@@ -175,7 +175,7 @@ def _in_file(file: str, namespace: str, controller: str) -> dict[str, Any]:
         raise Refused(f"the file {cut(file, 80)!r} has no absolute path, so it is not known where it is")
     tree = controllers_file.read(file)
     found: dict[str, Any] = {}
-    for place in ("", f"**{namespace}", "**", namespace):
+    for place in ("", f"**{namespace}".rstrip("/"), "**", namespace):
         values = controllers_file.at(tree, f"{place}/{controller}")
         if isinstance(values, dict):
             found |= {f"{names.join(namespace, controller)}/{name}": value for name, value in leaves(values)}
