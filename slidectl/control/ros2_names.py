@@ -47,12 +47,6 @@ NAMES: dict[str, Ros2Type] = {
     "joint_state_broadcaster/JointStateBroadcaster": Ros2Type(
         "joint_state_controller/JointStateController", defaults=_RATE
     ),
-    "joint_trajectory_controller/JointTrajectoryController": Ros2Type(
-        {names: f"{family}/JointTrajectoryController" for names, family in _BY_INTERFACE.items()},
-        "trajectories go to `command`, states come on `state`",
-        "command_interfaces",
-        {"gains/*/ff_velocity_scale": "velocity_ff/*"},
-    ),
     "forward_command_controller/ForwardCommandController": Ros2Type(
         {
             names: f"{family}/JointGroup{names[0].title()}Controller"
@@ -155,8 +149,6 @@ def counterpart(type_name: str, parameters: Mapping[str, Any]) -> Counterpart | 
         return None
     here = found.here if isinstance(found.here, str) else _chosen(type_name, found, values)
     understood = {found.interfaces: f"makes it {here}"} if found.interfaces else {}
-    if "state_interfaces" in values:
-        understood["state_interfaces"] = "is not needed: states are always there"
     more = {name: value for name, value in found.defaults.items() if name not in values}
     remark = f"{type_name} is {here} here" if here != type_name else f"{type_name} has parameters of ROS 2"
     remark += "".join(f", with {name} {value}" for name, value in more.items())

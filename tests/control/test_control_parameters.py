@@ -9,6 +9,7 @@ from fake_node import FakeGraph
 from fake_robot import COMMAND_INTERFACES, FakeRobot
 
 from slidectl.control import params, registry
+from slidectl.control.controllers import ros2_joint_trajectory
 from slidectl.control.controllers.diff_drive import WHEELS
 from slidectl.control.controllers.steering import TWO
 from slidectl.control.hardware_interface import ForceTorqueSensorInterface, ImuSensorInterface
@@ -36,6 +37,15 @@ VALUES = {
     WHEELS: "joint1",
     DIAGONAL: [1.0] * 6,
     TWO: ["joint1", "joint1"],
+    ros2_joint_trajectory.COMMANDS: ["effort"],
+    ros2_joint_trajectory.STATES: ["position", "velocity"],
+    ros2_joint_trajectory.NOT_NEGATIVE: 1.0,
+    ros2_joint_trajectory.NOT_POSITIVE: -1.0,
+    ros2_joint_trajectory.LOWEST: -1.0,
+    ros2_joint_trajectory.RATE: 1.0,
+    ros2_joint_trajectory.METHOD: "none",
+    ros2_joint_trajectory.STRATEGY: "none",
+    ros2_joint_trajectory.INTERFACE_NAME: "",
 }
 
 TYPES = [name for name in registry.common.types() if not name.startswith("tests/")]  # whatever other tests define

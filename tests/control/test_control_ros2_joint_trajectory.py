@@ -839,6 +839,7 @@ class TestSpeedScaling:
     def test_only_positions_are_scaled(self) -> None:
         arm = Arm("pos_vel", speed_scaling={"initial_scaling_factor": 0.5})
         assert f"{NAMESPACE}/speed_scaling_input" not in arm.graph.subscribers
+        assert "initial_scaling_factor has no effect" in arm.graph.lines("warn")
         arm.run()
         assert arm.state["speed_scaling_factor"] == 1.0
 

@@ -7,7 +7,6 @@ import pytest
 from slidectl.control import registry
 from slidectl.control.ros2_names import NAMES, OTHERS, NoCounterpart, counterpart
 
-TRAJECTORY = "joint_trajectory_controller/JointTrajectoryController"
 FORWARD = "forward_command_controller/ForwardCommandController"
 
 
@@ -15,9 +14,6 @@ FORWARD = "forward_command_controller/ForwardCommandController"
     ("name", "parameters", "here"),
     [
         ("joint_state_broadcaster/JointStateBroadcaster", {}, "joint_state_controller/JointStateController"),
-        (TRAJECTORY, {"command_interfaces": ["position"]}, "position_controllers/JointTrajectoryController"),
-        (TRAJECTORY, {"command_interfaces": ["effort"]}, "effort_controllers/JointTrajectoryController"),
-        (TRAJECTORY, {"command_interfaces": ["velocity", "position"]}, "pos_vel_controllers/JointTrajectoryController"),
         (FORWARD, {"interface_name": "velocity"}, "velocity_controllers/JointGroupVelocityController"),
         ("imu_sensor_broadcaster/IMUSensorBroadcaster", {}, "imu_sensor_controller/ImuSensorController"),
     ],
@@ -41,10 +37,6 @@ def test_parameters_of_other_names_are_handed_on_and_defaults_filled_in() -> Non
     drive = counterpart("diff_drive_controller/DiffDriveController", {**sides, "pose_covariance_diagonal": [0.1] * 6})
     assert drive is not None
     assert drive.values == {"left_wheel": ["l"], "right_wheel": ["r"], "twist_covariance_diagonal": [0.0] * 6}
-    gains = {"gains": {"a": {"p": 1.0, "ff_velocity_scale": 0.5}}, "command_interfaces": ["effort"]}
-    trajectory = counterpart(TRAJECTORY, gains)
-    assert trajectory is not None
-    assert trajectory.values == {"velocity_ff/a": 0.5}
 
 
 @pytest.mark.parametrize(
@@ -58,9 +50,7 @@ def test_the_same_name_with_parameters_of_ros_1_is_left_alone(name: str) -> None
 @pytest.mark.parametrize(
     ("name", "parameters", "text"),
     [
-        (TRAJECTORY, {}, "command_interfaces is not set"),
-        (TRAJECTORY, {"command_interfaces": ["position", "effort"]}, r"set command_interfaces to \['position'\] or"),
-        (TRAJECTORY, {"command_interfaces": [["position"]]}, r"command_interfaces is \[\['position'\]\]"),
+        (FORWARD, {}, "interface_name is not set"),
         (FORWARD, {"interface_name": 7}, "set interface_name to position or velocity or effort"),
         ("tricycle_controller/TricycleController", {}, "here: ackermann_steering_controller/Ackermann"),
         (

@@ -160,6 +160,28 @@ def following(kind: str) -> tuple[Build, Act]:
     return lambda simulation: add(simulation, "a", arm(interface=interface), {"arm": own}), act
 
 
+def following_of_ros2(interface: str, **more: Any) -> tuple[Build, Act]:
+    """As `following`, with replacements, speeds and holds of ros2_controllers."""
+    own = {"type": "joint_trajectory_controller/JointTrajectoryController", "joints": JOINTS}
+    own |= {"command_interfaces": [interface], "state_interfaces": ["position", "velocity"]}
+    own |= {"allow_partial_joints_goal": True, "allow_nonzero_velocity_at_trajectory_end": True, "cmd_timeout": 0.3}
+    braking = {joint: {"max_deceleration_on_cancel": 9.0, "trajectory": 0.5} for joint in JOINTS}
+    own |= {"constraints": {"goal_time": 0.2, "decelerate_on_cancel": True, **braking}, **more}
+
+    def act(simulation: Simulation, dice: Random) -> None:
+        trajectory, what, action = random_trajectory(dice), dice.random(), "/a/arm/follow_joint_trajectory"
+        if what < 0.4:
+            simulation.publish(f"{action}/goal", {"goal": {"trajectory": trajectory}})
+        elif what < 0.8:
+            simulation.publish("/a/arm/joint_trajectory", trajectory)
+        elif what < 0.9 and interface == "position":
+            simulation.publish("/a/arm/speed_scaling_input", {"factor": dice.uniform(0.3, 1.5)})
+        else:
+            simulation.publish(f"{action}/cancel", {})
+
+    return lambda simulation: add(simulation, "a", arm(interface=interface.title()), {"arm": own}), act
+
+
 def gripping(interface: str) -> tuple[Build, Act]:
     own: dict[str, Any] = {"type": f"{interface.lower()}_controllers/GripperActionController", "joint": "joint1"}
     own |= {"gains": {"joint1": {"p": 90.0, "d": 25.0}}, "stall_timeout": 0.1, "goal_tolerance": 0.05}
@@ -279,6 +301,10 @@ SCENES: dict[str, tuple[Build, Act]] = {
     "position trajectory": following("position"),
     "pos-vel trajectory": following("pos_vel"),
     "pos-vel-acc trajectory": following("pos_vel_acc"),
+    "effort trajectory of ROS 2": following_of_ros2(
+        "effort", gains={joint: {"p": 90.0, "d": 12.0, "i": 5.0, "i_clamp_max": 3.0} for joint in JOINTS}
+    ),
+    "position trajectory of ROS 2": following_of_ros2("position"),
     "effort gripper": gripping("Effort"),
     "position gripper": gripping("Position"),
     "a cart on the ground": shipped_model("cart", {"/cart/base_controller/cmd_vel": twist}, drive="controller"),
@@ -322,7 +348,8 @@ def test_going_on_from_a_snapshot_gives_the_same_bits(scene: str, engine: str, t
     topics = [
         topic for topic in one.graph.topics.names() if topic.startswith(("/a/", "/car", "/tf")) and "image" not in topic
     ]
-    topics = [topic for topic in topics if not topic.endswith(("/command", "/cmd_vel", "/goal", "/cancel"))]
+    inputs = ("/command", "/cmd_vel", "/goal", "/cancel", "/joint_trajectory", "/speed_scaling_input")
+    topics = [topic for topic in topics if not topic.endswith(inputs)]
     never_stopped = future(one, act, topics)
 
     one = begun()

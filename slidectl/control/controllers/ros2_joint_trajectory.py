@@ -426,7 +426,7 @@ class Ros2JointTrajectoryController(ActionController[Any]):
         self._pids = [Ros2Pid(Ros2Gains()) for _ in self._places]
         self._feed_forward = [0.0 for _ in self._places]
         self._read_live()
-        self._scaling: float = _value(node, INITIAL_SCALING) if self._is_of_positions else 1.0
+        self._scaling = self._initial_scaling()
         self.time_ns = self.trajectory_ns = self._period_ns = self._timeout_ns = 0
         self.is_holding = True
         """True while the trajectory is a hold, or repeats the end of a goal: no tolerances are checked."""
@@ -487,6 +487,15 @@ class Ros2JointTrajectoryController(ActionController[Any]):
                 raise Refused(
                     f"{where}: this robot has no interface {value!r}", "publish on speed_scaling_input instead"
                 )
+
+    def _initial_scaling(self) -> float:
+        factor: float = _value(self._node, INITIAL_SCALING)
+        if self._is_of_positions:
+            return factor
+        if factor != 1.0:
+            where = names.join(self._node.namespace, INITIAL_SCALING.name)
+            self._node.log("warn", f"{where} has no effect: only trajectories of positions alone are scaled")
+        return 1.0
 
     def _described_joints(self) -> list[Joint | None]:
         """The joints in the robot description; None for those that it lacks. Raises Refused, BadFile: it is wrong."""

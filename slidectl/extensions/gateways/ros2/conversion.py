@@ -23,8 +23,10 @@ _TYPES = {
     "time": "builtin_interfaces/msg/Time",
     "duration": "builtin_interfaces/msg/Duration",
     "rosgraph_msgs/Log": "rcl_interfaces/msg/Log",
+    "slidectl/JointTrajectoryControllerState": "control_msgs/msg/JointTrajectoryControllerState",
+    "slidectl/QueryTrajectoryState": "control_msgs/srv/QueryTrajectoryState",
 }
-"""Types of ROS 1 that have another name or package in ROS 2."""
+"""Types of ROS 1 that have another name or package in ROS 2, and types of slidectl that are those of ROS 2."""
 _FIELDS = {
     "control_msgs/JointTrajectoryControllerState": {"desired": "reference", "actual": "feedback"},
     "controller_manager_msgs/SwitchControllerRequest": {
