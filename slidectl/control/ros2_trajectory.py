@@ -173,7 +173,8 @@ def _between(start: Waypoint, end: Waypoint, elapsed_ns: int, duration_ns: int) 
     rate = 0.0 if duration_s == 0.0 else x / duration_s
     e0, e1 = start.effort or zeros, end.effort or zeros
     effort = [one + (other - one) * rate for one, other in zip(e0, e1, strict=True)]
-    return Waypoint(0, *zip(*states, strict=True), effort)
+    positions, velocities, accelerations = zip(*states, strict=True)
+    return Waypoint(0, positions, velocities, accelerations, effort)
 
 
 Factors = tuple[float, float, float, float, float, float]
