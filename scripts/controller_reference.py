@@ -20,7 +20,8 @@ HEAD = """# Controllers
 <!-- python scripts/controller_reference.py writes this page. -->
 
 This page lists the types that `slidectl controller types` prints, with the parameters below the name of a controller.
-They behave as those of ros_controllers; [deviations](deviations.md) lists the differences. Every controller also reads
+They behave as those of ros_controllers, and those whose section says so as those of ros2_controllers;
+[deviations](deviations.md) lists the differences. Every controller also reads
 `type` and `update_budget` ([times](extending.md#a-controller-of-your-own)).
 
 ## Follow a trajectory
@@ -98,6 +99,45 @@ $ slidectl pub /car/base_controller/cmd_four_wheel_steering \\
 $ slidectl wait /car/base_controller/odom_steer/data/front_steering_angle --near 0.8 --tol 0.05 --within 5
 /car/base_controller/odom_steer/data/front_steering_angle is 0.7612 at 6.1 s
 $ kill %%
+$ slidectl daemon stop
+daemon default: stopped, it was process 4711
+```
+
+## Follow a trajectory as in ROS 2
+
+This file of ROS 2 configures its trajectory controller for the same two joints. Save it as `ros2_joints.yaml`:
+
+```yaml
+controller_manager:
+  ros__parameters:
+    arm_controller:
+      type: joint_trajectory_controller/JointTrajectoryController
+arm_controller:
+  ros__parameters:
+    joints: [joint1, joint2]
+    command_interfaces: [effort]
+    state_interfaces: [position, velocity]
+    gains:
+      joint1: {p: 400.0, d: 60.0}
+      joint2: {p: 400.0, d: 60.0}
+    constraints:
+      goal_time: 0.5
+      stopped_velocity_tolerance: 0.1
+      joint1: {trajectory: 0.5, goal: 0.02}
+```
+
+```console
+$ slidectl daemon start --paused
+daemon default: started, process 4711
+$ slidectl spawn arm --controllers ros2_joints.yaml --start arm_controller
+arm: spawned in /arm at 0 0 0, joints: joint1 joint2 joint3 joint4 joint5 joint6
+$ slidectl sim resume
+running at 0 s
+$ slidectl trajectory plan arm_controller --to joint1=1.0 joint2=-0.5 --duration 2 --wait
+/arm/arm_controller/follow_joint_trajectory: succeeded: Goal successfully reached!
+$ slidectl echo /arm/arm_controller/controller_state/reference/positions -n 1
+[1.0, -0.5]
+---
 $ slidectl daemon stop
 daemon default: stopped, it was process 4711
 ```
