@@ -455,11 +455,12 @@ class ControllerCheck:
         type_name = str(tree["type"])
         self.found[self.source.full(path)] = type_name
         try:
-            found = counterpart(type_name, tree)
+            for_ros2 = registry.is_of_ros2(type_name, tree, for_ros2=False)
+            found = None if for_ros2 else counterpart(type_name, tree)
             if found is not None:
                 tree = self._translated(path, tree, found)
                 type_name = found.type
-            cls = registry.common.find(type_name)
+            cls = registry.common.find(type_name, for_ros2=for_ros2)
         except (registry.UnknownType, NoCounterpart) as error:
             self.source.absent(f"{path}/type", error.message, error.hint or "", f"controller type {type_name}")
             for name, value in tree.items():

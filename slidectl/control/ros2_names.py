@@ -44,23 +44,11 @@ class Ros2Type(NamedTuple):
 
 
 NAMES: dict[str, Ros2Type] = {
-    "joint_state_broadcaster/JointStateBroadcaster": Ros2Type(
-        "joint_state_controller/JointStateController", defaults=_RATE
-    ),
     "joint_trajectory_controller/JointTrajectoryController": Ros2Type(
         {names: f"{family}/JointTrajectoryController" for names, family in _BY_INTERFACE.items()},
         "trajectories go to `command`, states come on `state`",
         "command_interfaces",
         {"gains/*/ff_velocity_scale": "velocity_ff/*"},
-    ),
-    "forward_command_controller/ForwardCommandController": Ros2Type(
-        {
-            names: f"{family}/JointGroup{names[0].title()}Controller"
-            for names, family in _BY_INTERFACE.items()
-            if len(names) == 1
-        },
-        "commands go to `command`",
-        "interface_name",
     ),
     "diff_drive_controller/DiffDriveController": Ros2Type(
         "diff_drive_controller/DiffDriveController",
@@ -95,11 +83,6 @@ OTHERS: dict[str, tuple[str, tuple[str, ...]]] = {
     "bicycle_steering_controller/BicycleSteeringController": (_STEERS_ONE, ()),
     "tricycle_controller/TricycleController": (_STEERS_ONE, ()),
     "tricycle_steering_controller/TricycleSteeringController": (_STEERS_ONE, ()),
-    "forward_command_controller/MultiInterfaceForwardCommandController": (
-        "one of position_controllers/JointGroupPositionController, velocity_controllers/JointGroupVelocityController"
-        " and effort_controllers/JointGroupEffortController for each interface",
-        (),
-    ),
     "parallel_gripper_action_controller/GripperActionController": (
         "position_controllers/GripperActionController, whose goals are control_msgs/GripperCommand",
         (),

@@ -49,7 +49,7 @@ def test_it_runs_and_each_answer_says_what_the_controllers_are_here(world: Comma
     done = world("spawn", "rrbot", "--controllers", file, "--start", "states", "arm")
     assert done.returncode == 0, done.stderr
     assert f"/rrbot/arm: {IS_HERE}" in done.stderr
-    assert "joint_state_controller/JointStateController here, with publish_rate 100" in done.stderr
+    assert "joint_state_broadcaster/JointStateBroadcaster" in world.ok("controller", "list")
     assert "effort_controllers/JointTrajectoryController" in world.ok("controller", "list")
     world.ok("trajectory", "plan", "arm", "--to", "joint1=0.2", "joint2=-0.1", "--duration", "1")
     world.ok("sim", "step", "2000")

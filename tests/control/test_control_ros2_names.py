@@ -8,17 +8,14 @@ from slidectl.control import registry
 from slidectl.control.ros2_names import NAMES, OTHERS, NoCounterpart, counterpart
 
 TRAJECTORY = "joint_trajectory_controller/JointTrajectoryController"
-FORWARD = "forward_command_controller/ForwardCommandController"
 
 
 @pytest.mark.parametrize(
     ("name", "parameters", "here"),
     [
-        ("joint_state_broadcaster/JointStateBroadcaster", {}, "joint_state_controller/JointStateController"),
         (TRAJECTORY, {"command_interfaces": ["position"]}, "position_controllers/JointTrajectoryController"),
         (TRAJECTORY, {"command_interfaces": ["effort"]}, "effort_controllers/JointTrajectoryController"),
         (TRAJECTORY, {"command_interfaces": ["velocity", "position"]}, "pos_vel_controllers/JointTrajectoryController"),
-        (FORWARD, {"interface_name": "velocity"}, "velocity_controllers/JointGroupVelocityController"),
         ("imu_sensor_broadcaster/IMUSensorBroadcaster", {}, "imu_sensor_controller/ImuSensorController"),
     ],
 )
@@ -61,7 +58,6 @@ def test_the_same_name_with_parameters_of_ros_1_is_left_alone(name: str) -> None
         (TRAJECTORY, {}, "command_interfaces is not set"),
         (TRAJECTORY, {"command_interfaces": ["position", "effort"]}, r"set command_interfaces to \['position'\] or"),
         (TRAJECTORY, {"command_interfaces": [["position"]]}, r"command_interfaces is \[\['position'\]\]"),
-        (FORWARD, {"interface_name": 7}, "set interface_name to position or velocity or effort"),
         ("tricycle_controller/TricycleController", {}, "here: ackermann_steering_controller/Ackermann"),
         (
             "ackermann_steering_controller/AckermannSteeringController",
