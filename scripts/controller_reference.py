@@ -129,12 +129,33 @@ arm:
     interface_name: effort
 ```
 
+A base has limits where they are set:
+
+```yaml
+controller_manager:
+  ros__parameters:
+    base: {type: diff_drive_controller/DiffDriveController}
+base:
+  ros__parameters:
+    left_wheel_names: [left_wheel_joint]
+    right_wheel_names: [right_wheel_joint]
+    wheel_separation: 0.4
+    wheel_radius: 0.1
+    tf_frame_prefix_enable: false
+    linear.x: {max_velocity: 1.0, max_acceleration: 2.0}
+    angular.z.max_velocity: 2.0
+```
+
 These are the differences from the controllers of ros_controllers.
 
 * `joint_state_broadcaster/JointStateBroadcaster` publishes at its `update_rate`, and a field without data is nan.
   `joint_state_controller/JointStateController` needs `publish_rate`.
 * Forward and group controllers listen to `commands` and command nothing before the first message. When a group stops,
   its velocities and efforts become 0. Those of ROS 1 listen to `command` and first command 0, or hold positions.
+* `diff_drive_controller/DiffDriveController` is that of ROS 2 also where `left_wheel_names` or `right_wheel_names` is
+  set. Commands are geometry_msgs/TwistStamped, whose stamps are simulated time; 0 is the time of the arrival. A limit
+  applies where it is set. The geometry must be given. Odometry comes with each update, and its frames have the robot's
+  namespace as prefix unless `tf_frame_prefix_enable` is false.
 """
 
 NAMES = """The following types of ROS 2 are loaded as their counterparts of ros_controllers, and the answer to the load

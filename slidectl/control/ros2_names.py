@@ -39,8 +39,6 @@ class Ros2Type(NamedTuple):
     """New name of each parameter that is named differently here; `*` stands for any name."""
     defaults: Mapping[str, Any] = {}
     """Values of parameters that are optional in ROS 2 and required here."""
-    identified_by: tuple[str, ...] = ()
-    """For a type with the same name here: parameters that only ROS 2 has. One of them identifies the ROS 2 type."""
 
 
 NAMES: dict[str, Ros2Type] = {
@@ -49,17 +47,6 @@ NAMES: dict[str, Ros2Type] = {
         "trajectories go to `command`, states come on `state`",
         "command_interfaces",
         {"gains/*/ff_velocity_scale": "velocity_ff/*"},
-    ),
-    "diff_drive_controller/DiffDriveController": Ros2Type(
-        "diff_drive_controller/DiffDriveController",
-        "commands are geometry_msgs/Twist, and a limit applies only with its has_..._limits",
-        renamed={
-            "left_wheel_names": "left_wheel",
-            "right_wheel_names": "right_wheel",
-            "publish_limited_velocity": "publish_cmd",
-        },
-        defaults={f"{what}_covariance_diagonal": [0.0] * 6 for what in ("pose", "twist")},
-        identified_by=("left_wheel_names", "right_wheel_names"),
     ),
     "imu_sensor_broadcaster/IMUSensorBroadcaster": Ros2Type(
         "imu_sensor_controller/ImuSensorController", "each IMU is published on its name", defaults=_RATE
@@ -111,7 +98,9 @@ class NoCounterpart(Refused):
     """A type of ROS 2 without an equivalent here, or whose parameters do not determine the equivalent."""
 
 
-IDENTIFIED_BY: dict[str, tuple[str, ...]] = {}
+IDENTIFIED_BY: dict[str, tuple[str, ...]] = {
+    "diff_drive_controller/DiffDriveController": ("left_wheel_names", "right_wheel_names"),
+}
 """By type that ros_controllers have as well: parameters that only ros2_controllers read."""
 
 
@@ -134,14 +123,14 @@ def counterpart(type_name: str, parameters: Mapping[str, Any]) -> Counterpart | 
             raise NoCounterpart(f"{type_name} of ROS 2 is another controller", f"here: {advice}")
         return None
     found = NAMES.get(type_name)
-    if found is None or (found.identified_by and not any(name in values for name in found.identified_by)):
+    if found is None:
         return None
     here = found.here if isinstance(found.here, str) else _chosen(type_name, found, values)
     understood = {found.interfaces: f"makes it {here}"} if found.interfaces else {}
     if "state_interfaces" in values:
         understood["state_interfaces"] = "is not needed: states are always there"
     more = {name: value for name, value in found.defaults.items() if name not in values}
-    remark = f"{type_name} is {here} here" if here != type_name else f"{type_name} has parameters of ROS 2"
+    remark = f"{type_name} is {here} here"
     remark += "".join(f", with {name} {value}" for name, value in more.items())
     for old, new in found.renamed.items():
         pattern = re.compile(re.escape(old).replace(r"\*", "([^/]+)"))

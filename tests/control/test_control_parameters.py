@@ -43,8 +43,9 @@ NAMED = {
     "interfaces": ["position"],
     "interface_name": "effort",
     "interface_names": ["effort"],
+    **dict.fromkeys(("min_velocity", "max_deceleration", "max_acceleration_reverse", "min_jerk"), -1.0),
 }
-"""Values of parameters by their names."""
+"""Values of parameters by the ends of their names."""
 
 TYPES = [name for name in registry.common.types() if not name.startswith("tests/")]  # whatever other tests define
 CLASSES = {registry.common.find(name, for_ros2=for_ros2): None for for_ros2 in (False, True) for name in TYPES}
@@ -74,7 +75,10 @@ def own(declared: tuple[Parameter, ...]) -> dict[str, Parameter]:
 @each_class
 def test_a_controller_reads_what_it_says_and_says_what_it_reads(cls: type[ControllerBase]) -> None:
     declared = own(cls.parameters)
-    values = {f"/bot/c/{name}": NAMED.get(name, VALUES[parameter.kind]) for name, parameter in declared.items()}
+    values = {
+        f"/bot/c/{name}": NAMED.get(name.rpartition("/")[2], VALUES[parameter.kind])
+        for name, parameter in declared.items()
+    }
     graph = WatchedGraph({"/bot/robot_description": URDF, **values})
     robot = FakeRobot(commands=COMMAND_INTERFACES)
     robot.register_interface(ImuSensorInterface())

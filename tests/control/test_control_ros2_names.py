@@ -33,22 +33,15 @@ def test_every_name_that_the_table_gives_is_a_type_here() -> None:
     assert set(types + words) <= set(registry.common.types()) | {"control_msgs/GripperCommand"}
 
 
-def test_parameters_of_other_names_are_handed_on_and_defaults_filled_in() -> None:
-    sides = {"left_wheel_names": ["l"], "right_wheel_names": ["r"]}
-    drive = counterpart("diff_drive_controller/DiffDriveController", {**sides, "pose_covariance_diagonal": [0.1] * 6})
-    assert drive is not None
-    assert drive.values == {"left_wheel": ["l"], "right_wheel": ["r"], "twist_covariance_diagonal": [0.0] * 6}
+def test_parameters_of_other_names_are_handed_on() -> None:
     gains = {"gains": {"a": {"p": 1.0, "ff_velocity_scale": 0.5}}, "command_interfaces": ["effort"]}
     trajectory = counterpart(TRAJECTORY, gains)
     assert trajectory is not None
     assert trajectory.values == {"velocity_ff/a": 0.5}
 
 
-@pytest.mark.parametrize(
-    "name", ["diff_drive_controller/DiffDriveController", "ackermann_steering_controller/AckermannSteeringController"]
-)
-def test_the_same_name_with_parameters_of_ros_1_is_left_alone(name: str) -> None:
-    assert counterpart(name, {"left_wheel": "l", "rear_wheel": "r"}) is None
+def test_the_same_name_with_parameters_of_ros_1_is_left_alone() -> None:
+    assert counterpart("ackermann_steering_controller/AckermannSteeringController", {"rear_wheel": "r"}) is None
     assert counterpart("effort_controllers/JointPositionController", {}) is None
 
 
@@ -69,3 +62,19 @@ def test_the_same_name_with_parameters_of_ros_1_is_left_alone(name: str) -> None
 def test_what_means_something_else_is_refused_with_what_to_write(name: str, parameters: dict, text: str) -> None:
     with pytest.raises(NoCounterpart, match=text):
         counterpart(name, parameters)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "for_ros2", "expected"),
+    [
+        ({"left_wheel": "l"}, False, False),
+        ({"left_wheel": "l"}, True, True),
+        ({"left_wheel_names": ["l"]}, False, True),
+    ],
+)
+def test_a_type_of_both_is_that_of_the_robot_or_of_the_parameters(
+    parameters: dict, for_ros2: bool, expected: bool
+) -> None:
+    drive = "diff_drive_controller/DiffDriveController"
+    assert registry.is_of_ros2(drive, parameters, for_ros2) is expected
+    assert not registry.is_of_ros2("four_wheel_steering_controller/FourWheelSteeringController", parameters, for_ros2)

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from engine_scenes import add, arm
 
-from slidectl import Simulation
+from slidectl import Simulation, description
 
 
 def world_with(xml: str, own: dict[str, dict[str, Any]]) -> Simulation:
@@ -73,3 +73,30 @@ def test_a_robot_of_ros_2_has_its_groups() -> None:
     simulation.step(300)
     assert simulation.world.joint_state("a", "joint2")[1] == pytest.approx(0.5, abs=1e-6)
     assert simulation.world.joint_state("a", "joint3")[1] == pytest.approx(-0.25, abs=1e-6)
+
+
+def test_a_base_drives_and_publishes_where_it_is() -> None:
+    own = {
+        "type": "diff_drive_controller/DiffDriveController",
+        "left_wheel_names": ["left_wheel_joint"],
+        "right_wheel_names": ["right_wheel_joint"],
+        "wheel_separation": 0.4,
+        "wheel_radius": 0.1,
+        "tf_frame_prefix_enable": False,
+        "update_rate": 50,
+        "linear": {"x": {"max_acceleration": 0.5}},
+    }
+    simulation = Simulation()
+    xml = description.load("cart", {"drive": "controller"}, description.Packages()).xml
+    add(simulation, "cart", xml, {"base": own})
+    simulation.step(1000)
+    heard = listened(simulation, "/cart/base/odom")
+    for _ in range(20):
+        simulation.publish("/cart/base/cmd_vel", {"twist": {"linear": {"x": 0.4}}})
+        simulation.step(100)
+    assert len(heard) == 100
+    assert heard[-1]["header"]["frame_id"] == "odom"
+    assert heard[-1]["twist"]["twist"]["linear"]["x"] == pytest.approx(0.4, abs=0.01)
+    travelled = 0.4 * 2.0 - 0.4 * 0.4 / 0.5 / 2.0  # it speeds up for 0.8 s
+    assert heard[-1]["pose"]["pose"]["position"]["x"] == pytest.approx(travelled, abs=0.02)
+    assert simulation.world.link_pose("cart", "base_link")[0][0] == pytest.approx(travelled, abs=0.03)

@@ -259,6 +259,32 @@ def of_ros2() -> tuple[Build, Act]:
     )
 
 
+def drive_of_ros2() -> tuple[Build, Act]:
+    """The shipped cart, with limits, a time-out that passes between commands, and poses that are set."""
+    own = {
+        "type": "diff_drive_controller/DiffDriveController",
+        "left_wheel_names": ["left_wheel_joint"],
+        "right_wheel_names": ["right_wheel_joint"],
+        "wheel_separation": 0.4,
+        "wheel_radius": 0.1,
+        "cmd_vel_timeout": 0.1,
+        "linear": {"x": {"max_acceleration": 1.0, "max_jerk": 20.0}},
+        "update_rate": 200,
+    }
+
+    def build(simulation: Simulation) -> None:
+        xml = description.load("cart", {"drive": "controller"}, description.Packages()).xml
+        add(simulation, "cart", xml, {"base": own})
+
+    def act(simulation: Simulation, dice: Random) -> None:
+        if dice.random() < 0.2:
+            simulation.call("/cart/base/set_odometry", {"x": dice.uniform(-1, 1), "yaw": 0.5})
+        else:
+            simulation.publish("/cart/base/cmd_vel", {"twist": twist(dice)})
+
+    return build, act
+
+
 def plugin_drive(drive: str) -> tuple[Build, Act]:
     """A model that drives by itself: its wheels measure their way, or it glides."""
     glides = """<robot name="box"><link name="base"><inertial><mass value="2"/>
@@ -314,6 +340,7 @@ SCENES: dict[str, tuple[Build, Act]] = {
     "ackermann": ackermann(),
     "sensors": sensing(),
     "controllers of ROS 2": of_ros2(),
+    "a drive of ROS 2": drive_of_ros2(),
     "wheels of a model": plugin_drive("wheels"),
     "a model that glides": plugin_drive("glides"),
     "stops and switches": stopped(),
