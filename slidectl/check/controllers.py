@@ -455,11 +455,12 @@ class ControllerCheck:
         type_name = str(tree["type"])
         self.found[self.source.full(path)] = type_name
         try:
-            found = counterpart(type_name, tree)
+            for_ros2 = registry.is_of_ros2(type_name, tree, for_ros2=False)
+            found = None if for_ros2 else counterpart(type_name, tree)
             if found is not None:
                 tree = self._translated(path, tree, found)
                 type_name = found.type
-            cls = registry.common.find(type_name)
+            cls = registry.common.find(type_name, for_ros2=for_ros2)
         except (registry.UnknownType, NoCounterpart) as error:
             self.source.absent(f"{path}/type", error.message, error.hint or "", f"controller type {type_name}")
             for name, value in tree.items():
@@ -496,13 +497,10 @@ class ControllerCheck:
         self.claims[self.source.full(path)] = {joint for some in joints for joint in some}
 
     def _translated(self, path: str, tree: Mapping[str, Any], found: Counterpart) -> Mapping[str, Any]:
-        """The parameters under their names here, for a controller written as in ROS 2."""
+        """The parameters with the values that are set for a controller written as in ROS 2."""
         self.source.add("converted", f"{path}/type", found.remark)
-        for name, became in found.understood.items():
-            self.source.add("converted", f"{path}/{name}", became)
         placed: Tree = {}
-        rest = {name: value for name, value in leaves(tree) if name not in found.understood}
-        for name, value in (rest | dict(found.values)).items():
+        for name, value in (dict(leaves(tree)) | dict(found.values)).items():
             merge(placed, nest(name, value))
         return placed
 

@@ -49,7 +49,7 @@ def _empty_again(world: CommandLine) -> Iterator[None]:
 def test_it_runs_and_each_answer_says_what_the_controllers_are_here(world: CommandLine, file: str) -> None:
     done = world("spawn", "rrbot", "--controllers", file, "--start", "states", "arm")
     assert done.returncode == 0, done.stderr
-    assert "joint_state_controller/JointStateController here, with publish_rate 100" in done.stderr
+    assert "joint_state_broadcaster/JointStateBroadcaster" in world.ok("controller", "list")
     assert TRAJECTORY in world.ok("controller", "list")
     world.ok("trajectory", "plan", "arm", "--to", "joint1=0.2", "joint2=-0.1", "--duration", "1")
     world.ok("sim", "step", "2000")

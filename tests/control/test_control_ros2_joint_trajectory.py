@@ -332,6 +332,15 @@ class TestMotion:
         assert (arm.j1.command, arm.j2.command) == (0.0, 1.0)
 
 
+class TestUpdateRate:
+    def test_the_look_ahead_is_one_update_and_commands_stay_in_between(self) -> None:
+        arm = Arm(update_rate=100)
+        arm.run(9)  # the first update was in the first cycle
+        arm.send(point(0.1, 1.0, 1.0))
+        commands = arm.commands(25)
+        assert commands == pytest.approx([0.0] + [0.1] * 10 + [0.2] * 10 + [0.3] * 4)
+
+
 class TestIntegration:
     def test_velocities_and_accelerations_are_integrated_to_positions(self) -> None:
         arm = Arm(allow_integration_in_goal_trajectories=True, allow_nonzero_velocity_at_trajectory_end=True)

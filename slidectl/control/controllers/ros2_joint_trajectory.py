@@ -54,6 +54,7 @@ from slidectl.control.node_handle import GoalHandle, GoalStatus, Message, NodeHa
 from slidectl.control.params import BOOLEAN, JOINTS, NUMBER, TEXTS, BadParameter, Kind, Parameter, as_number
 from slidectl.control.registry import ros2_controller
 from slidectl.control.robot_description import PARAMETER, robot_of_model
+from slidectl.control.ros2_controller import Ros2Controller
 from slidectl.control.ros2_pid import STRATEGIES, Ros2Gains, Ros2Pid
 from slidectl.control.ros2_trajectory import (
     FIELDS,
@@ -333,11 +334,12 @@ def _value(node: NodeHandle, parameter: Parameter, joint: str = "") -> Any:
 
 
 @ros2_controller("joint_trajectory_controller/JointTrajectoryController")
-class Ros2JointTrajectoryController(ActionController[Any]):
+class Ros2JointTrajectoryController(Ros2Controller, ActionController[Any]):
     """The commands are those of `command_interfaces`."""
 
     interface_types: ClassVar[tuple[type[AnyInterface], ...]] = (*_INTERFACES.values(), JointStateInterface)
     parameters: ClassVar[tuple[Parameter, ...]] = (
+        *Ros2Controller.parameters,
         _JOINTS,
         COMMAND_JOINTS,
         COMMAND_INTERFACES,
@@ -376,20 +378,17 @@ class Ros2JointTrajectoryController(ActionController[Any]):
             where = names.join(node.namespace, COMMAND_INTERFACES.name)
             sets = " or ".join(str(list(each)) for each in _INTERFACES)
             raise Refused(f"{where}: no joint can be commanded by {listing(quantities)} together", f"use {sets}")
-        interface, states = hw.get(kind), hw.get(JointStateInterface)
-        for wanted, found in ((kind, interface), (JointStateInterface, states)):
-            if found is None:
-                raise MissingInterface(wanted.type_name, hw)
-        assert interface is not None
-        assert states is not None
-        interface.pop_claims()
+        states = hw.get(JointStateInterface)
+        if states is None:
+            raise MissingInterface(JointStateInterface.type_name, hw)
+        self._joint_states = states
         self._quantities = quantities
         self._attributes = [(one, "command" if one == quantities[0] else f"command_{one}") for one in quantities]
         """Each commanded quantity, and the attribute of a joint for its command."""
-        self._init(interface, states, node)
-        return (ClaimedResources(interface.type_name, interface.pop_claims()),)
+        self.interface_type = kind
+        return super()._claim(hw, root, node)
 
-    def _init(self, interface: AnyInterface, states: JointStateInterface, node: NodeHandle) -> None:
+    def init(self, interface: AnyInterface, node: NodeHandle) -> None:
         """Raises SlidectlError: a parameter, a joint or the robot description is missing or wrong."""
         self._node = node
         self._names: list[str] = _value(node, _JOINTS)
@@ -397,7 +396,7 @@ class Ros2JointTrajectoryController(ActionController[Any]):
         self._check_names(commanded)
         self._check_states(_value(node, STATE_INTERFACES))
         self._check_scaling()
-        self._joints: tuple[JointStateHandle, ...] = tuple(states.get_handle(name) for name in self._names)
+        self._joints: tuple[JointStateHandle, ...] = tuple(self._joint_states.get_handle(name) for name in self._names)
         self._commanded: tuple[JointHandle, ...] = tuple(interface.get_handle(name) for name in commanded)
         is_smaller = len(commanded) < len(self._names)
         self._places = [self._names.index(name) if is_smaller else k for k, name in enumerate(commanded)]
@@ -556,6 +555,7 @@ class Ros2JointTrajectoryController(ActionController[Any]):
 
     def starting(self, time_ns: int) -> None:
         """Hold the positions: those commanded last, or the measured ones."""
+        super().starting(time_ns)
         self.time_ns = time_ns
         self._measured = self._measure()
         current = self._measured.copy()
@@ -595,7 +595,7 @@ class Ros2JointTrajectoryController(ActionController[Any]):
         self._preempt(_DEACTIVATED)
         self._trajectory = self._pending = None
 
-    def update(self, time_ns: int, period_s: float) -> None:
+    def cycle(self, time_ns: int, period_s: float) -> None:
         self.time_ns, self._period_ns = time_ns, nearest_ns(period_s)
         if self._pending is not None:
             self._trajectory, self._pending = self._installed(self._pending), None
