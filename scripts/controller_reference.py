@@ -20,8 +20,9 @@ HEAD = """# Controllers
 <!-- python scripts/controller_reference.py writes this page. -->
 
 This page lists the types that `slidectl controller types` prints, with the parameters below the name of a controller.
-They behave as those of ros_controllers; [deviations](deviations.md) lists the differences. Every controller also reads
-`type` and `update_budget` ([times](extending.md#a-controller-of-your-own)).
+They behave as those of ros_controllers, or as those of ros2_controllers ([below](#controllers-of-ros-2));
+[deviations](deviations.md) lists the differences. Every controller also reads `type` and `update_budget`
+([times](extending.md#a-controller-of-your-own)).
 
 ## Follow a trajectory
 
@@ -101,6 +102,45 @@ $ kill %%
 $ slidectl daemon stop
 daemon default: stopped, it was process 4711
 ```
+
+## Follow a trajectory as in ROS 2
+
+This file of ROS 2 configures its trajectory controller for the same two joints. Save it as `ros2_joints.yaml`:
+
+```yaml
+controller_manager:
+  ros__parameters:
+    arm_controller:
+      type: joint_trajectory_controller/JointTrajectoryController
+arm_controller:
+  ros__parameters:
+    joints: [joint1, joint2]
+    command_interfaces: [effort]
+    state_interfaces: [position, velocity]
+    gains:
+      joint1: {p: 400.0, d: 60.0}
+      joint2: {p: 400.0, d: 60.0}
+    constraints:
+      goal_time: 0.5
+      stopped_velocity_tolerance: 0.1
+      joint1: {trajectory: 0.5, goal: 0.02}
+```
+
+```console
+$ slidectl daemon start --paused
+daemon default: started, process 4711
+$ slidectl spawn arm --controllers ros2_joints.yaml --start arm_controller
+arm: spawned in /arm at 0 0 0, joints: joint1 joint2 joint3 joint4 joint5 joint6
+$ slidectl sim resume
+running at 0 s
+$ slidectl trajectory plan arm_controller --to joint1=1.0 joint2=-0.5 --duration 2 --wait
+/arm/arm_controller/follow_joint_trajectory: succeeded: Goal successfully reached!
+$ slidectl echo /arm/arm_controller/controller_state/reference/positions -n 1
+[1.0, -0.5]
+---
+$ slidectl daemon stop
+daemon default: stopped, it was process 4711
+```
 """
 
 CHAINS = """
@@ -143,39 +183,95 @@ position_controller:
 * **A failure** of one aborts the whole chain.
 * A reference is nan until it is written.
 
-A chainable controller also exports its states, as `CONTROLLER/JOINT` in the JointStateInterface. A controller that reads
-them needs it running, too. The exported names are none of the robot's joints: joint states do not list them.
+A chainable controller also exports its states, as `CONTROLLER/JOINT` in the JointStateInterface. A controller that
+reads them needs it running, too. The exported names are none of the robot's joints: joint states do not list them.
 """
 
-ROS_2 = """slidectl also reads parameter files of ROS 2. It puts parameters below `ros__parameters` directly below their
-node, and those of `controller_manager` beside it, and reads dots in names as slashes. It loads each type of this list
-as its counterpart, and the answer to the load names the counterpart. Other types, such as
-`position_controllers/JointGroupPositionController`, have the same name in both."""
+OF_ROS_2 = """## Controllers of ROS 2
+
+The controllers of the following sections behave as those of ros2_controllers: names, topics, parameters, and what they
+do. Where ros_controllers have a type of the same name, as `position_controllers/JointGroupPositionController`, a robot
+with a `<ros2_control>` tag gets that of ROS 2, any other robot that of ROS 1.
+
+slidectl reads parameter files of ROS 2. It puts parameters below `ros__parameters` directly below their node, and those
+of `controller_manager` beside it, and reads dots in names as slashes. `update_rate` of a controller counts against the
+rate of the control cycle, as in ROS 2 against that of the manager. A parameter that is read-only in ROS 2 is fixed when
+the controller is loaded.
+
+```yaml
+controller_manager:
+  ros__parameters:
+    states: {type: joint_state_broadcaster/JointStateBroadcaster}
+    arm: {type: forward_command_controller/ForwardCommandController}
+states:
+  ros__parameters:
+    update_rate: 50
+arm:
+  ros__parameters:
+    joints: [joint1, joint2]
+    interface_name: effort
+```
+
+A base has limits where they are set:
+
+```yaml
+controller_manager:
+  ros__parameters:
+    base: {type: diff_drive_controller/DiffDriveController}
+base:
+  ros__parameters:
+    left_wheel_names: [left_wheel_joint]
+    right_wheel_names: [right_wheel_joint]
+    wheel_separation: 0.4
+    wheel_radius: 0.1
+    tf_frame_prefix_enable: false
+    linear.x: {max_velocity: 1.0, max_acceleration: 2.0}
+    angular.z.max_velocity: 2.0
+```
+
+These are the differences from the controllers of ros_controllers.
+
+* `joint_state_broadcaster/JointStateBroadcaster` publishes at its `update_rate`, and a field without data is nan.
+  `joint_state_controller/JointStateController` needs `publish_rate`.
+* Forward and group controllers listen to `commands` and command nothing before the first message. When a group stops,
+  its velocities and efforts become 0. Those of ROS 1 listen to `command` and first command 0, or hold positions.
+* `joint_trajectory_controller/JointTrajectoryController` is one type for all interfaces, with other topics. A violated
+  tolerance stops the motion, and a `goal_time` of 0 waits for ever ([more](#joint-trajectory-of-ros-2)).
+* `diff_drive_controller/DiffDriveController` is that of ROS 2 also where `left_wheel_names` or `right_wheel_names` is
+  set. Commands are geometry_msgs/TwistStamped, whose stamps are simulated time; 0 is the time of the arrival. A limit
+  applies where it is set. The geometry must be given. Odometry comes with each update, and its frames have the robot's
+  namespace as prefix unless `tf_frame_prefix_enable` is false.
+"""
+
+NAMES = """The following types of ROS 2 are loaded as their counterparts of ros_controllers, and the answer to the load
+names the counterpart."""
 
 
 def page() -> str:
     """The whole page."""
-    families: dict[str, dict[str, type[ControllerBase]]] = {}
-    for name in registry.common.types():
-        cls = registry.common.find(name)
-        families.setdefault(cls.__module__, {})[name] = cls
-    lines = [line for module, classes in families.items() for line in family(module, classes)]
-    return HEAD + "".join(line + "\n" for line in (*lines, *CHAINS.splitlines()[1:], *names_of_ros_2()))
+    names = registry.common.types()
+    classes = {(name, registry.common.find(name, for_ros2=of_2)): None for of_2 in (False, True) for name in names}
+    families: dict[bool, dict[str, dict[str, type[ControllerBase]]]] = {False: {}, True: {}}
+    for name, cls in classes:
+        module = cls.__module__
+        families[is_of_ros_2(module)].setdefault(module, {})[name] = cls
+    of_1, of_2 = ([line for each in one.items() for line in family(*each)] for one in families.values())
+    lines = (*of_1, "", *OF_ROS_2.splitlines(), *of_2, *CHAINS.splitlines()[1:], *names_of_ros_2())
+    return HEAD + "".join(line + "\n" for line in lines)
+
+
+def is_of_ros_2(module: str) -> bool:
+    """True for a module of controllers that behave as in ros2_controllers."""
+    return module.rpartition(".")[2].startswith("ros2_")
 
 
 def names_of_ros_2() -> Iterator[str]:
     """The types that users of ROS 2 write, with their counterparts here."""
-    yield from ("", "## Names of ROS 2", "", ROS_2, "")
+    yield from ("", "## Names of ROS 2", "", NAMES, "")
     for name, known in ros2_names.NAMES.items():
-        if isinstance(known.here, str):
-            types = f"loaded as `{known.here}`."
-        else:
-            types = f"loaded by its `{known.interfaces}` as {quoted(known.here.values(), 'or')}."
-        renamed = [f"`{old}` is here `{new}`" for old, new in known.renamed.items()]
         defaults = [f"`{parameter}` is {value} by default" for parameter, value in known.defaults.items()]
-        more = [sentence(", ".join(each)) for each in (renamed, defaults) if each]
-        more += [sentence(known.note)] if known.note else []
-        yield f"* `{name}`: {' '.join((types, *more))}"
+        more = [sentence(text) for text in (", ".join(defaults), known.note) if text]
+        yield f"* `{name}`: {' '.join((f'loaded as `{known.here}`.', *more))}"
     yield from ("", "slidectl refuses the following types, and the error names what to use instead.", "")
     refused: dict[str, list[str]] = {}
     for name, (advice, telling) in ros2_names.OTHERS.items():
@@ -198,18 +294,17 @@ def sentence(text: str) -> str:
 def family(module: str, classes: dict[str, type[ControllerBase]]) -> Iterator[str]:
     """The controllers of one file: what they are, their types, their parameters."""
     title, _, text = (sys.modules[module].__doc__ or "").partition("\n\n")
-    stem = module.rpartition(".")[2]
-    word = stem.removeprefix("ros2_").replace("_", " ").capitalize()
-    yield from ("", f"## {word}{' of ROS 2' if stem.startswith('ros2_') else ''}", "", sentence(title), "")
+    word = module.rpartition(".")[2].removeprefix("ros2_").replace("_", " ").capitalize()
+    yield from ("", f"## {word} of ROS 2" if is_of_ros_2(module) else f"## {word}", "", sentence(title), "")
     yield from (text.strip(), "")
     for name, cls in classes.items():
         yield f"* `{name}`: {(cls.__doc__ or '').splitlines()[0]}"
-    kinds: dict[Parameter, list[str]] = {}
+    kinds: dict[str, tuple[Parameter, list[str]]] = {}
     for name, cls in classes.items():
         for parameter in cls.parameters:
-            kinds.setdefault(parameter, []).append(name)
+            kinds.setdefault(repr(parameter), (parameter, []))[1].append(name)
     shared: dict[tuple[str, ...], list[Parameter]] = {}
-    for parameter, names in kinds.items():
+    for parameter, names in kinds.values():
         shared.setdefault(tuple(names), []).append(parameter)
     for names, parameters in sorted(shared.items(), key=lambda each: -len(each[0])):
         if len(names) < len(classes):
@@ -224,7 +319,7 @@ def default(parameter: Parameter) -> str:
     if parameter.required:
         return "required"
     value = parameter.default
-    if value is None:
+    if value in (None, []):
         return ""
     shown = str(value).lower() if isinstance(value, bool) else str(value)
     return f"{shown} {parameter.unit}".strip()

@@ -499,13 +499,10 @@ class ControllerCheck:
         self.claims[self.source.full(path)] = {joint for some in joints for joint in some}
 
     def _translated(self, path: str, tree: Mapping[str, Any], found: Counterpart) -> Mapping[str, Any]:
-        """The parameters under their names here, for a controller written as in ROS 2."""
+        """The parameters with the values that are set for a controller written as in ROS 2."""
         self.source.add("converted", f"{path}/type", found.remark)
-        for name, became in found.understood.items():
-            self.source.add("converted", f"{path}/{name}", became)
         placed: Tree = {}
-        rest = {name: value for name, value in leaves(tree) if name not in found.understood}
-        for name, value in (rest | dict(found.values)).items():
+        for name, value in (dict(leaves(tree)) | dict(found.values)).items():
             merge(placed, nest(name, value))
         return placed
 

@@ -245,11 +245,13 @@ def _print_outcome(ctx: Context, chosen: Action, goal_id: str, ended: ActionResu
 
 def _motion_after(ctx: Context, chosen: Action, ended: ActionResult, code: int) -> str | None:
     """What the joints do after a tolerance has aborted a goal; None for other ends."""
-    from slidectl.client.action_client import TOLERANCE_CODES, TRAJECTORY_TYPE
+    from slidectl.client.action_client import TOLERANCE_CODES, TRAJECTORY_TYPE, is_of_ros2
 
     if ended.state != "aborted" or chosen.type != TRAJECTORY_TYPE or code not in TOLERANCE_CODES:
         return None
     controller = names.parent(chosen.name)
+    if is_of_ros2(ctx.client, controller):
+        return "the joints hold the positions at which they were"
     parameter = f"{controller}/stop_on_abort"
     if ctx.call("/rosapi/get_param", {"name": parameter, "default": "false"})["value"] == "true":
         return f"the joints stop where they are ({parameter})"

@@ -107,7 +107,9 @@ def plan(ctx: Context, controller: str, targets: tuple[str, ...], duration: floa
 @_controller
 @click.pass_obj
 def hold(ctx: Context, controller: str) -> None:
-    """Cancel all goals, and hold the joints in place: an empty trajectory on the command topic.
+    """Cancel all goals, and hold the joints in place.
+
+    It is an empty trajectory on the command topic; to a controller of ROS 2, the present desired positions.
 
     JSON key: controller.
     """
@@ -139,20 +141,17 @@ def state(ctx: Context, controller: str) -> None:
 
     JSON keys of each joint: joint, desired, actual, error, desired_velocity, actual_velocity.
     """
-    from slidectl.client.action_client import desired_positions
+    from slidectl.client.action_client import state_of
 
     with _action(ctx, controller) as action:
-        # Raises an error for a controller that does not run, which would publish no state.
-        desired_positions(ctx.client, names.parent(action.name))
-        with ctx.client.subscribe(f"{names.parent(action.name)}/state") as states:
-            now = states.get()
+        joints, desired, actual, error = state_of(ctx.client, names.parent(action.name))
     columns = {
-        "joint": now["joint_names"],
-        "desired": now["desired"]["positions"],
-        "actual": now["actual"]["positions"],
-        "error": now["error"]["positions"],
-        "desired_velocity": now["desired"]["velocities"],
-        "actual_velocity": now["actual"]["velocities"],
+        "joint": joints,
+        "desired": desired["positions"],
+        "actual": actual["positions"],
+        "error": error["positions"],
+        "desired_velocity": desired["velocities"],
+        "actual_velocity": actual["velocities"] or [None] * len(joints),
     }
     rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
     ctx.emit_rows(rows, list(columns))

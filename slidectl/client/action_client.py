@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from slidectl import names
-from slidectl.errors import AmbiguousName, TimedOut, UnknownName
+from slidectl.errors import AmbiguousName, Refused, TimedOut, UnknownName
 
 if TYPE_CHECKING:
     from slidectl.client.client import Client
@@ -30,6 +30,7 @@ TRAJECTORY_TYPE = "control_msgs/FollowJointTrajectory"
 TOLERANCE_CODES = (-4, -5)
 """Error codes of a goal that a tolerance on its path, or at its end, has aborted."""
 _SUFFIX = "ActionGoal"
+_STATE_OF_ROS2 = "controller_state"
 _LOOK_EVERY_S = 1.0
 """Wall seconds between two checks that the action still has a server."""
 _NOBODY = "the action has no server any more: its robot or its controller was removed"
@@ -217,7 +218,24 @@ def desired_positions(client: Client, controller: str) -> dict[str, float]:
     """Joint -> its desired position now. Raises Refused: the controller does not run."""
     now = client.call("/rosapi/get_time")["time"]
     answer = client.call(f"{controller}/query_state", {"time": now})
+    if not answer["name"]:
+        raise Refused(f"{controller}: {answer['message']}")
     return dict(zip(answer["name"], answer["position"], strict=True))
+
+
+def is_of_ros2(client: Client, controller: str) -> bool:
+    """True for a trajectory controller that behaves as in ros2_controllers, and has the topics of these."""
+    return f"{controller}/{_STATE_OF_ROS2}" in client.topics()
+
+
+def state_of(client: Client, controller: str) -> tuple[list[str], Message, Message, Message]:
+    """The joints, the desired and the measured state, and the errors. Raises Refused: the controller does not run."""
+    desired_positions(client, controller)  # it would publish no state
+    for_ros2 = is_of_ros2(client, controller)
+    with client.subscribe(f"{controller}/{_STATE_OF_ROS2 if for_ros2 else 'state'}") as states:
+        now = states.get()
+    desired, actual = ("reference", "feedback") if for_ros2 else ("desired", "actual")
+    return now["joint_names"], now[desired], now[actual], now["error"]
 
 
 def goal_to(positions: Mapping[str, float], duration: float) -> Message:
@@ -234,5 +252,11 @@ def goal_to(positions: Mapping[str, float], duration: float) -> Message:
 
 
 def hold(client: Client, controller: str) -> None:
-    """Cancel the trajectory in progress and hold the joints in place."""
-    client.deliver(f"{controller}/command", {})
+    """Cancel the trajectory in progress and hold the joints in place. Raises Refused: the controller does not run."""
+    if not is_of_ros2(client, controller):
+        client.deliver(f"{controller}/command", {})
+        return
+    positions = desired_positions(client, controller)
+    client.deliver(f"{trajectory_controllers(client.topics())[controller]}/cancel", {})
+    point = {"positions": list(positions.values())}
+    client.deliver(f"{controller}/joint_trajectory", {"joint_names": list(positions), "points": [point]})

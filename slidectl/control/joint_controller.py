@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 
 from slidectl import names
 from slidectl.control import params
-from slidectl.control.controller_interface import Controller, Parts, State
+from slidectl.control.controller_interface import Controller, ControllerBase, Parts, State
 from slidectl.control.duration import header_of
 from slidectl.control.hardware_interface import JointCommandInterface, JointHandle
 from slidectl.control.laws import law
@@ -23,17 +23,17 @@ from slidectl.errors import MessageRefused, Reason, Refused
 _WARNING_PERIOD_NS = 1_000_000_000
 
 
-class CommandController(Controller[JointCommandInterface]):
-    """Subscribes to `~command`, and warns about commands that have no effect or are clipped."""
+class CommandChecks(ControllerBase):
+    """Subscribes to a topic of commands, and warns about commands that have no effect or are clipped."""
 
     _node: NodeHandle
 
-    def _listen(self, node: NodeHandle, type_name: str, receive: MessageCallback) -> None:
+    def _listen(self, node: NodeHandle, type_name: str, receive: MessageCallback, topic: str = "command") -> None:
         """Subscribe. This must be the last step of an init, since a latched command arrives at once."""
         self._node = node
         self._last_warning = ""
         self._last_warning_ns = 0
-        node.subscribe("command", type_name, receive)
+        node.subscribe(topic, type_name, receive)
 
     def _check(self, commands: Sequence[tuple[JointHandle, float, tuple[float, float]]], remark: str = "") -> None:
         """Check a command: each joint, its value, and the lowest and the highest value that is not clipped.
@@ -50,9 +50,7 @@ class CommandController(Controller[JointCommandInterface]):
             text = f"{name} refuses the command: it must be a finite number, not nan or infinity"
             self._node.log("error", text)
             raise MessageRefused(text)
-        if self.state is not State.RUNNING:  # `starting` will overwrite the command
-            start = f"start it: slidectl controller start {name.rpartition('/')[2]}"
-            self._warn(f"{name} is not running: the command has no effect; {start}", "idle")
+        if not self._is_running():  # `starting` will overwrite the command
             return
         beyond = [
             (joint.name, value, "lower" if value < lowest else "upper", lowest if value < lowest else highest)
@@ -71,6 +69,15 @@ class CommandController(Controller[JointCommandInterface]):
         parts += [remark] if remark else []
         self._warn(f"{name}: {', '.join(parts)}", " ".join(f"{side} {joint}" for joint, _, side, _ in beyond))
 
+    def _is_running(self) -> bool:
+        """False, with a warning to the sender of the command, when the controller does not run."""
+        if self.state is State.RUNNING:
+            return True
+        name = self._node.namespace
+        start = f"start it: slidectl controller start {name.rpartition('/')[2]}"
+        self._warn(f"{name} is not running: the command has no effect; {start}", "idle")
+        return False
+
     def _warn(self, text: str, what: str) -> None:
         """Warn the sender of the command. The same warning is logged at most once per second."""
         now_ns = self._node.now_ns()
@@ -80,6 +87,10 @@ class CommandController(Controller[JointCommandInterface]):
             self._node.log("warn", text)
         elif self._node.reasons is not None:
             self._node.reasons.append(Reason(text, "warn"))
+
+
+class CommandController(CommandChecks, Controller[JointCommandInterface]):
+    """Commands of joints through one interface, on `~command`."""
 
 
 class ScalarController(CommandController):

@@ -7,7 +7,7 @@ rad. This module commands no joints, except to brake.
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from math import cos, isfinite, sin
 from typing import Any
 
@@ -331,20 +331,16 @@ def odometry_is_due(topics: Any, time_ns: int) -> bool:
     return True
 
 
-class OdometryTopics:
-    """Publishes the odometry at a rate, on `odom` and `/tf`."""
+class OdometryPublisher:
+    """Publishes the odometry on `odom` and `/tf`."""
 
-    def __init__(self, node: NodeHandle, odom_frame: str) -> None:
-        """Raises SlidectlError: a covariance is missing or wrong, or the rate is not valid."""
-        self.period_ns = period_of(node, PUBLISH_RATE)
-        self.has_tf: bool = params.value_of(node, ODOM_TF)
-        self._odom_frame = odom_frame
-        self._base_frame: str = params.value_of(node, BASE_FRAME)
-        self._pose_covariance, self._twist_covariance = (
-            matrix_of(params.value_of(node, diagonal)) for diagonal in COVARIANCES
-        )
-        self.published_ns = 0
-        """Time at which the last message was due, or of the start. The first one is due a period after the start."""
+    def __init__(
+        self, node: NodeHandle, frames: tuple[str, str], has_tf: bool, covariances: Sequence[list[float]]
+    ) -> None:
+        """`frames`: that of the odometry and that of the base. `covariances`: the diagonals of pose and velocity."""
+        self.has_tf = has_tf
+        self._odom_frame, self._base_frame = frames
+        self._pose_covariance, self._twist_covariance = map(matrix_of, covariances)
         self.messages = 0
         """Odometry messages that were due so far, published or not."""
         self._odom = node.advertise("odom", "nav_msgs/Odometry")
@@ -378,6 +374,19 @@ class OdometryTopics:
             transform = {"translation": position, "rotation": orientation}
             frame = {"header": dict(header), "child_frame_id": self._base_frame, "transform": transform}
             self._tf.publish({"transforms": [frame]})
+
+
+class OdometryTopics(OdometryPublisher):
+    """Publishes the odometry at a rate."""
+
+    def __init__(self, node: NodeHandle, odom_frame: str) -> None:
+        """Raises SlidectlError: a covariance is missing or wrong, or the rate is not valid."""
+        self.period_ns = period_of(node, PUBLISH_RATE)
+        has_tf: bool = params.value_of(node, ODOM_TF)
+        covariances = [params.value_of(node, diagonal) for diagonal in COVARIANCES]
+        super().__init__(node, (odom_frame, params.value_of(node, BASE_FRAME)), has_tf, covariances)
+        self.published_ns = 0
+        """Time at which the last message was due, or of the start. The first one is due a period after the start."""
 
 
 def matrix_of(diagonal: list[float]) -> list[float]:

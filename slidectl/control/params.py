@@ -138,6 +138,8 @@ class Parameter:
     """True: the value is the name of a joint of the robot, or a list of such names."""
     live: bool = False
     """True: a loaded controller follows changes. False: a change takes effect when the controller is loaded again."""
+    fixed: bool = False
+    """True: a change is refused while the controller is loaded. Never with `live`."""
     unless_positive: str = ""
     """The effect of a number that is not above 0; empty: no special effect."""
 
@@ -212,10 +214,16 @@ def judge(node: NodeHandle, own: tuple[Parameter, ...], change: ParameterChange)
         own: the controller's declared parameters. When empty, unknown names cause no warning.
 
     Raises:
-        Refused: a value of a wrong type. UnknownName: an unknown name, with `change.known_only`.
+        Refused: a value of a wrong type, or of a parameter that is fixed. UnknownName: an unknown name, with
+            `change.known_only`.
     """
     declared = (TYPE, UPDATE_BUDGET, *own)
     late = [parameter for parameter in check_values(node, declared, change) if not parameter.live]
+    for parameter in late:
+        if parameter.fixed:
+            name = node.namespace.rpartition("/")[2]
+            hint = f"unload it first: slidectl controller unload {name}"
+            raise Refused(f"{names.join(node.namespace, parameter.name)} is fixed when the controller is loaded", hint)
     if change.deletes or change.after is MISSING:
         return
     known = dict(leaves(change.before))

@@ -5,20 +5,12 @@ The manager, checks and the documentation use this table. It refers to no contro
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from slidectl.description.parameter_trees import leaves
 from slidectl.errors import Refused
 
-_BY_INTERFACE = {
-    ("position",): "position_controllers",
-    ("velocity",): "velocity_controllers",
-    ("effort",): "effort_controllers",
-    ("position", "velocity"): "pos_vel_controllers",
-    ("position", "velocity", "acceleration"): "pos_vel_acc_controllers",
-}
 _RATE = {"publish_rate": 100.0}
 _STEERS_ONE = (
     "ackermann_steering_controller/AckermannSteeringController has one rear_wheel and one front_steer,"
@@ -29,50 +21,15 @@ _STEERS_ONE = (
 class Ros2Type(NamedTuple):
     """One type of ROS 2."""
 
-    here: Mapping[tuple[str, ...], str] | str
-    """The type here; or the types here by the interfaces that the controller commands."""
+    here: str
+    """The type here."""
     note: str = ""
     """The remaining differences."""
-    interfaces: str = ""
-    """The parameter that names the interfaces."""
-    renamed: Mapping[str, str] = {}
-    """New name of each parameter that is named differently here; `*` stands for any name."""
     defaults: Mapping[str, Any] = {}
     """Values of parameters that are optional in ROS 2 and required here."""
-    identified_by: tuple[str, ...] = ()
-    """For a type with the same name here: parameters that only ROS 2 has. One of them identifies the ROS 2 type."""
 
 
 NAMES: dict[str, Ros2Type] = {
-    "joint_state_broadcaster/JointStateBroadcaster": Ros2Type(
-        "joint_state_controller/JointStateController", defaults=_RATE
-    ),
-    "joint_trajectory_controller/JointTrajectoryController": Ros2Type(
-        {names: f"{family}/JointTrajectoryController" for names, family in _BY_INTERFACE.items()},
-        "trajectories go to `command`, states come on `state`",
-        "command_interfaces",
-        {"gains/*/ff_velocity_scale": "velocity_ff/*"},
-    ),
-    "forward_command_controller/ForwardCommandController": Ros2Type(
-        {
-            names: f"{family}/JointGroup{names[0].title()}Controller"
-            for names, family in _BY_INTERFACE.items()
-            if len(names) == 1
-        },
-        "commands go to `command`",
-        "interface_name",
-    ),
-    "diff_drive_controller/DiffDriveController": Ros2Type(
-        "diff_drive_controller/DiffDriveController",
-        "commands are geometry_msgs/Twist, and a limit applies only with its has_..._limits",
-        renamed={
-            "left_wheel_names": "left_wheel",
-            "right_wheel_names": "right_wheel",
-            "publish_limited_velocity": "publish_cmd",
-        },
-        defaults={f"{what}_covariance_diagonal": [0.0] * 6 for what in ("pose", "twist")},
-        identified_by=("left_wheel_names", "right_wheel_names"),
-    ),
     "imu_sensor_broadcaster/IMUSensorBroadcaster": Ros2Type(
         "imu_sensor_controller/ImuSensorController", "each IMU is published on its name", defaults=_RATE
     ),
@@ -95,11 +52,6 @@ OTHERS: dict[str, tuple[str, tuple[str, ...]]] = {
     "bicycle_steering_controller/BicycleSteeringController": (_STEERS_ONE, ()),
     "tricycle_controller/TricycleController": (_STEERS_ONE, ()),
     "tricycle_steering_controller/TricycleSteeringController": (_STEERS_ONE, ()),
-    "forward_command_controller/MultiInterfaceForwardCommandController": (
-        "one of position_controllers/JointGroupPositionController, velocity_controllers/JointGroupVelocityController"
-        " and effort_controllers/JointGroupEffortController for each interface",
-        (),
-    ),
     "parallel_gripper_action_controller/GripperActionController": (
         "position_controllers/GripperActionController, whose goals are control_msgs/GripperCommand",
         (),
@@ -115,16 +67,16 @@ class Counterpart(NamedTuple):
     type: str
     remark: str
     values: Mapping[str, Any]
-    """Parameters to set: renamed ones, and defaults of ROS 2."""
-    understood: Mapping[str, str]
-    """Parameters of ROS 2 that were used, with a text about the use of each."""
+    """Parameters to set: defaults of ROS 2."""
 
 
 class NoCounterpart(Refused):
     """A type of ROS 2 without an equivalent here, or whose parameters do not determine the equivalent."""
 
 
-IDENTIFIED_BY: dict[str, tuple[str, ...]] = {}
+IDENTIFIED_BY: dict[str, tuple[str, ...]] = {
+    "diff_drive_controller/DiffDriveController": ("left_wheel_names", "right_wheel_names"),
+}
 """By type that ros_controllers have as well: parameters that only ros2_controllers read."""
 
 
@@ -147,42 +99,9 @@ def counterpart(type_name: str, parameters: Mapping[str, Any]) -> Counterpart | 
             raise NoCounterpart(f"{type_name} of ROS 2 is another controller", f"here: {advice}")
         return None
     found = NAMES.get(type_name)
-    if found is None or (found.identified_by and not any(name in values for name in found.identified_by)):
+    if found is None:
         return None
-    here = found.here if isinstance(found.here, str) else _chosen(type_name, found, values)
-    understood = {found.interfaces: f"makes it {here}"} if found.interfaces else {}
-    if "state_interfaces" in values:
-        understood["state_interfaces"] = "is not needed: states are always there"
     more = {name: value for name, value in found.defaults.items() if name not in values}
-    remark = f"{type_name} is {here} here" if here != type_name else f"{type_name} has parameters of ROS 2"
+    remark = f"{type_name} is {found.here} here"
     remark += "".join(f", with {name} {value}" for name, value in more.items())
-    for old, new in found.renamed.items():
-        pattern = re.compile(re.escape(old).replace(r"\*", "([^/]+)"))
-        for name in values:
-            if match := pattern.fullmatch(name):
-                target = new.replace("*", "".join(match.groups()))
-                understood[name] = f"is {target} here"
-                more.setdefault(target, values[name])
-    return Counterpart(here, f"{remark}; {found.note}" if found.note else remark, more, understood)
-
-
-def _chosen(type_name: str, found: Ros2Type, values: Mapping[str, Any]) -> str:
-    """The type here for the interfaces that the parameters ask for. Raises NoCounterpart."""
-    assert not isinstance(found.here, str)
-    requested = values.get(found.interfaces)
-    given = (
-        {requested}
-        if isinstance(requested, str)
-        else set(map(str, requested))
-        if isinstance(requested, list)
-        else set()
-    )
-    for names, here in found.here.items():
-        if given == set(names):
-            return here
-    known = " or ".join(str(list(names)) if found.interfaces.endswith("s") else names[0] for names in found.here)
-    value = "not set" if requested is None else repr(requested)
-    raise NoCounterpart(
-        f"{type_name} is another one here for each interface, and {found.interfaces} is {value}",
-        f"set {found.interfaces} to {known}, or the type to {' or '.join(found.here.values())}",
-    )
+    return Counterpart(found.here, f"{remark}; {found.note}" if found.note else remark, more)

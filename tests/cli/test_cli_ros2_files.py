@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -28,7 +29,7 @@ arm:
     gains.joint2.d: 60.0
     constraints.speed: 0.5
 """
-IS_HERE = "joint_trajectory_controller/JointTrajectoryController is effort_controllers/JointTrajectoryController here"
+TRAJECTORY = "joint_trajectory_controller/JointTrajectoryController"
 
 
 @pytest.fixture
@@ -48,14 +49,21 @@ def _empty_again(world: CommandLine) -> Iterator[None]:
 def test_it_runs_and_each_answer_says_what_the_controllers_are_here(world: CommandLine, file: str) -> None:
     done = world("spawn", "rrbot", "--controllers", file, "--start", "states", "arm")
     assert done.returncode == 0, done.stderr
-    assert f"/rrbot/arm: {IS_HERE}" in done.stderr
-    assert "joint_state_controller/JointStateController here, with publish_rate 100" in done.stderr
-    assert "effort_controllers/JointTrajectoryController" in world.ok("controller", "list")
+    assert "joint_state_broadcaster/JointStateBroadcaster" in world.ok("controller", "list")
+    assert TRAJECTORY in world.ok("controller", "list")
     world.ok("trajectory", "plan", "arm", "--to", "joint1=0.2", "joint2=-0.1", "--duration", "1")
     world.ok("sim", "step", "2000")
     with world.client() as client:
         joint = client.call("/gazebo/get_joint_properties", {"joint_name": "joint1"})
     assert joint["position"][0] == pytest.approx(0.2, abs=0.1)
+    world.ok("sim", "resume")
+    state = [json.loads(line) for line in world.ok("trajectory", "state", "arm", "--json").splitlines()]
+    world.ok("sim", "pause")
+    assert [row["desired"] for row in state] == pytest.approx([0.2, -0.1])
+    world.ok("trajectory", "hold", "arm")
+    world.ok("sim", "step", "10")
+    world.ok("controller", "stop", "arm")
+    assert "the controller is not running" in world("trajectory", "hold", "arm").stderr
     refused = world("controller", "load", "steps")
     assert refused.returncode == 1
     assert "here: ackermann_steering_controller/AckermannSteeringController has one rear_wheel" in refused.stderr
@@ -64,9 +72,9 @@ def test_it_runs_and_each_answer_says_what_the_controllers_are_here(world: Comma
 def test_a_check_says_the_same_with_the_line_of_each_parameter(world: CommandLine, file: str) -> None:
     out = world("check", "rrbot", "--controllers", file).stdout
     lines = {tuple(line.split(None, 2)[:2]): line for line in out.splitlines() if line.startswith(file)}
-    assert IS_HERE in lines[f"{file}:8", "converted"]
+    assert f"{TRAJECTORY}; on hardware_interface::PositionJointInterface" in lines[f"{file}:8", "used"]
     assert "bicycle_steering_controller" in lines[f"{file}:10", "wrong"]
-    assert "makes it effort_controllers" in lines[f"{file}:14", "converted"]
+    assert "/rrbot/arm/command_interfaces: [effort]; what is commanded" in lines[f"{file}:14", "used"]
     assert "/rrbot/arm/gains/joint2/d: 60.0" in lines[f"{file}:18", "used"]
     assert "/rrbot/arm/constraints/speed: is unknown to the controller" in lines[f"{file}:19", "ignored"]
 

@@ -9,6 +9,8 @@ from fake_node import FakeGraph
 from fake_robot import COMMAND_INTERFACES, FakeRobot
 
 from slidectl.control import params, registry
+from slidectl.control.controller_interface import ControllerBase
+from slidectl.control.controllers import ros2_joint_trajectory
 from slidectl.control.controllers.diff_drive import WHEELS
 from slidectl.control.controllers.ros2_pid import QUANTITIES, QUANTITY
 from slidectl.control.controllers.steering import TWO
@@ -41,11 +43,29 @@ VALUES = {
     STRATEGY: "none",
     QUANTITY: "effort",
     QUANTITIES: ["position"],
+    ros2_joint_trajectory.COMMANDS: ["effort"],
+    ros2_joint_trajectory.STATES: ["position", "velocity"],
+    ros2_joint_trajectory.NOT_NEGATIVE: 1.0,
+    ros2_joint_trajectory.NOT_POSITIVE: -1.0,
+    ros2_joint_trajectory.LOWEST: -1.0,
+    ros2_joint_trajectory.RATE: 1.0,
+    ros2_joint_trajectory.METHOD: "none",
+    ros2_joint_trajectory.INTERFACE_NAME: "",
 }
-BY_NAME = {"u_clamp_max": 2.0, "i_clamp_min": -1.0}
-"""Values of parameters that bound one another."""
+
+NAMED = {
+    "u_clamp_max": 2.0,
+    "i_clamp_min": -1.0,
+    "interfaces": ["position"],
+    "interface_name": "effort",
+    "interface_names": ["effort"],
+    **dict.fromkeys(("min_velocity", "max_deceleration", "max_acceleration_reverse", "min_jerk"), -1.0),
+}
+"""Values of parameters by the ends of their names."""
 
 TYPES = [name for name in registry.common.types() if not name.startswith("tests/")]  # whatever other tests define
+CLASSES = {registry.common.find(name, for_ros2=for_ros2): None for for_ros2 in (False, True) for name in TYPES}
+each_class = pytest.mark.parametrize("cls", CLASSES, ids=lambda cls: cls.__name__)
 
 
 class WatchedGraph(FakeGraph):
@@ -68,26 +88,26 @@ def own(declared: tuple[Parameter, ...]) -> dict[str, Parameter]:
     return {p.name.replace("<joint>", "joint1"): p for p in declared if "[]" not in p.name}
 
 
-@pytest.mark.parametrize("type_name", TYPES)
-def test_a_controller_reads_what_it_says_and_says_what_it_reads(type_name: str) -> None:
-    declared = own(registry.common.find(type_name).parameters)
+@each_class
+def test_a_controller_reads_what_it_says_and_says_what_it_reads(cls: type[ControllerBase]) -> None:
+    declared = own(cls.parameters)
     values = {
-        f"/bot/c/{name}": BY_NAME.get(name.rpartition("/")[2], VALUES[parameter.kind])
+        f"/bot/c/{name}": NAMED.get(name.rpartition("/")[2], VALUES[parameter.kind])
         for name, parameter in declared.items()
     }
     graph = WatchedGraph({"/bot/robot_description": URDF, **values})
     robot = FakeRobot(commands=COMMAND_INTERFACES)
     robot.register_interface(ImuSensorInterface())
     robot.register_interface(ForceTorqueSensorInterface())
-    registry.common.create(type_name).init_request(robot, graph.node("/bot"), graph.node("/bot/c"))
+    cls().init_request(robot, graph.node("/bot"), graph.node("/bot/c"))
     asked = {name for name in graph.asked_below("/bot/c") if not name.endswith("robot_description")}
     namespaces = {above for name in declared for above in (name.rpartition("/")[0], name.partition("/")[0])}
     assert asked - (namespaces - set(declared)) == set(declared)
 
 
-@pytest.mark.parametrize("type_name", TYPES)
-def test_every_parameter_has_a_meaning_and_a_default_of_its_own_type(type_name: str) -> None:
-    for parameter in registry.common.find(type_name).parameters:
+@each_class
+def test_every_parameter_has_a_meaning_and_a_default_of_its_own_type(cls: type[ControllerBase]) -> None:
+    for parameter in cls.parameters:
         assert parameter.meaning, parameter.name
         if parameter.default is not None:
             assert parameter.kind.convert(parameter.default) == parameter.default

@@ -160,6 +160,28 @@ def following(kind: str) -> tuple[Build, Act]:
     return lambda simulation: add(simulation, "a", arm(interface=interface), {"arm": own}), act
 
 
+def following_of_ros2(interface: str, **more: Any) -> tuple[Build, Act]:
+    """As `following`, with replacements, speeds and holds of ros2_controllers."""
+    own = {"type": "joint_trajectory_controller/JointTrajectoryController", "joints": JOINTS}
+    own |= {"command_interfaces": [interface], "state_interfaces": ["position", "velocity"]}
+    own |= {"allow_partial_joints_goal": True, "allow_nonzero_velocity_at_trajectory_end": True, "cmd_timeout": 0.3}
+    braking = {joint: {"max_deceleration_on_cancel": 9.0, "trajectory": 0.5} for joint in JOINTS}
+    own |= {"constraints": {"goal_time": 0.2, "decelerate_on_cancel": True, **braking}, **more}
+
+    def act(simulation: Simulation, dice: Random) -> None:
+        trajectory, what, action = random_trajectory(dice), dice.random(), "/a/arm/follow_joint_trajectory"
+        if what < 0.4:
+            simulation.publish(f"{action}/goal", {"goal": {"trajectory": trajectory}})
+        elif what < 0.8:
+            simulation.publish("/a/arm/joint_trajectory", trajectory)
+        elif what < 0.9 and interface == "position":
+            simulation.publish("/a/arm/speed_scaling_input", {"factor": dice.uniform(0.3, 1.5)})
+        else:
+            simulation.publish(f"{action}/cancel", {})
+
+    return lambda simulation: add(simulation, "a", arm(interface=interface.title()), {"arm": own}), act
+
+
 def gripping(interface: str) -> tuple[Build, Act]:
     own: dict[str, Any] = {"type": f"{interface.lower()}_controllers/GripperActionController", "joint": "joint1"}
     own |= {"gains": {"joint1": {"p": 90.0, "d": 25.0}}, "stall_timeout": 0.1, "goal_tolerance": 0.05}
@@ -233,6 +255,58 @@ def ackermann() -> tuple[Build, Act]:
     return lambda simulation: add(simulation, "a", steered, {"base": own}), publishing({"/a/base/cmd_vel": twist})
 
 
+def of_ros2() -> tuple[Build, Act]:
+    """Controllers of ROS 2 at rates of their own, with commands of the wrong size among the good ones."""
+    forward = "forward_command_controller"
+    own: dict[str, dict[str, Any]] = {
+        "states": {"type": "joint_state_broadcaster/JointStateBroadcaster", "update_rate": 300},
+        "arm": {
+            "type": f"{forward}/ForwardCommandController",
+            "joints": JOINTS[1:],
+            "interface_name": "effort",
+            "update_rate": 250,
+        },
+        "one": {
+            "type": f"{forward}/MultiInterfaceForwardCommandController",
+            "joint": JOINTS[0],
+            "interface_names": ["effort"],
+        },
+    }
+
+    def some(dice: Random) -> dict[str, Any]:
+        return {"data": [dice.uniform(-1.5, 1.5) for _ in range(dice.choice((0, 1, 2)))]}
+
+    return lambda simulation: add(simulation, "a", arm(), own), publishing(
+        {"/a/arm/commands": some, "/a/one/commands": some}
+    )
+
+
+def drive_of_ros2() -> tuple[Build, Act]:
+    """The shipped cart, with limits, a time-out that passes between commands, and poses that are set."""
+    own = {
+        "type": "diff_drive_controller/DiffDriveController",
+        "left_wheel_names": ["left_wheel_joint"],
+        "right_wheel_names": ["right_wheel_joint"],
+        "wheel_separation": 0.4,
+        "wheel_radius": 0.1,
+        "cmd_vel_timeout": 0.1,
+        "linear": {"x": {"max_acceleration": 1.0, "max_jerk": 20.0}},
+        "update_rate": 200,
+    }
+
+    def build(simulation: Simulation) -> None:
+        xml = description.load("cart", {"drive": "controller"}, description.Packages()).xml
+        add(simulation, "cart", xml, {"base": own})
+
+    def act(simulation: Simulation, dice: Random) -> None:
+        if dice.random() < 0.2:
+            simulation.call("/cart/base/set_odometry", {"x": dice.uniform(-1, 1), "yaw": 0.5})
+        else:
+            simulation.publish("/cart/base/cmd_vel", {"twist": twist(dice)})
+
+    return build, act
+
+
 def plugin_drive(drive: str) -> tuple[Build, Act]:
     """A model that drives by itself: its wheels measure their way, or it glides."""
     glides = """<robot name="box"><link name="base"><inertial><mass value="2"/>
@@ -301,6 +375,10 @@ SCENES: dict[str, tuple[Build, Act]] = {
     "position trajectory": following("position"),
     "pos-vel trajectory": following("pos_vel"),
     "pos-vel-acc trajectory": following("pos_vel_acc"),
+    "effort trajectory of ROS 2": following_of_ros2(
+        "effort", gains={joint: {"p": 90.0, "d": 12.0, "i": 5.0, "i_clamp_max": 3.0} for joint in JOINTS}
+    ),
+    "position trajectory of ROS 2": following_of_ros2("position"),
     "effort gripper": gripping("Effort"),
     "position gripper": gripping("Position"),
     "a cart on the ground": shipped_model("cart", {"/cart/base_controller/cmd_vel": twist}, drive="controller"),
@@ -311,6 +389,8 @@ SCENES: dict[str, tuple[Build, Act]] = {
     "sensors": sensing(),
     "a chain": chained(["position"]),
     "a chain with rates": chained(["position", "velocity"]),
+    "controllers of ROS 2": of_ros2(),
+    "a drive of ROS 2": drive_of_ros2(),
     "wheels of a model": plugin_drive("wheels"),
     "a model that glides": plugin_drive("glides"),
     "stops and switches": stopped(),
@@ -346,7 +426,8 @@ def test_going_on_from_a_snapshot_gives_the_same_bits(scene: str, engine: str, t
     topics = [
         topic for topic in one.graph.topics.names() if topic.startswith(("/a/", "/car", "/tf")) and "image" not in topic
     ]
-    topics = [topic for topic in topics if not topic.endswith(("/command", "/cmd_vel", "/goal", "/cancel"))]
+    inputs = ("/command", "/commands", "/cmd_vel", "/goal", "/cancel", "/joint_trajectory", "/speed_scaling_input")
+    topics = [topic for topic in topics if not topic.endswith(inputs)]
     never_stopped = future(one, act, topics)
 
     one = begun()

@@ -89,6 +89,63 @@ def test_a_robot_that_goes_ends_its_goal(simulation: Simulation) -> None:
     assert simulation.graph.topics.publishers(f"{ACTION}/status") == []
 
 
+OF_ROS_2 = {
+    "type": "joint_trajectory_controller/JointTrajectoryController",
+    "joints": ["joint1", "joint2"],
+    "command_interfaces": ["effort"],
+    "state_interfaces": ["position", "velocity"],
+    "gains": {"joint1": GAINS, "joint2": GAINS},
+    "constraints": {"stopped_velocity_tolerance": 0.05, "joint1": {"goal": 0.05}, "joint2": {"goal": 0.05}},
+}
+
+
+@pytest.fixture
+def ros2_simulation() -> Simulation:
+    simulation = Simulation(ground=False, engine="plain")
+    add(simulation, "cart", cart(joints=2), {"arm": OF_ROS_2})
+    simulation.step(1)
+    return simulation
+
+
+def test_a_goal_of_the_controller_of_ros_2_succeeds_near_its_end(ros2_simulation: Simulation) -> None:
+    found = results(ros2_simulation)
+    send(ros2_simulation, 0.5, -0.3)
+    ros2_simulation.step(2000)
+    assert found == [(3, 0)]
+    joints = [joint.handle.position for joint in ros2_simulation.robots.get("cart").hardware.driven()]
+    assert joints == pytest.approx([0.5, -0.3], abs=0.05)
+
+
+def test_a_reset_aborts_the_goal_of_the_controller_of_ros_2_and_a_new_one_is_followed(
+    ros2_simulation: Simulation,
+) -> None:
+    found = results(ros2_simulation)
+    send(ros2_simulation, 0.5, -0.3)
+    ros2_simulation.step(500)
+    ros2_simulation.call("/gazebo/reset_simulation")
+    assert found == [(4, -1)]
+    send(ros2_simulation, 0.2, 0.2)
+    ros2_simulation.step(2000)
+    assert found[1:] == [(3, 0)]
+
+
+def test_positions_of_the_controller_of_ros_2_are_reached_one_cycle_later() -> None:
+    """The command is that of the next update, and the joint is there when it comes."""
+    simulation = Simulation(ground=False, engine="plain")
+    own = {**OF_ROS_2, "command_interfaces": ["position"], "gains": {}}
+    add(simulation, "a", arm(("prismatic", "prismatic"), interface="Position"), {"arm": own})
+    states: list[dict[str, Any]] = []
+    simulation.graph.topics.subscribe("/a/arm/controller_state", None, "/client", states.append)
+    simulation.step(1)
+    simulation.publish("/a/arm/joint_trajectory", trajectory(0.5, -0.3))
+    simulation.step(1000)
+    moving = states[-900:-10]
+    assert all(state["error"]["positions"] == pytest.approx([0.0, 0.0], abs=1e-6) for state in moving)
+    t = 0.5  # a cubic at rest at both ends is half-way in the middle
+    found = next(state for state in states if state["reference"]["time_from_start"]["nsecs"] == t * 1e9)
+    assert found["feedback"]["positions"] == pytest.approx([0.25, -0.15], abs=1e-4)
+
+
 def test_a_latched_command_from_before_the_load_does_no_harm() -> None:
     simulation = Simulation(ground=False, engine="plain")
     commands = {

@@ -104,16 +104,19 @@ class WorldMonitor:
         self.topics = [{"topic": name, "type": use.type} for name, use in found.items()]
 
     def _set_points(self) -> dict[str, float]:
-        """Joint's full name -> set point, from the `state` topics of the running controllers."""
+        """Joint's full name -> set point, from the topics with the states of the running controllers."""
         found: dict[str, float] = {}
         for controller in self.controllers:
-            followed = self._followed.get(f"{controller['name']}/state")
+            topics = [f"{controller['name']}/{name}" for name in ("state", "controller_state")]
+            followed = next((self._followed[topic] for topic in topics if topic in self._followed), None)
             if followed is None or controller["state"] not in RUNNING:
                 continue
             joints, values = controller["claims"], []
             message = followed.message
             if "desired" in message:  # control_msgs/JointTrajectoryControllerState
                 joints, values = message["joint_names"], message["desired"]["positions"]
+            elif "reference" in message and "joint_names" in message:  # slidectl/JointTrajectoryControllerState
+                joints, values = message["joint_names"], message["reference"]["positions"]
             elif "set_point" in message:  # control_msgs/JointControllerState
                 values = [message["set_point"]]
             if len(joints) == len(values):

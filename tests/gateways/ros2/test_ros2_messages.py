@@ -143,10 +143,10 @@ def test_controllers_of_a_node_are_listed_in_slidectl(world: World) -> None:
 
 def test_a_trajectory_and_its_state_have_the_names_of_ros_2(world: World, node: Ros2Node) -> None:
     topic = "/test/trajectory_state"
-    node.subscribe(topic, "control_msgs/msg/JointTrajectoryControllerState")
     with world.client() as client:
         kind = "control_msgs/JointTrajectoryControllerState"
         client.advertise(topic, kind)
+        node.subscribe(topic, "control_msgs/msg/JointTrajectoryControllerState")
         client.advertise_service("/test/query", "control_msgs/QueryTrajectoryState", lambda _: {"name": ["joint1"]})
         message = {"desired": {"positions": [1.0]}, "actual": {"positions": [2.0]}, "error": {"positions": [-1.0]}}
         eventually(lambda: client.publish(topic, message) is None and node.messages(topic))
@@ -156,6 +156,23 @@ def test_a_trajectory_and_its_state_have_the_names_of_ros_2(world: World, node: 
     assert [state[name]["positions"] for name in ("reference", "feedback", "error")] == [[1.0], [2.0], [-1.0]]
     assert answer["success"]
     assert answer["name"] == ["joint1"]
+
+
+def test_the_state_of_a_trajectory_controller_of_ros_2_is_the_same_in_both(world: World, node: Ros2Node) -> None:
+    topic, service = "/test/arm/controller_state", "/test/arm/query_state"
+    node.subscribe(topic, "control_msgs/msg/JointTrajectoryControllerState")
+    with world.client() as client:
+        client.advertise(topic, "slidectl/JointTrajectoryControllerState")
+        answer = {"success": False, "name": ["joint1"]}
+        client.advertise_service(service, "slidectl/QueryTrajectoryState", lambda _: answer)
+        message = {"reference": {"positions": [1.0]}, "output": {"positions": [2.0]}, "speed_scaling_factor": 0.5}
+        eventually(lambda: client.publish(topic, message) is None and node.messages(topic))
+        with serving(client):
+            found = node.call(service, "control_msgs/srv/QueryTrajectoryState", {})
+    state = node.messages(topic)[0]
+    assert [state[name]["positions"] for name in ("reference", "output")] == [[1.0], [2.0]]
+    assert state["speed_scaling_factor"] == 0.5
+    assert (found["success"], found["name"]) == (False, ["joint1"])
 
 
 def test_the_packages_have_actions_too(world: World) -> None:

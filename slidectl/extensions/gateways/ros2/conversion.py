@@ -41,6 +41,8 @@ _TYPES = {
             *("ListHardwareInterfaces", "SetHardwareComponentState"),
         )
     },
+    "slidectl/JointTrajectoryControllerState": "control_msgs/msg/JointTrajectoryControllerState",
+    "slidectl/QueryTrajectoryState": "control_msgs/srv/QueryTrajectoryState",
 }
 """Types of the daemon that have another name or package in ROS 2."""
 _FIELDS = {

@@ -109,7 +109,8 @@ class Spawner(_ControllerTask):
             own = names.join(self.namespace, name) + "/"
             values = {full.removeprefix(own): value for full, (value, _) in parameters.items() if full.startswith(own)}
             try:
-                found = ros2_names.counterpart(kind, values)
+                for_ros2 = registry.is_of_ros2(kind, values, for_ros2=False)
+                found = None if for_ros2 else ros2_names.counterpart(kind, values)
                 registry.common.find(kind if found is None else found.type)
             except (registry.UnknownType, ros2_names.NoCounterpart) as error:
                 self._absent.add(name)
