@@ -146,12 +146,27 @@ base:
     angular.z.max_velocity: 2.0
 ```
 
+A sensor of the model has the name that [sensors](sensors.md) gives it:
+
+```yaml
+controller_manager:
+  ros__parameters:
+    forces: {type: force_torque_sensor_broadcaster/ForceTorqueSensorBroadcaster}
+forces:
+  ros__parameters:
+    sensor_name: wrist
+    frame_id: tool
+    offset.force.z: 19.6
+```
+
 These are the differences from the controllers of ros_controllers.
 
 * `joint_state_broadcaster/JointStateBroadcaster` publishes at its `update_rate`, and a field without data is nan.
   `joint_state_controller/JointStateController` needs `publish_rate`.
 * Forward and group controllers listen to `commands` and command nothing before the first message. When a group stops,
   its velocities and efforts become 0. Those of ROS 1 listen to `command` and first command 0, or hold positions.
+* A broadcaster of a sensor publishes the one sensor `sensor_name` on `~/imu` or `~/wrench`, at its `update_rate`. The
+  controllers of ROS 1 publish all sensors at `publish_rate`, each on its own name.
 * `diff_drive_controller/DiffDriveController` is that of ROS 2 also where `left_wheel_names` or `right_wheel_names` is
   set. Commands are geometry_msgs/TwistStamped, whose stamps are simulated time; 0 is the time of the arrival. A limit
   applies where it is set. The geometry must be given. Odometry comes with each update, and its frames have the robot's
@@ -189,8 +204,7 @@ def names_of_ros_2() -> Iterator[str]:
         else:
             types = f"loaded by its `{known.interfaces}` as {quoted(known.here.values(), 'or')}."
         renamed = [f"`{old}` is here `{new}`" for old, new in known.renamed.items()]
-        defaults = [f"`{parameter}` is {value} by default" for parameter, value in known.defaults.items()]
-        more = [sentence(", ".join(each)) for each in (renamed, defaults) if each]
+        more = [sentence(", ".join(renamed))] if renamed else []
         more += [sentence(known.note)] if known.note else []
         yield f"* `{name}`: {' '.join((types, *more))}"
     yield from ("", "slidectl refuses the following types, and the error names what to use instead.", "")

@@ -19,7 +19,6 @@ _BY_INTERFACE = {
     ("position", "velocity"): "pos_vel_controllers",
     ("position", "velocity", "acceleration"): "pos_vel_acc_controllers",
 }
-_RATE = {"publish_rate": 100.0}
 _STEERS_ONE = (
     "ackermann_steering_controller/AckermannSteeringController has one rear_wheel and one front_steer,"
     " and takes angular.z as the angle of the steering"
@@ -37,8 +36,6 @@ class Ros2Type(NamedTuple):
     """The parameter that names the interfaces."""
     renamed: Mapping[str, str] = {}
     """New name of each parameter that is named differently here; `*` stands for any name."""
-    defaults: Mapping[str, Any] = {}
-    """Values of parameters that are optional in ROS 2 and required here."""
 
 
 NAMES: dict[str, Ros2Type] = {
@@ -47,14 +44,6 @@ NAMES: dict[str, Ros2Type] = {
         "trajectories go to `command`, states come on `state`",
         "command_interfaces",
         {"gains/*/ff_velocity_scale": "velocity_ff/*"},
-    ),
-    "imu_sensor_broadcaster/IMUSensorBroadcaster": Ros2Type(
-        "imu_sensor_controller/ImuSensorController", "each IMU is published on its name", defaults=_RATE
-    ),
-    "force_torque_sensor_broadcaster/ForceTorqueSensorBroadcaster": Ros2Type(
-        "force_torque_sensor_controller/ForceTorqueSensorController",
-        "each sensor is published on its name",
-        defaults=_RATE,
     ),
 }
 """Types of ROS 2 with an equivalent here."""
@@ -74,6 +63,12 @@ OTHERS: dict[str, tuple[str, tuple[str, ...]]] = {
         "position_controllers/GripperActionController, whose goals are control_msgs/GripperCommand",
         (),
     ),
+    "pose_broadcaster/PoseBroadcaster": ("the pose of each link is on /tf and on /gazebo/link_states", ()),
+    "range_sensor_broadcaster/RangeSensorBroadcaster": ("a laser scanner of the model publishes by itself", ()),
+    "state_interfaces_broadcaster/StateInterfacesBroadcaster": (
+        "joint_state_broadcaster/JointStateBroadcaster for joints, and the broadcasters of sensors",
+        (),
+    ),
     "pid_controller/PidController": (
         "effort_controllers/JointPositionController, or one of its family, with pid/p, pid/i and pid/d for each joint",
         (),
@@ -89,7 +84,7 @@ class Counterpart(NamedTuple):
     type: str
     remark: str
     values: Mapping[str, Any]
-    """Parameters to set: renamed ones, and defaults of ROS 2."""
+    """Parameters to set: renamed ones."""
     understood: Mapping[str, str]
     """Parameters of ROS 2 that were used, with a text about the use of each."""
 
@@ -120,7 +115,8 @@ def counterpart(type_name: str, parameters: Mapping[str, Any]) -> Counterpart | 
     if type_name in OTHERS:
         advice, telling = OTHERS[type_name]
         if not telling or any(name in values for name in telling):
-            raise NoCounterpart(f"{type_name} of ROS 2 is another controller", f"here: {advice}")
+            text = f"{type_name} of ROS 2 is another controller" if telling else f"slidectl has no {type_name}"
+            raise NoCounterpart(text, f"here: {advice}")
         return None
     found = NAMES.get(type_name)
     if found is None:
@@ -129,9 +125,8 @@ def counterpart(type_name: str, parameters: Mapping[str, Any]) -> Counterpart | 
     understood = {found.interfaces: f"makes it {here}"} if found.interfaces else {}
     if "state_interfaces" in values:
         understood["state_interfaces"] = "is not needed: states are always there"
-    more = {name: value for name, value in found.defaults.items() if name not in values}
+    more: dict[str, Any] = {}
     remark = f"{type_name} is {here} here"
-    remark += "".join(f", with {name} {value}" for name, value in more.items())
     for old, new in found.renamed.items():
         pattern = re.compile(re.escape(old).replace(r"\*", "([^/]+)"))
         for name in values:

@@ -16,7 +16,6 @@ TRAJECTORY = "joint_trajectory_controller/JointTrajectoryController"
         (TRAJECTORY, {"command_interfaces": ["position"]}, "position_controllers/JointTrajectoryController"),
         (TRAJECTORY, {"command_interfaces": ["effort"]}, "effort_controllers/JointTrajectoryController"),
         (TRAJECTORY, {"command_interfaces": ["velocity", "position"]}, "pos_vel_controllers/JointTrajectoryController"),
-        ("imu_sensor_broadcaster/IMUSensorBroadcaster", {}, "imu_sensor_controller/ImuSensorController"),
     ],
 )
 def test_a_type_of_the_same_meaning_is_understood(name: str, parameters: dict, here: str) -> None:
@@ -52,6 +51,7 @@ def test_the_same_name_with_parameters_of_ros_1_is_left_alone() -> None:
         (TRAJECTORY, {"command_interfaces": ["position", "effort"]}, r"set command_interfaces to \['position'\] or"),
         (TRAJECTORY, {"command_interfaces": [["position"]]}, r"command_interfaces is \[\['position'\]\]"),
         ("tricycle_controller/TricycleController", {}, "here: ackermann_steering_controller/Ackermann"),
+        ("range_sensor_broadcaster/RangeSensorBroadcaster", {}, "slidectl has no range_sensor_broadcaster/Range"),
         (
             "ackermann_steering_controller/AckermannSteeringController",
             {"traction_joints_names": ["a", "b"]},
