@@ -229,6 +229,19 @@ base:
     angular.z.max_velocity: 2.0
 ```
 
+A sensor of the model has the name that [sensors](sensors.md) gives it:
+
+```yaml
+controller_manager:
+  ros__parameters:
+    forces: {type: force_torque_sensor_broadcaster/ForceTorqueSensorBroadcaster}
+forces:
+  ros__parameters:
+    sensor_name: wrist
+    frame_id: tool
+    offset.force.z: 19.6
+```
+
 These are the differences from the controllers of ros_controllers.
 
 * `joint_state_broadcaster/JointStateBroadcaster` publishes at its `update_rate`, and a field without data is nan.
@@ -237,14 +250,13 @@ These are the differences from the controllers of ros_controllers.
   its velocities and efforts become 0. Those of ROS 1 listen to `command` and first command 0, or hold positions.
 * `joint_trajectory_controller/JointTrajectoryController` is one type for all interfaces, with other topics. A violated
   tolerance stops the motion, and a `goal_time` of 0 waits for ever ([more](#joint-trajectory-of-ros-2)).
+* A broadcaster of a sensor publishes the one sensor `sensor_name` on `~/imu` or `~/wrench`, at its `update_rate`. The
+  controllers of ROS 1 publish all sensors at `publish_rate`, each on its own name.
 * `diff_drive_controller/DiffDriveController` is that of ROS 2 also where `left_wheel_names` or `right_wheel_names` is
   set. Commands are geometry_msgs/TwistStamped, whose stamps are simulated time; 0 is the time of the arrival. A limit
   applies where it is set. The geometry must be given. Odometry comes with each update, and its frames have the robot's
   namespace as prefix unless `tf_frame_prefix_enable` is false.
 """
-
-NAMES = """The following types of ROS 2 are loaded as their counterparts of ros_controllers, and the answer to the load
-names the counterpart."""
 
 
 def page() -> str:
@@ -266,13 +278,9 @@ def is_of_ros_2(module: str) -> bool:
 
 
 def names_of_ros_2() -> Iterator[str]:
-    """The types that users of ROS 2 write, with their counterparts here."""
-    yield from ("", "## Names of ROS 2", "", NAMES, "")
-    for name, known in ros2_names.NAMES.items():
-        defaults = [f"`{parameter}` is {value} by default" for parameter, value in known.defaults.items()]
-        more = [sentence(text) for text in (", ".join(defaults), known.note) if text]
-        yield f"* `{name}`: {' '.join((f'loaded as `{known.here}`.', *more))}"
-    yield from ("", "slidectl refuses the following types, and the error names what to use instead.", "")
+    """The types of ROS 2 that are not here, with what to write instead."""
+    yield from ("", "## Other types of ROS 2", "")
+    yield from ("slidectl refuses the following types, and the error names what to use instead.", "")
     refused: dict[str, list[str]] = {}
     for name, (advice, telling) in ros2_names.OTHERS.items():
         refused.setdefault(advice, []).append(f"`{name}`" + (f" with {quoted(telling, 'or')}" if telling else ""))

@@ -22,13 +22,12 @@ from slidectl.control.hardware_interface import JointStateInterface, ResourceMan
 from slidectl.control.limits import LIMITS
 from slidectl.control.params import LIST, UPDATE_BUDGET, Parameter, as_boolean, as_number, described
 from slidectl.control.pid import GAINS
-from slidectl.control.ros2_names import Counterpart, NoCounterpart, counterpart
+from slidectl.control.ros2_names import NoCounterpart, refuse_others
 from slidectl.control.user_classes import is_of_a_user
 from slidectl.description import controllers_file, interfaces
 from slidectl.description.controllers_file import ROS_2, retarget
 from slidectl.description.gazebo_tags import TRANSMISSIONS, transmissions_named
 from slidectl.description.models import read_file
-from slidectl.description.parameter_trees import leaves, merge, nest
 from slidectl.description.report import did_you_mean
 from slidectl.description.robot import Notice, Robot, Verdict
 from slidectl.errors import BadFile, NotThere, Refused, UnknownName, listing
@@ -459,10 +458,8 @@ class ControllerCheck:
         is_ros2 = model is not None and model.robot.ros2_control is not None
         for_ros2 = registry.is_of_ros2(type_name, tree, is_ros2)
         try:
-            found = None if for_ros2 else counterpart(type_name, tree)
-            if found is not None:
-                tree = self._translated(path, tree, found)
-                type_name = found.type
+            if not for_ros2:
+                refuse_others(type_name, tree)
             cls = registry.common.find(type_name, for_ros2=for_ros2)
         except (registry.UnknownType, NoCounterpart) as error:
             self.source.absent(f"{path}/type", error.message, error.hint or "", f"controller type {type_name}")
@@ -497,14 +494,6 @@ class ControllerCheck:
         claiming = any(interface.claims for interface in _interfaces(cls))
         joints = (_joints_in(declared.find(name), value) for name, value in values.items() if claiming)
         self.claims[self.source.full(path)] = {joint for some in joints for joint in some}
-
-    def _translated(self, path: str, tree: Mapping[str, Any], found: Counterpart) -> Mapping[str, Any]:
-        """The parameters with the values that are set for a controller written as in ROS 2."""
-        self.source.add("converted", f"{path}/type", found.remark)
-        placed: Tree = {}
-        for name, value in (dict(leaves(tree)) | dict(found.values)).items():
-            merge(placed, nest(name, value))
-        return placed
 
     def _value(
         self, path: str, name: str, value: Any, declared: Declared, cls: type[ControllerBase], model: Model | None

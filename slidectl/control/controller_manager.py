@@ -34,7 +34,7 @@ from slidectl.control.hardware_interface import (
 from slidectl.control.node_handle import NodeHandle, Reasons
 from slidectl.control.params import UPDATE_BUDGET, judge, value_of
 from slidectl.control.registry import ControllerTypes
-from slidectl.control.ros2_names import counterpart
+from slidectl.control.ros2_names import refuse_others
 from slidectl.control.user_classes import (
     CallbackGuard,
     WatchedHandles,
@@ -1097,19 +1097,14 @@ class ControllerManager:
 def _type_of(node: NodeHandle, for_ros2: bool) -> tuple[str, bool]:
     """The parameter `type`, and whether the controller is one of ros2_controllers.
 
-    For a type of ROS 2 that is none of slidectl, the equivalent, with the parameters set that it needs here.
+    Raises Refused: it is not set, or is a type of ROS 2 that is not here.
     """
     type_name = node.get_param("type", None)
     if not isinstance(type_name, str):
         hint = "load its configuration first: slidectl controller config FILE.yaml"
         raise Refused(f"parameter {names.join(node.namespace, 'type')} is not set", hint)
     values = node.get_param(node.namespace, {})
-    if registry.is_of_ros2(type_name, values, for_ros2):
-        return type_name, True
-    here = counterpart(type_name, values)
-    if here is None:
-        return type_name, False
-    for name, value in here.values.items():
-        node.set_param(name, value)
-    node.log("warn", f"{node.namespace}: {here.remark}")
-    return here.type, False
+    is_of_ros2 = registry.is_of_ros2(type_name, values, for_ros2)
+    if not is_of_ros2:
+        refuse_others(type_name, values)
+    return type_name, is_of_ros2

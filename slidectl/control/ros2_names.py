@@ -1,4 +1,4 @@
-"""Controller types of ROS 2: the equivalent type here, or the advice what to write when there is none.
+"""Controller types of ROS 2 that slidectl does not have: the advice what to write when one is named.
 
 The manager, checks and the documentation use this table. It refers to no controller classes.
 """
@@ -6,40 +6,15 @@ The manager, checks and the documentation use this table. It refers to no contro
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 from slidectl.description.parameter_trees import leaves
 from slidectl.errors import Refused
 
-_RATE = {"publish_rate": 100.0}
 _STEERS_ONE = (
     "ackermann_steering_controller/AckermannSteeringController has one rear_wheel and one front_steer,"
     " and takes angular.z as the angle of the steering"
 )
-
-
-class Ros2Type(NamedTuple):
-    """One type of ROS 2."""
-
-    here: str
-    """The type here."""
-    note: str = ""
-    """The remaining differences."""
-    defaults: Mapping[str, Any] = {}
-    """Values of parameters that are optional in ROS 2 and required here."""
-
-
-NAMES: dict[str, Ros2Type] = {
-    "imu_sensor_broadcaster/IMUSensorBroadcaster": Ros2Type(
-        "imu_sensor_controller/ImuSensorController", "each IMU is published on its name", defaults=_RATE
-    ),
-    "force_torque_sensor_broadcaster/ForceTorqueSensorBroadcaster": Ros2Type(
-        "force_torque_sensor_controller/ForceTorqueSensorController",
-        "each sensor is published on its name",
-        defaults=_RATE,
-    ),
-}
-"""Types of ROS 2 with an equivalent here."""
 
 OTHERS: dict[str, tuple[str, tuple[str, ...]]] = {
     "ackermann_steering_controller/AckermannSteeringController": (
@@ -56,28 +31,23 @@ OTHERS: dict[str, tuple[str, tuple[str, ...]]] = {
         "position_controllers/GripperActionController, whose goals are control_msgs/GripperCommand",
         (),
     ),
+    "pose_broadcaster/PoseBroadcaster": ("the pose of each link is on /tf and on /gazebo/link_states", ()),
+    "range_sensor_broadcaster/RangeSensorBroadcaster": ("a laser scanner of the model publishes by itself", ()),
+    "state_interfaces_broadcaster/StateInterfacesBroadcaster": (
+        "joint_state_broadcaster/JointStateBroadcaster for joints, and the broadcasters of sensors",
+        (),
+    ),
 }
-"""Types of ROS 2 without an equivalent: the advice what to write here, and, for a type with the same name here,
-parameters that identify the ROS 2 type."""
-
-
-class Counterpart(NamedTuple):
-    """The equivalent here of a controller of ROS 2."""
-
-    type: str
-    remark: str
-    values: Mapping[str, Any]
-    """Parameters to set: defaults of ROS 2."""
-
-
-class NoCounterpart(Refused):
-    """A type of ROS 2 without an equivalent here, or whose parameters do not determine the equivalent."""
-
+"""The advice what to write here, and, for a type with the same name here, parameters that identify the ROS 2 type."""
 
 IDENTIFIED_BY: dict[str, tuple[str, ...]] = {
     "diff_drive_controller/DiffDriveController": ("left_wheel_names", "right_wheel_names"),
 }
 """By type that ros_controllers have as well: parameters that only ros2_controllers read."""
+
+
+class NoCounterpart(Refused):
+    """A type of ROS 2 that slidectl does not have."""
 
 
 def has_parameters_of(type_name: str, parameters: Mapping[str, Any]) -> bool:
@@ -86,22 +56,12 @@ def has_parameters_of(type_name: str, parameters: Mapping[str, Any]) -> bool:
     return any(name in names for name in IDENTIFIED_BY.get(type_name, ()))
 
 
-def counterpart(type_name: str, parameters: Mapping[str, Any]) -> Counterpart | None:
-    """The equivalent of a type with these parameters, nested or by full names; None: not a type of ROS 2 only.
+def refuse_others(type_name: str, parameters: Mapping[str, Any]) -> None:
+    """Raise NoCounterpart for a type of ROS 2 that is not here, with these parameters, nested or by full names.
 
-    Raises:
-        NoCounterpart: there is no equivalent; the hint says what to write.
+    The hint says what to write.
     """
-    values = dict(leaves(parameters))
-    if type_name in OTHERS:
-        advice, telling = OTHERS[type_name]
-        if not telling or any(name in values for name in telling):
-            raise NoCounterpart(f"{type_name} of ROS 2 is another controller", f"here: {advice}")
-        return None
-    found = NAMES.get(type_name)
-    if found is None:
-        return None
-    more = {name: value for name, value in found.defaults.items() if name not in values}
-    remark = f"{type_name} is {found.here} here"
-    remark += "".join(f", with {name} {value}" for name, value in more.items())
-    return Counterpart(found.here, f"{remark}; {found.note}" if found.note else remark, more)
+    advice, telling = OTHERS.get(type_name, ("", ()))
+    if advice and (not telling or any(name in telling for name, _ in leaves(parameters))):
+        text = f"{type_name} of ROS 2 is another controller" if telling else f"slidectl has no {type_name}"
+        raise NoCounterpart(text, f"here: {advice}")

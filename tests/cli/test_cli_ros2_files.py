@@ -89,6 +89,6 @@ def test_a_launch_with_a_type_that_means_something_else_starts_nothing(world: Co
     )
     done = world("launch", str(launch))
     assert done.returncode != 0
-    assert "controller /bot/base: tricycle_controller/TricycleController of ROS 2 is another controller" in done.stderr
+    assert "controller /bot/base: slidectl has no tricycle_controller/TricycleController" in done.stderr
     assert "JointStateBroadcaster" not in done.stderr
     assert not world.ok("robots", "--json")

@@ -12,9 +12,16 @@ from slidectl.control import params, registry
 from slidectl.control.controller_interface import ControllerBase
 from slidectl.control.controllers import ros2_joint_trajectory
 from slidectl.control.controllers.diff_drive import WHEELS
+from slidectl.control.controllers.ros2_broadcasters import NINE, NO_FILTERS
 from slidectl.control.controllers.ros2_pid import QUANTITIES, QUANTITY
 from slidectl.control.controllers.steering import TWO
-from slidectl.control.hardware_interface import ForceTorqueSensorInterface, ImuSensorInterface
+from slidectl.control.hardware_interface import (
+    ForceTorqueData,
+    ForceTorqueSensorInterface,
+    ImuData,
+    ImuSensorInterface,
+    SensorHandle,
+)
 from slidectl.control.limits import LIMITS, limits_from_parameters, soft_limits_from_parameters
 from slidectl.control.mobile_base import DIAGONAL
 from slidectl.control.params import Parameter
@@ -51,6 +58,8 @@ VALUES = {
     ros2_joint_trajectory.RATE: 1.0,
     ros2_joint_trajectory.METHOD: "none",
     ros2_joint_trajectory.INTERFACE_NAME: "",
+    NINE: [1.0] * 9,
+    NO_FILTERS: None,
 }
 
 NAMED = {
@@ -59,9 +68,11 @@ NAMED = {
     "interfaces": ["position"],
     "interface_name": "effort",
     "interface_names": ["effort"],
+    "sensor_filter_chain": None,
+    **{f"interface_names/{quantity}/{axis}": "" for quantity in ("force", "torque") for axis in "xyz"},
     **dict.fromkeys(("min_velocity", "max_deceleration", "max_acceleration_reverse", "min_jerk"), -1.0),
 }
-"""Values of parameters by the ends of their names."""
+"""Values of parameters by their names, or by the ends of these."""
 
 TYPES = [name for name in registry.common.types() if not name.startswith("tests/")]  # whatever other tests define
 CLASSES = {registry.common.find(name, for_ros2=for_ros2): None for for_ros2 in (False, True) for name in TYPES}
@@ -92,13 +103,14 @@ def own(declared: tuple[Parameter, ...]) -> dict[str, Parameter]:
 def test_a_controller_reads_what_it_says_and_says_what_it_reads(cls: type[ControllerBase]) -> None:
     declared = own(cls.parameters)
     values = {
-        f"/bot/c/{name}": NAMED.get(name.rpartition("/")[2], VALUES[parameter.kind])
+        f"/bot/c/{name}": NAMED.get(name, NAMED.get(name.rpartition("/")[2], VALUES[parameter.kind]))
         for name, parameter in declared.items()
     }
     graph = WatchedGraph({"/bot/robot_description": URDF, **values})
     robot = FakeRobot(commands=COMMAND_INTERFACES)
-    robot.register_interface(ImuSensorInterface())
-    robot.register_interface(ForceTorqueSensorInterface())
+    robot.register_interface(ImuSensorInterface([SensorHandle("joint1", "arm", ImuData)]))
+    still = ForceTorqueData((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    robot.register_interface(ForceTorqueSensorInterface([SensorHandle("joint1", "arm", lambda: still)]))
     cls().init_request(robot, graph.node("/bot"), graph.node("/bot/c"))
     asked = {name for name in graph.asked_below("/bot/c") if not name.endswith("robot_description")}
     namespaces = {above for name in declared for above in (name.rpartition("/")[0], name.partition("/")[0])}

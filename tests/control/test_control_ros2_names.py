@@ -1,35 +1,21 @@
-"""Types of controllers as users of ROS 2 write them: what each is here, or what to write instead."""
+"""Types of controllers as users of ROS 2 write them: what to write instead."""
 
 from __future__ import annotations
 
 import pytest
 
 from slidectl.control import registry
-from slidectl.control.ros2_names import NAMES, OTHERS, NoCounterpart, counterpart
-
-
-@pytest.mark.parametrize(
-    ("name", "parameters", "here"),
-    [
-        ("imu_sensor_broadcaster/IMUSensorBroadcaster", {}, "imu_sensor_controller/ImuSensorController"),
-    ],
-)
-def test_a_type_of_the_same_meaning_is_understood(name: str, parameters: dict, here: str) -> None:
-    found = counterpart(name, parameters)
-    assert found is not None
-    assert found.type == here
-    assert found.remark.startswith(f"{name} is {here} here")
+from slidectl.control.ros2_names import OTHERS, NoCounterpart, refuse_others
 
 
 def test_every_name_that_the_table_gives_is_a_type_here() -> None:
-    types = [known.here for known in NAMES.values()]
     words = [word for advice, _ in OTHERS.values() for word in advice.replace(",", " ").split() if "Controller" in word]
-    assert set(types + words) <= set(registry.common.types()) | {"control_msgs/GripperCommand"}
+    assert set(words) <= set(registry.common.types()) | {"control_msgs/GripperCommand"}
 
 
 def test_the_same_name_with_parameters_of_ros_1_is_left_alone() -> None:
-    assert counterpart("ackermann_steering_controller/AckermannSteeringController", {"rear_wheel": "r"}) is None
-    assert counterpart("effort_controllers/JointPositionController", {}) is None
+    refuse_others("ackermann_steering_controller/AckermannSteeringController", {"rear_wheel": "r"})
+    refuse_others("effort_controllers/JointPositionController", {})
 
 
 @pytest.mark.parametrize(
@@ -45,7 +31,7 @@ def test_the_same_name_with_parameters_of_ros_1_is_left_alone() -> None:
 )
 def test_what_means_something_else_is_refused_with_what_to_write(name: str, parameters: dict, text: str) -> None:
     with pytest.raises(NoCounterpart, match=text):
-        counterpart(name, parameters)
+        refuse_others(name, parameters)
 
 
 @pytest.mark.parametrize(

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from math import pi
 from typing import Any
 
 import pytest
 from engine_scenes import add, arm
+from test_simulation_force_torque import GRAVITY, IMU, MASS, PLUGIN
+from test_simulation_force_torque import arm as tool_arm
 
 from slidectl import Simulation, description
 
@@ -100,3 +103,30 @@ def test_a_base_drives_and_publishes_where_it_is() -> None:
     travelled = 0.4 * 2.0 - 0.4 * 0.4 / 0.5 / 2.0  # it speeds up for 0.8 s
     assert heard[-1]["pose"]["pose"]["position"]["x"] == pytest.approx(travelled, abs=0.02)
     assert simulation.world.link_pose("cart", "base_link")[0][0] == pytest.approx(travelled, abs=0.03)
+
+
+def test_the_sensors_of_a_model_are_broadcast() -> None:
+    own: dict[str, dict[str, Any]] = {
+        "head": {
+            "type": "imu_sensor_broadcaster/IMUSensorBroadcaster",
+            "sensor_name": "attitude",
+            "frame_id": "head",
+            "rotation_offset": {"roll": pi / 2},
+        },
+        "forces": {
+            "type": "force_torque_sensor_broadcaster/ForceTorqueSensorBroadcaster",
+            "sensor_name": "wrist",
+            "frame_id": "tool",
+            "update_rate": 100,
+        },
+    }
+    own["zeroed"] = {**own["forces"], "offset": {"force": {"z": MASS * GRAVITY}}, "multiplier": {"force": {"z": -1.0}}}
+    simulation = world_with(tool_arm(PLUGIN.format(rate=0, noise=0.0) + IMU.replace(">0.1<", ">0<")), own)
+    imu, *wrenches = (listened(simulation, f"/a/{topic}") for topic in ("head/imu", "forces/wrench", "zeroed/wrench"))
+    simulation.step(500)
+    assert (len(imu), len(wrenches[0])) == (500, 50)
+    acceleration = imu[-1]["linear_acceleration"]
+    assert [acceleration[axis] for axis in "xyz"] == pytest.approx([0.0, -GRAVITY, 0.0], abs=0.01)  # up is -y now
+    plain, zeroed = (heard[-1]["wrench"]["force"]["z"] for heard in wrenches)
+    assert abs(plain) == pytest.approx(MASS * GRAVITY, rel=0.01)
+    assert zeroed == pytest.approx(-(plain + MASS * GRAVITY))

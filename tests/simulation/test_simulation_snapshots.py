@@ -227,6 +227,18 @@ def sensing() -> tuple[Build, Act]:
     own: dict[str, dict[str, Any]] = {
         "imu": {"type": "imu_sensor_controller/ImuSensorController", **rate},
         "wrist_wrench": {"type": "force_torque_sensor_controller/ForceTorqueSensorController", **rate},
+        "head": {
+            "type": "imu_sensor_broadcaster/IMUSensorBroadcaster",
+            "sensor_name": "attitude",
+            "frame_id": "tool",
+            "update_rate": 70,
+        },
+        "forces": {
+            "type": "force_torque_sensor_broadcaster/ForceTorqueSensorBroadcaster",
+            "sensor_name": "wrist",
+            "frame_id": "tool",
+            "offset": {"force": {"z": 19.6}},
+        },
         "push": {"type": EFFORT, "joint": "slide"},
     }
 

@@ -50,7 +50,7 @@ LEFT, RIGHT = fixed(
         "right_wheel_names", TEXTS, "the joints of the right wheels, the same number", required=True, names_joints=True
     ),
 )
-SEPARATION, RADIUS = LENGTHS = fixed(
+LENGTHS = fixed(
     Parameter("wheel_separation", NUMBER, "distance of the sides, above 0", "m", required=True),
     Parameter("wheel_radius", NUMBER, "of all wheels, above 0", "m", required=True),
 )

@@ -110,8 +110,9 @@ class Spawner(_ControllerTask):
             values = {full.removeprefix(own): value for full, (value, _) in parameters.items() if full.startswith(own)}
             try:
                 for_ros2 = registry.is_of_ros2(kind, values, for_ros2=False)
-                found = None if for_ros2 else ros2_names.counterpart(kind, values)
-                registry.common.find(kind if found is None else found.type)
+                if not for_ros2:
+                    ros2_names.refuse_others(kind, values)
+                registry.common.find(kind)
             except (registry.UnknownType, ros2_names.NoCounterpart) as error:
                 self._absent.add(name)
                 message = f"controller {names.join(self.namespace, name)}: {error.message}"
