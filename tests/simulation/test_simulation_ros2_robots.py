@@ -245,11 +245,8 @@ def test_each_tag_is_a_hardware_component_with_the_interfaces_that_it_names() ->
     found = [component[key] for key in ("name", "type", "plugin_name", "rw_rate")]
     assert found == ["sys", "system", "gz_ros2_control/GazeboSimSystem", 100]
     assert [one["name"] for one in component["command_interfaces"]] == ["hinge/effort", "hinge/position"]
-    assert [one["name"] for one in component["state_interfaces"]] == [
-        "hinge/effort",
-        "hinge/position",
-        "hinge/velocity",
-    ]
+    states = [one["name"] for one in component["state_interfaces"]]
+    assert states == ["hinge/effort", "hinge/position", "hinge/velocity"]
     assert switch(simulation, ["effort"])
     listed = simulation.call("/controller_manager/list_hardware_interfaces")["command_interfaces"]
     assert {one["name"]: one["is_claimed"] for one in listed} == {"hinge/effort": True, "hinge/position": False}
