@@ -143,8 +143,8 @@ position_controller:
 * **A failure** of one aborts the whole chain.
 * A reference is nan until it is written.
 
-A chainable controller also exports its states, as `CONTROLLER/JOINT` in the JointStateInterface. A controller that reads
-them needs it running, too. The exported names are none of the robot's joints: joint states do not list them.
+A chainable controller also exports its states, as `CONTROLLER/JOINT` in the JointStateInterface. A controller that
+reads them needs it running, too. The exported names are none of the robot's joints: joint states do not list them.
 """
 
 ROS_2 = """slidectl also reads parameter files of ROS 2. It puts parameters below `ros__parameters` directly below their

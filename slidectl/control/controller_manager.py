@@ -719,9 +719,10 @@ class ControllerManager:
             raise
         node.guard_params(partial(judge, node, controller.parameters))
         handles, commands = self._hw.joint_handles(only_new=True)
+        watch = None
         if guard is not None:
-            guard.handles = WatchedHandles(handles, commands, file_of(type(controller)))
-        entry = LoadedController(name, type_name, controller, node, code, guard and guard.handles)
+            watch = guard.handles = WatchedHandles(handles, commands, file_of(type(controller)))
+        entry = LoadedController(name, type_name, controller, node, code, watch)
         of_others = {id(handle): (kind, one) for one in self._loaded.values() for kind, handle in one.exported()}
         used = [of_others[id(handle)] for handle in handles if id(handle) in of_others]
         entry.writes_to = tuple({one: None for kind, one in used if kind.claims})
@@ -741,7 +742,7 @@ class ControllerManager:
             return f"controller {quoted(owner)} exports: {listing(names_there)}"
         return f"{quoted(joint)} is of controller {quoted(owner)}: load it first: slidectl controller load {owner}"
 
-    def _users_of(self, entry: LoadedController) -> list[LoadedController]:
+    def _users_of(self, entry: LoadedController) -> Sequence[LoadedController]:
         """The loaded controllers that have handles of this one."""
         return [one for one in self._order if entry in one.needs]
 
