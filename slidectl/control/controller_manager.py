@@ -746,6 +746,10 @@ class ControllerManager:
         """The loaded controllers that have handles of this one."""
         return [one for one in self._order if entry in one.needs]
 
+    def _users_first(self) -> Sequence[str]:
+        """The names of all controllers, each before those whose handles it has."""
+        return [one.name for one in sorted(self._order, key=lambda one: -one.depth)]
+
     def _check_unused(self, entry: LoadedController) -> None:
         """Raise Refused when another controller has handles of this one."""
         if users := [one.name for one in self._users_of(entry)]:
@@ -868,7 +872,7 @@ class ControllerManager:
             is_stopped = self.request_switch([], self.names(), BEST_EFFORT)
             if is_stopped:
                 self.manage_switch(self._node.now_ns())
-            if not is_stopped or not all(self.unload(entry.name) for entry in self._order):
+            if not is_stopped or not all(map(self.unload, self._users_first())):
                 return self._refuse("cannot reload: the controllers could not be stopped and unloaded")
         self._node.log("info", f"searched again for controllers of {registry.BASE_CLASS}")
         return True

@@ -10,7 +10,7 @@ from fake_robot import COMMAND_INTERFACES, FakeRobot
 
 from slidectl.control import params, registry
 from slidectl.control.controllers.diff_drive import WHEELS
-from slidectl.control.controllers.ros2_pid import QUANTITIES, QUANTITY
+from slidectl.control.controllers.ros2_pid_controller import QUANTITIES, QUANTITY
 from slidectl.control.controllers.steering import TWO
 from slidectl.control.hardware_interface import ForceTorqueSensorInterface, ImuSensorInterface
 from slidectl.control.limits import LIMITS, limits_from_parameters, soft_limits_from_parameters
