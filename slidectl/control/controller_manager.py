@@ -813,14 +813,14 @@ class ControllerManager:
             raise
         node.guard_params(partial(judge, node, controller.parameters))
         handles, commands = self._hw.joint_handles(only_new=True)
+        watch = None
         if guard is not None:
-            guard.handles = WatchedHandles(handles, commands, file_of(type(controller)))
+            watch = guard.handles = WatchedHandles(handles, commands, file_of(type(controller)))
         is_of_ros2 = self._hw.is_of_ros2
         read = sorted({handle.name for handle in handles}) if is_of_ros2 else ()
         states = [f"{joint}/{state}" for joint in read for state in JOINT_STATES]
-        own = guard.handles if guard is not None else None
         entry = LoadedController(
-            name, type_name, controller, node, code, own, is_of_ros2=is_of_ros2, states_read=states
+            name, type_name, controller, node, code, watch, is_of_ros2=is_of_ros2, states_read=states
         )
         of_others = {id(handle): (kind, one) for one in self._loaded.values() for kind, handle in one.exported()}
         used = [of_others[id(handle)] for handle in handles if id(handle) in of_others]
@@ -844,6 +844,10 @@ class ControllerManager:
     def _users_of(self, entry: LoadedController) -> Sequence[LoadedController]:
         """The loaded controllers that have handles of this one."""
         return [one for one in self._order if entry in one.needs]
+
+    def _users_first(self) -> Sequence[str]:
+        """The names of all controllers, each before those whose handles it has."""
+        return [one.name for one in sorted(self._order, key=lambda one: -one.depth)]
 
     def _check_unused(self, entry: LoadedController) -> None:
         """Raise Refused when another controller has handles of this one."""
@@ -1017,7 +1021,7 @@ class ControllerManager:
             is_stopped = self.request_switch([], self.names(), BEST_EFFORT)
             if is_stopped:
                 self.manage_switch(self._node.now_ns())
-            if not is_stopped or not all(self.unload(entry.name) for entry in self._order):
+            if not is_stopped or not all(map(self.unload, self._users_first())):
                 return self._refuse("cannot reload: the controllers could not be stopped and unloaded")
         self._node.log("info", f"searched again for controllers of {registry.BASE_CLASS}")
         return True

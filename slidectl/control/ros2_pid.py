@@ -1,7 +1,7 @@
 """The PID of control_toolbox 6 (ROS 2): its equation, its state, and gains that are parameters.
 
 It differs from that of ROS 1 (`pid.py`): the output has bounds, the integral part is added before it is integrated, and
-the integral is the contribution to the output, already times the gain. `Pid` uses no parameters and no topics.
+the integral is the contribution to the output, already times the gain. `Ros2Pid` uses no parameters and no topics.
 `LivePid` reads the gains from parameters, follows changes of these, and publishes the state.
 """
 
@@ -27,7 +27,7 @@ EPSILON = 2.0**-52
 """A shorter period, in s, counts as none; a smaller difference of two outputs as none."""
 
 
-class Gains(NamedTuple):
+class Ros2Gains(NamedTuple):
     """Gains in output per error. `u_*` bound the output, `i_clamp_*` the integral part, both in units of the output."""
 
     p: float = 0.0
@@ -43,7 +43,7 @@ class Gains(NamedTuple):
     error_deadband: float = EPSILON
     """An error of at most this size is not integrated."""
 
-    def checked(self) -> Gains:
+    def checked(self) -> Ros2Gains:
         """The gains with the tracking time constant that is used.
 
         Raises Refused: gains that the PID cannot use.
@@ -75,7 +75,7 @@ class Gains(NamedTuple):
         return self._replace(tracking_time_constant=constant)
 
 
-class Pid:
+class Ros2Pid:
     """Gains and state of one control loop.
 
     Errors are in units of the controlled quantity, periods in seconds. The state: `i_term`, the integral part of the
@@ -84,13 +84,13 @@ class Pid:
 
     saved_attributes: ClassVar[tuple[str, ...]] = ("error", "error_dot", "i_term", "last_error", "output")
 
-    def __init__(self, gains: Gains | None = None) -> None:
+    def __init__(self, gains: Ros2Gains | None = None) -> None:
         """Raises Refused: gains that the PID cannot use."""
-        self.set_gains(gains or Gains())
+        self.set_gains(gains or Ros2Gains())
         self.i_term = 0.0
         self.reset()
 
-    def set_gains(self, gains: Gains) -> None:
+    def set_gains(self, gains: Ros2Gains) -> None:
         """Use other gains from the next step on. The state stays. Raises Refused, and keeps the old ones."""
         self.gains = gains.checked()
 
@@ -189,7 +189,7 @@ class LivePid:
         self._declared = {parameter.name: parameter for parameter in gain_parameters(error_deadband)}
         self._topic = topic
         self._publisher: Publisher | None = None
-        self.pid = Pid()
+        self.pid = Ros2Pid()
         self._use()
         self._parameters.guard_params(self._judge)
         self._parameters.watch_param(self._parameters.namespace, self._use)
@@ -227,13 +227,13 @@ class LivePid:
         """Refuse a change to gains that the PID cannot use."""
         self._gains_of((change.after if isinstance(change.after, dict) else {}).get)
 
-    def _gains_of(self, read: Callable[[str], Any]) -> Gains:
+    def _gains_of(self, read: Callable[[str], Any]) -> Ros2Gains:
         """The gains, of parameters that `read` returns by name. Raises Refused: the PID cannot use them."""
-        found = {name: self._value(read, name) for name in Gains._fields}
+        found = {name: self._value(read, name) for name in Ros2Gains._fields}
         if self._value(read, "saturation") is False:
             found.update(u_clamp_max=inf, u_clamp_min=-inf)
         try:
-            return Gains(**found).checked()
+            return Ros2Gains(**found).checked()
         except Refused as error:
             raise Refused(f"{self._parameters.namespace}: {error}", error.hint) from None
 

@@ -111,8 +111,11 @@ class Bench:
             controller(f"test/{name}")(cls)
 
     def load(self, *names: str) -> None:
+        """Load, and for a robot of ROS 2 configure."""
         for name in names:
             assert self.manager.load(name), self.graph.lines("error")
+            if self.robot.is_of_ros2:
+                assert self.manager.configure(name), self.graph.lines("error")
 
     def start(self, *names: str) -> None:
         """Load and start, in one cycle."""

@@ -163,7 +163,7 @@ class TestInterfaces:
 
     def test_a_forced_reload_of_libraries_and_a_kill_unload_the_users_first(self, bench):
         bench.load("low")
-        bench.load("front")
+        bench.load("front", "reader")
         assert bench.manager.reload_libraries(force_kill=True)
         assert bench.manager.names() == []
         bench.load("low", "front", "other")

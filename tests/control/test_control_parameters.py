@@ -13,7 +13,7 @@ from slidectl.control.controller_interface import ControllerBase
 from slidectl.control.controllers import ros2_joint_trajectory
 from slidectl.control.controllers.diff_drive import WHEELS
 from slidectl.control.controllers.ros2_broadcasters import NINE, NO_FILTERS
-from slidectl.control.controllers.ros2_pid import QUANTITIES, QUANTITY
+from slidectl.control.controllers.ros2_pid_controller import QUANTITIES, QUANTITY
 from slidectl.control.controllers.steering import TWO
 from slidectl.control.hardware_interface import (
     ForceTorqueData,

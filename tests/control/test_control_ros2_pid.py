@@ -7,7 +7,7 @@ import pytest
 from fake_robot import Bench, FakeRobot
 
 from slidectl.control.hardware_interface import JointStateInterface
-from slidectl.control.ros2_pid import Gains, LivePid, Pid
+from slidectl.control.ros2_pid import LivePid, Ros2Gains, Ros2Pid
 from slidectl.errors import MessageRefused, Refused
 
 DT = 0.01
@@ -33,7 +33,7 @@ def outputs(errors, *, p=0.0, i=0.0, d=0.0, u=(-INF, INF), clamp=(-INF, INF), st
     return found
 
 
-def stepped(pid: Pid, errors) -> list[float]:
+def stepped(pid: Ros2Pid, errors) -> list[float]:
     return [pid.step(error, DT) for error in errors]
 
 
@@ -43,9 +43,9 @@ BOUNDS = {"u_clamp_max": 3.0, "u_clamp_min": -2.0}
 
 @pytest.mark.parametrize("strategy", ["none", "back_calculation", "conditional_integration"])
 def test_the_outputs_are_those_of_the_equations_with_each_strategy(strategy):
-    gains = Gains(2.0, 30.0, 0.02, **BOUNDS, antiwindup_strategy=strategy, tracking_time_constant=0.05)
+    gains = Ros2Gains(2.0, 30.0, 0.02, **BOUNDS, antiwindup_strategy=strategy, tracking_time_constant=0.05)
     expected = outputs(ERRORS, p=2.0, i=30.0, d=0.02, u=(-2.0, 3.0), strategy=strategy, tracking=0.05)
-    assert stepped(Pid(gains), ERRORS) == pytest.approx(expected, rel=1e-12, abs=1e-12)
+    assert stepped(Ros2Pid(gains), ERRORS) == pytest.approx(expected, rel=1e-12, abs=1e-12)
     assert {3.0, -2.0} <= set(expected)
 
 
@@ -54,8 +54,8 @@ def test_the_strategies_differ_in_how_long_the_output_stays_at_its_bound():
     errors = [1.0] * 100 + [-1.0] * 300
     at_bound = {}
     for strategy in ("none", "back_calculation", "conditional_integration"):
-        gains = Gains(i=30.0, u_clamp_max=3.0, antiwindup_strategy=strategy, tracking_time_constant=0.02)
-        at_bound[strategy] = stepped(Pid(gains), errors).count(3.0)
+        gains = Ros2Gains(i=30.0, u_clamp_max=3.0, antiwindup_strategy=strategy, tracking_time_constant=0.02)
+        at_bound[strategy] = stepped(Ros2Pid(gains), errors).count(3.0)
     # Integral 0.3 per step: none is at 3 from step 10 on, 90 steps up and 90 down from 30.
     assert at_bound["none"] == pytest.approx(180, abs=2)
     assert at_bound["conditional_integration"] == pytest.approx(91, abs=2)
@@ -63,25 +63,25 @@ def test_the_strategies_differ_in_how_long_the_output_stays_at_its_bound():
 
 
 def test_the_integral_counts_one_step_late_and_is_clamped_after_it_was_added():
-    pid = Pid(Gains(i=100.0, i_clamp_max=2.5, i_clamp_min=-1.0))
+    pid = Ros2Pid(Ros2Gains(i=100.0, i_clamp_max=2.5, i_clamp_min=-1.0))
     assert stepped(pid, [1.0] * 5) == pytest.approx([0.0, 1.0, 2.0, 2.5, 2.5])
     assert stepped(pid, [-10.0] * 2) == pytest.approx([2.5, -1.0])
 
 
 def test_an_error_in_the_dead_band_is_not_integrated():
-    pid = Pid(Gains(p=1.0, i=100.0, error_deadband=0.5))
+    pid = Ros2Pid(Ros2Gains(p=1.0, i=100.0, error_deadband=0.5))
     assert stepped(pid, [0.5, 0.5, 0.6, 0.0]) == pytest.approx([0.5, 0.5, 0.6, 0.6])
 
 
 def test_the_first_step_has_a_derivative_kick_and_a_given_rate_none():
-    assert Pid(Gains(d=0.2)).step(1.0, DT) == pytest.approx(20.0)
-    pid = Pid(Gains(d=0.2))
+    assert Ros2Pid(Ros2Gains(d=0.2)).step(1.0, DT) == pytest.approx(20.0)
+    pid = Ros2Pid(Ros2Gains(d=0.2))
     assert pid.step_with_rate(1.0, 3.0, DT) == pytest.approx(0.6)
     assert pid.step(1.0, DT) == pytest.approx(20.0)  # the last error is still 0
 
 
 def test_a_period_of_zero_repeats_the_output_and_a_negative_one_is_an_error():
-    pid = Pid(Gains(p=2.0, i=1.0))
+    pid = Ros2Pid(Ros2Gains(p=2.0, i=1.0))
     pid.step(1.0, DT)
     assert pid.step(5.0, 0.0) == 2.0
     assert pid.step_with_rate(5.0, 1.0, 1e-16) == 2.0
@@ -91,7 +91,7 @@ def test_a_period_of_zero_repeats_the_output_and_a_negative_one_is_an_error():
 
 @pytest.mark.parametrize("bad", [float("nan"), float("inf")])
 def test_an_error_that_is_not_finite_gives_nan_and_changes_no_integral(bad):
-    pid = Pid(Gains(p=1.0, i=100.0))
+    pid = Ros2Pid(Ros2Gains(p=1.0, i=100.0))
     pid.step(1.0, DT)
     assert np.isnan(pid.step(bad, DT))
     assert np.isnan(pid.step_with_rate(1.0, bad, DT))
@@ -102,9 +102,9 @@ def test_an_error_that_is_not_finite_gives_nan_and_changes_no_integral(bad):
     ("gains", "constant"), [({"p": 3.0, "i": 2.0}, 1.5), ({"p": 3.0, "i": 2.0, "d": 8.0}, 2.0)]
 )  # fmt: skip
 def test_without_a_tracking_time_constant_it_follows_from_the_gains(gains, constant):
-    found = Pid(Gains(**gains, u_clamp_max=1.0, antiwindup_strategy="back_calculation"))
-    given = Pid(
-        Gains(**gains, u_clamp_max=1.0, antiwindup_strategy="back_calculation", tracking_time_constant=constant)
+    found = Ros2Pid(Ros2Gains(**gains, u_clamp_max=1.0, antiwindup_strategy="back_calculation"))
+    given = Ros2Pid(
+        Ros2Gains(**gains, u_clamp_max=1.0, antiwindup_strategy="back_calculation", tracking_time_constant=constant)
     )
     assert stepped(found, ERRORS) == stepped(given, ERRORS)
 
@@ -129,15 +129,15 @@ def test_without_a_tracking_time_constant_it_follows_from_the_gains(gains, const
     ],
 )
 def test_gains_that_cannot_be_used_are_refused_and_the_old_ones_stay(gains, text):
-    pid = Pid(Gains(p=1.0))
+    pid = Ros2Pid(Ros2Gains(p=1.0))
     with pytest.raises(Refused, match=text):
-        pid.set_gains(Gains(**gains))
+        pid.set_gains(Ros2Gains(**gains))
     assert pid.gains.p == 1.0
 
 
 @pytest.mark.parametrize(("keep", "output"), [(False, 0.0), (True, 1.0)])
 def test_a_reset_keeps_the_integral_only_when_asked_to(keep, output):
-    pid = Pid(Gains(i=100.0, d=1.0))
+    pid = Ros2Pid(Ros2Gains(i=100.0, d=1.0))
     pid.step(1.0, DT)
     pid.reset(keep_integral=keep)
     assert pid.step(0.0, DT) == pytest.approx(output)

@@ -55,7 +55,7 @@ from slidectl.control.params import BOOLEAN, JOINTS, NUMBER, TEXTS, BadParameter
 from slidectl.control.registry import ros2_controller
 from slidectl.control.robot_description import PARAMETER, robot_of_model
 from slidectl.control.ros2_controller import Ros2Controller
-from slidectl.control.ros2_pid import STRATEGY, Gains, Pid
+from slidectl.control.ros2_pid import STRATEGY, Ros2Gains, Ros2Pid
 from slidectl.control.ros2_trajectory import (
     FIELDS,
     Trajectory,
@@ -303,7 +303,7 @@ _GAINS = {
         "antiwindup_strategy", STRATEGY, "the integral while the command is at its bound", default="none", live=True
     ): "antiwindup_strategy",
 }
-"""The parameters of a PID, with the field of `Gains`."""
+"""The parameters of a PID, with the field of `Ros2Gains`."""
 GAINS = {replace(one, name=f"gains/<joint>/{one.name}"): field for one, field in _GAINS.items()}
 FEED_FORWARD = Parameter(
     "gains/<joint>/ff_velocity_scale", NUMBER, "command per desired velocity, without any error", default=0.0, live=True
@@ -421,7 +421,7 @@ class Ros2JointTrajectoryController(Ros2Controller, ActionController[Any]):
         if not self._uses_pid and node.has_param("gains"):
             node.log("warn", f"{node.namespace}/gains has no effect: only velocity or effort alone has a PID")
         self._check_gains(dict(leaves(node.get_param("gains", {}), "gains/")))
-        self._pids = [Pid() for _ in self._places]
+        self._pids = [Ros2Pid() for _ in self._places]
         self._feed_forward = [0.0 for _ in self._places]
         self._read_live()
         self._scaling = self._initial_scaling()
@@ -936,13 +936,13 @@ class Ros2JointTrajectoryController(Ros2Controller, ActionController[Any]):
             raise Refused(f"Received trajectory with non-zero {times}.")
 
 
-def _gains_of(values: dict[str, Any], name: str) -> Gains:
+def _gains_of(values: dict[str, Any], name: str) -> Ros2Gains:
     """The gains of a joint, by the names of their parameters. One of a wrong type counts as not set."""
     found: dict[str, Any] = {}
     for parameter, field in GAINS.items():
         value = parameter.kind.convert(values.get(parameter.name.replace("<joint>", name)))
         found[field] = parameter.default if value is None else value
-    return Gains(**found)
+    return Ros2Gains(**found)
 
 
 def _tolerance(asked: float, default: float, what: str) -> float:

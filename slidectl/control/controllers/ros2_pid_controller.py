@@ -127,7 +127,7 @@ class Dof:
 
 
 @ros2_controller("pid_controller/PidController")
-class PidController(MultiInterfaceController):
+class Ros2PidController(MultiInterfaceController):
     """command = pid(reference - state) + feed-forward, for each degree of freedom."""
 
     interface_types: ClassVar[tuple[type[AnyInterface], ...]] = (*INTERFACES.values(), JointStateInterface)
