@@ -65,7 +65,8 @@ def load(
     """
     absences = Missing() if missing is None else missing
     model, root, base, packages = _opened(source, packages, title)
-    if (model.path is not None and model.path.suffix.lower() == ".xacro") or has_xacro(root):
+    suffixes = model.path.suffixes if model.path is not None else []
+    if ".xacro" in map(str.lower, suffixes) or has_xacro(root):  # gz_ros2_control's demos are `.xacro.urdf`
         from slidectl.description import xacro_adapter
 
         root, notices = xacro_adapter.expand(root, model.path, arguments or {}, packages, absences)

@@ -40,7 +40,7 @@ _LONGEST = 4096
 
 
 @dataclass(frozen=True)
-class Rule:
+class InstallRule:
     """A file or folder of the source folder, and its place in `share/NAME`. Both are relative, and "" for the top."""
 
     place: str
@@ -86,7 +86,7 @@ def remark(path: Path) -> str | None:
     return f"the package {package_name(package)} does not install it; it installs by {files}: {listing(places)}"
 
 
-def _translations(path: Path) -> Iterator[tuple[Rule, Path]]:
+def _translations(path: Path) -> Iterator[tuple[InstallRule, Path]]:
     """Each rule that installs something at `path`, and the path of its source, which may be missing."""
     package = package_of(path)
     if package is None:
@@ -104,10 +104,10 @@ def _translations(path: Path) -> Iterator[tuple[Rule, Path]]:
                 yield rule, package / source
 
 
-def _rules(package: Path) -> list[Rule]:
+def _rules(package: Path) -> list[InstallRule]:
     """The rules of a package's build files, in their order. Files that cannot be read have none."""
     name = package_name(package)
-    found: list[Rule] = []
+    found: list[InstallRule] = []
     for file, read in (("CMakeLists.txt", _of_cmake), ("setup.py", _of_setup_py), ("setup.cfg", _of_setup_cfg)):
         try:
             found += read(input_files.read_text(package / file, _MOST_BYTES), name)
@@ -116,7 +116,7 @@ def _rules(package: Path) -> list[Rule]:
     return found
 
 
-def _rule(place: str, source: str, origin: str) -> Rule | None:
+def _rule(place: str, source: str, origin: str) -> InstallRule | None:
     """A rule of names as written; None for a path out of the package, and a pattern in the name of a folder."""
     place, source = posixpath.normpath(place), posixpath.normpath(source)
     names = ""
@@ -125,7 +125,7 @@ def _rule(place: str, source: str, origin: str) -> Rule | None:
         place = posixpath.dirname(place)
     if _leaves(place) or _leaves(source) or any(letter in source for letter in "*?["):
         return None
-    return Rule("" if place == "." else place, "" if source == "." else source, origin, names)
+    return InstallRule("" if place == "." else place, "" if source == "." else source, origin, names)
 
 
 def _in_share(destination: str, package: str) -> str | None:
@@ -179,7 +179,7 @@ class _Command:
 
 
 @lru_cache(maxsize=64)
-def _of_cmake(text: str, package: str) -> list[Rule]:
+def _of_cmake(text: str, package: str) -> list[InstallRule]:
     """The rules of a CMakeLists.txt. What is installed to other folders than `share/NAME` is left out."""
     reader = _Cmake(package)
     with suppress(RecursionError):  # loops in loops without end
@@ -192,7 +192,7 @@ class _Cmake:
 
     def __init__(self, package: str) -> None:
         self.package = package
-        self.found: list[Rule] = []
+        self.found: list[InstallRule] = []
         self.left = _MOST_WORDS
         own_folders = ("CMAKE_CURRENT_SOURCE_DIR", "CMAKE_SOURCE_DIR", "PROJECT_SOURCE_DIR", "CMAKE_CURRENT_LIST_DIR")
         self.variables: dict[str, list[str]] = {
@@ -321,7 +321,7 @@ def _until(words: list[str], ends: Iterable[str]) -> list[str]:
 
 
 @lru_cache(maxsize=64)
-def _of_setup_py(text: str, package: str) -> list[Rule]:
+def _of_setup_py(text: str, package: str) -> list[InstallRule]:
     """The rules of `data_files` in a setup.py; what is not a constant, a list, a path or a pattern is left out."""
     try:
         return _SetupPy(package).rules(ast.parse(text))
@@ -336,8 +336,8 @@ class _SetupPy:
         self.package = package
         self.names: dict[str, object] = {}
 
-    def rules(self, tree: ast.Module) -> list[Rule]:
-        found: list[Rule] = []
+    def rules(self, tree: ast.Module) -> list[InstallRule]:
+        found: list[InstallRule] = []
         for statement in tree.body:
             if isinstance(statement, ast.Assign) and isinstance(statement.targets[0], ast.Name):
                 self.names[statement.targets[0].id] = self.value(statement.value)
@@ -351,7 +351,7 @@ class _SetupPy:
                     found += self.of_list(self.value(files[0]), call.lineno)
         return found[:_MOST_RULES]
 
-    def of_list(self, files: object, line: int) -> Iterator[Rule]:
+    def of_list(self, files: object, line: int) -> Iterator[InstallRule]:
         for pair in files if isinstance(files, list) else ():
             if not isinstance(pair, list) or len(pair) != 2 or not isinstance(pair[0], str):
                 continue
@@ -411,7 +411,7 @@ def _text(parts: list[object], between: str) -> str | None:
 
 
 @lru_cache(maxsize=64)
-def _of_setup_cfg(text: str, package: str) -> list[Rule]:
+def _of_setup_cfg(text: str, package: str) -> list[InstallRule]:
     """The rules of the section `options.data_files`: in each line `DESTINATION = FILES`, FILES one a line or by commas.
 
     Source: setuptools' documentation of declarative configuration.

@@ -108,6 +108,11 @@ def test_declared_arguments_are_read_from_the_file_and_its_includes(write: Write
     assert list(written(package).arguments) == ["mass"]
 
 
+@pytest.mark.parametrize("name", ["bot.xacro", "bot.xacro.urdf", "bot.URDF.XACRO"])
+def test_a_file_with_xacro_in_its_suffixes_is_expanded_without_a_tag_of_xacro(write: Write, name: str) -> None:
+    assert '<link name="ab"' in load(write(name, "<robot name='bot'><link name=\"${'a' + 'b'}\"/></robot>")).urdf
+
+
 @pytest.mark.parametrize(("name", "takes"), [("arm", True), ("${namespace}arm", False), ("$(arg namespace)arm", False)])
 def test_a_namespace_that_begins_the_names_of_links_is_none_of_the_graph(write: Write, name: str, takes: bool) -> None:
     argument = '<xacro:arg name="namespace" default=""/><xacro:property name="namespace" value="$(arg namespace)"/>'
