@@ -176,6 +176,7 @@ def robot_plan(
         BadFile: the model is broken. BadName. UnknownName: no such moving joint. Refused: a position out of range.
     """
     from slidectl import description
+    from slidectl.description.install_rules import located
     from slidectl.description.robot import MOVING, check_position
 
     xml = rooted(model.xml, model.file, fixed)
@@ -191,7 +192,7 @@ def robot_plan(
     place = description.namespace_of(robot, chosen) if namespace is None else names.check("/" + namespace.strip("/"))
     plan = SpawnPlan([request(chosen, xml, at)], namespace=place, robot=robot, joints=joints or {})
     for file in robot.ros2_control.parameter_files if robot.ros2_control is not None else ():
-        path = (Path(model.file).parent / file).absolute()
+        path = located((Path(model.file).parent / file).absolute())
         if path.is_file():
             plan.own_files.append(str(path))
         else:

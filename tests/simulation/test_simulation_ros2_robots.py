@@ -54,7 +54,7 @@ def switch(simulation: Simulation, start: Any = (), stop: Any = ()) -> bool:
 
 
 def command(simulation: Simulation, quantity: str, value: float) -> None:
-    simulation.publish(f"/{quantity}/command", {"data": [value]})
+    simulation.publish(f"/{quantity}/commands", {"data": [value]})
 
 
 def starts_at(position: float) -> str:
