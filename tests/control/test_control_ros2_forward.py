@@ -99,7 +99,7 @@ def test_a_message_of_another_size_is_an_error_per_second_until_it_is_replaced(
     send(bench, 0.75, 0.0)
     bench.run()
     assert commands(bench) == (0.75, 0.0)
-    assert bench.states() == {"group": "running"}
+    assert bench.states() == {"group": "active"}
 
 
 def test_a_stop_and_a_start_forget_the_command(bench: Bench) -> None:

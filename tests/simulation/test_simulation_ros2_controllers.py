@@ -70,6 +70,7 @@ def test_a_robot_of_ros_2_has_its_groups() -> None:
     own = {"type": "velocity_controllers/JointGroupVelocityController", "joints": ["joint2", "joint3"]}
     simulation.parameters.set("/a/group", own)
     simulation.call("/a/controller_manager/load_controller", {"name": "group"})
+    assert robot.manager.configure("group")
     request = {"start_controllers": ["group"], "stop_controllers": [], "strictness": 2}
     assert simulation.call("/a/controller_manager/switch_controller", request)["ok"]
     simulation.publish("/a/group/commands", {"data": [0.5, -0.25]})
