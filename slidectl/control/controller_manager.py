@@ -6,33 +6,27 @@ It does not know the names of the services that call it, nor the clients that wa
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Iterable, Sequence
 from functools import partial
 from time import perf_counter_ns
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from slidectl import names
 from slidectl.control import registry
-from slidectl.control.controller_interface import HOOKS, ControllerBase, State
-from slidectl.control.duration import NANOSECONDS, to_seconds
+from slidectl.control.controller_interface import ControllerBase, State
+from slidectl.control.controller_switch import BEST_EFFORT, STRICT, Switch, known, not_loaded, way_out
 from slidectl.control.hardware_interface import (
     JOINT_STATES,
     CommandAttribute,
-    Conflict,
-    ControllerInfo,
     HardwareComponent,
     JointHandle,
-    JointStateHandle,
     JointStateInterface,
-    ResourceManager,
     RobotHW,
-    SwitchState,
     UnknownResource,
 )
-from slidectl.control.node_handle import NodeHandle, Reasons
-from slidectl.control.params import UPDATE_BUDGET, judge, value_of
+from slidectl.control.loaded_controller import LoadedController, UpdateTimes
+from slidectl.control.node_handle import NodeHandle
+from slidectl.control.params import judge
 from slidectl.control.registry import ControllerTypes
 from slidectl.control.ros2_names import refuse_others
 from slidectl.control.user_classes import (
@@ -44,304 +38,12 @@ from slidectl.control.user_classes import (
     watched,
     watched_hardware,
 )
-from slidectl.control.user_modules import UserCode
-from slidectl.description import interfaces
 from slidectl.errors import BadName, Refused, SlidectlError, UnknownName, listing, quoted
 
 if TYPE_CHECKING:
-    from slidectl.msgs.typed import ControllerStateMsg, HardwareInterfaceResourcesMsg
+    from slidectl.msgs.typed import ControllerStateMsg
 
 T = TypeVar("T")
-
-_LONGEST_BUDGET_S = 1e9
-
-
-class UpdateTimes:
-    """Wall time, in ns, of the updates of one controller in the interpreter since its last start."""
-
-    saved_attributes: ClassVar[None] = None
-
-    def __init__(self, name: str, node: NodeHandle) -> None:
-        self._name = name
-        self._node = node
-        self._next_warning_ns = 0
-        self.budget_ns = 0
-        """A longer update causes a warning; 0: no warnings."""
-        self.clear()
-
-    def clear(self) -> None:
-        """Reset all counts and times."""
-        self.count = self.total_ns = self.longest_ns = self.over_budget = 0
-        self.notable_ns = 0
-        """`add` passes longer updates to `note`: they are the longest so far, or over the budget."""
-
-    def set_budget(self, budget_s: float) -> None:
-        """Set the budget in seconds; 0 or less: no budget."""
-        self.budget_ns = round(min(max(0.0, budget_s), _LONGEST_BUDGET_S) * NANOSECONDS)
-        self.notable_ns = 0
-
-    def add(self, took_ns: int, now_ns: int) -> None:
-        """Record an update. `now_ns` is a time of `perf_counter_ns`."""
-        self.count += 1
-        self.total_ns += took_ns
-        if took_ns > self.notable_ns:
-            self.note(took_ns, now_ns)
-
-    def note(self, took_ns: int, now_ns: int) -> None:
-        """Record an update that is the longest so far or over the budget. Log a warning when it is over the budget."""
-        self.longest_ns = max(self.longest_ns, took_ns)
-        self.notable_ns = min(self.longest_ns, self.budget_ns or self.longest_ns)
-        if 0 < self.budget_ns < took_ns:
-            self.over_budget += 1
-            if now_ns >= self._next_warning_ns:
-                self._next_warning_ns = now_ns + NANOSECONDS
-                took, budget = f"{took_ns / 1000:.1f} us", f"{self.budget_ns / 1000:g} us"
-                text = (
-                    f"an update took {took}; its budget is {budget}, which {self.over_budget} of {self.count} exceeded"
-                )
-                self._node.log("warn", f"controller {self._name!r}: {text}")
-
-    def message(self) -> dict[str, Any]:
-        """The times as slidectl/UpdateTimes, in seconds."""
-        mean_ns = self.total_ns / self.count if self.count else 0.0
-        times = {"mean": mean_ns, "longest": self.longest_ns, "budget": self.budget_ns}
-        seconds = {key: value / NANOSECONDS for key, value in times.items()}
-        return {"name": self._name, "updates": self.count, "over_budget": self.over_budget, **seconds}
-
-
-class LoadedController:
-    """A loaded controller of a manager. Times are nanoseconds of simulated time."""
-
-    __slots__ = (
-        *("_code", "_is_of_user", "_watched", "controller", "failure", "info", "is_configured", "is_of_ros2"),
-        *("loaded_with", "may_compile", "node", "reads_from", "states_read", "times", "writes_to"),
-    )
-
-    def __init__(
-        self,
-        name: str,
-        type_name: str,
-        controller: ControllerBase,
-        node: NodeHandle,
-        code: UserCode,
-        handles: WatchedHandles | None = None,
-        *,
-        is_of_ros2: bool = False,
-        states_read: Iterable[str] = (),
-    ) -> None:
-        """`code`: the users' code of the world. `handles`: the joint handles that a user's controller has got; None for
-        a controller of slidectl. `is_of_ros2`: its robot is one of ROS 2. `states_read`: as the attribute."""
-        self.controller = controller
-        self.node = node
-        self.info = ControllerInfo(name, type_name, controller.claimed_resources)
-        self.times = UpdateTimes(name, node)
-        self.failure = ""
-        """The message of the exception that aborted it since its last start; empty: none."""
-        self.may_compile = True
-        """False when the compiled form that a user's class declares has failed."""
-        self.writes_to: tuple[LoadedController, ...] = ()
-        """The chainable controllers whose references it claims: it precedes them in a chain."""
-        self.reads_from: tuple[LoadedController, ...] = ()
-        """The chainable controllers whose exported states it reads."""
-        self.is_of_ros2 = is_of_ros2
-        self.is_configured = not is_of_ros2
-        """False in the state `unconfigured` of ROS 2, in which it cannot start. Its `init` was called nevertheless."""
-        self.loaded_with: Any = node.get_param(node.namespace, None) if is_of_ros2 else None
-        """Its parameters right after it was loaded, for `configure`; None: it must be loaded again."""
-        self.states_read = tuple(states_read)
-        """The states of joints that it can read, as `joint1/position`; only for a robot of ROS 2."""
-        self._is_of_user = is_of_a_user(type(controller))
-        self._code = code
-        self._watched = watched(type(controller), code, handles)
-        self._read_budget()
-        node.watch_param(UPDATE_BUDGET.name, self._read_budget)
-
-    def _read_budget(self) -> None:
-        self.times.set_budget(value_of(self.node, UPDATE_BUDGET))
-        if self.times.budget_ns and self.controller.compiled is not None:
-            where = names.join(self.node.namespace, UPDATE_BUDGET.name)
-            self.node.log("warn", f"parameter {where} has no effect while the controller runs compiled")
-
-    @property
-    def name(self) -> str:
-        """The name under which it was loaded."""
-        return self.info.name
-
-    @property
-    def state(self) -> State:
-        """The controller's state."""
-        return self.controller.state
-
-    @property
-    def shown_state(self) -> str:
-        """The state for clients: of a controller of a robot of ROS 2, the one that ros2_control has for it."""
-        if not self.is_of_ros2:
-            return str(self.state)
-        return "active" if self.is_running else "inactive" if self.is_configured else "unconfigured"
-
-    @property
-    def is_running(self) -> bool:
-        """True in the state RUNNING, in which it is updated each cycle."""
-        return self.state is State.RUNNING
-
-    @property
-    def is_aborted(self) -> bool:
-        """True in the state ABORTED: its start or its code has failed."""
-        return self.state is State.ABORTED
-
-    @property
-    def needs(self) -> tuple[LoadedController, ...]:
-        """The controllers that must run while this one runs."""
-        return (*self.writes_to, *self.reads_from)
-
-    @property
-    def depth(self) -> int:
-        """How many controllers of a chain follow this one; 0 without a chain."""
-        return max((one.depth + 1 for one in self.needs), default=0)
-
-    def exported(self) -> Sequence[tuple[type[ResourceManager[Any]], JointStateHandle]]:
-        """The handles that the controller exports, with the interface of each."""
-        controller = self.controller
-        return [*controller.exported_references, *((JointStateInterface, one) for one in controller.exported_states)]
-
-    def start(self, time_ns: int) -> None:
-        """Start the controller, and reset its times and failure."""
-        self.times.clear()
-        self.failure = ""
-        self.enter_state(State.RUNNING, time_ns)
-
-    def enter_state(self, state: State, time_ns: int) -> None:
-        """Call the hook of the state, then set it. An exception of the hook aborts the controller."""
-        try:
-            with self._watched:
-                self.controller.enter_state(state, time_ns)
-        except Exception as failure:
-            self.fail(failure, time_ns, HOOKS[state])
-
-    @property
-    def bare_update(self) -> Callable[[int, float], None]:
-        """The update without the measurement of its time."""
-        return self._watched_update if self._is_of_user else self.controller.update
-
-    def _watched_update(self, time_ns: int, period_s: float) -> None:
-        with self._watched:
-            self.controller.update(time_ns, period_s)
-
-    def publish(self, time_ns: int, period_s: float) -> None:
-        """Publish the messages that the compiled law made due. Raises the controller's exceptions."""
-        with self._watched:
-            self.controller.publish(time_ns, period_s)
-
-    def update(self, time_ns: int, period_s: float) -> None:
-        """Run one update and record its wall time. Raises the controller's exceptions."""
-        began_ns = perf_counter_ns()
-        self.bare_update(time_ns, period_s)
-        now_ns = perf_counter_ns()
-        self.times.add(now_ns - began_ns, now_ns)
-
-    def update_if_running(self, time_ns: int, period_s: float) -> None:
-        """Run one update, unless an earlier controller stopped this one in the same cycle. An exception aborts it."""
-        try:
-            if self.is_running:
-                self.update(time_ns, period_s)
-        except Exception as failure:
-            self.fail(failure, time_ns, "update")
-
-    def fail(self, failure: Exception, time_ns: int, hook: str = "") -> None:
-        """Log the exception of the controller's code, and abort the controller. `hook`: the method that raised it."""
-        where = f" in {hook}" if hook else ""
-        self._abort(f"controller {self.name!r} failed{where} and is aborted: {described(failure)}", time_ns)
-
-    def fail_with(self, other: LoadedController, time_ns: int) -> None:
-        """Abort the controller, because another one of its chain is aborted."""
-        self._abort(f"controller {self.name!r} is aborted: {other.name!r}, which is in its chain, is aborted", time_ns)
-
-    def _abort(self, text: str, time_ns: int) -> None:
-        self.failure = text
-        self.node.log("fatal", text)
-        if type(self.controller) in self._code.cut_off:
-            self.controller.state = State.ABORTED
-            return
-        try:
-            with self._watched:
-                self.controller.enter_state(State.ABORTED, time_ns)
-        except Exception as another:
-            self.node.log("fatal", f"controller {self.name!r} failed while aborting: {described(another)}")
-            self.controller.state = State.ABORTED
-
-    def try_to_compile(self, action: Callable[[], T]) -> T | None:
-        """Call an action that the compiled form needs. If a user's class fails in it, `update` runs interpreted."""
-        if not self._is_of_user:
-            return action()
-        try:
-            with watched(type(self.controller), self._code):
-                return action()
-        except Exception as failure:
-            self.may_compile = False
-            self.node.log("warn", f"controller {self.name!r} runs in the interpreter: {described(failure)}")
-            return None
-
-    def message(self) -> ControllerStateMsg:
-        """The entry as controller_manager_msgs/ControllerState."""
-        claimed: list[HardwareInterfaceResourcesMsg] = [
-            {"hardware_interface": claim.hardware_interface, "resources": list(claim.resources)}
-            for claim in self.info.claimed_resources
-        ]
-        state = self.shown_state
-        return {"name": self.name, "state": state, "type": self.info.type, "claimed_resources": claimed}
-
-    def commands(self) -> list[str]:
-        """The commands that it claims, by their names in ros2_control, as `joint1/effort`."""
-        claims = self.info.claimed_resources
-        return [name for one in claims for name in interfaces.ros2_commands(one.hardware_interface, one.resources)]
-
-    def references(self) -> list[str]:
-        """The references that it exports, without its own name, as `joint1/position`."""
-        found = []
-        for kind, handle in self.controller.exported_references:
-            found += interfaces.ros2_commands(kind.type_name, [handle.name.removeprefix(f"{self.name}/")])
-        return found
-
-    def shown_states(self) -> list[str]:
-        """The states that it exports, without its own name, as `joint1/position`."""
-        joints = [one.name.removeprefix(f"{self.name}/") for one in self.controller.exported_states]
-        return [f"{joint}/{state}" for joint in joints for state in JOINT_STATES]
-
-    def message_of_ros2(self, rate_hz: int) -> dict[str, Any]:
-        """The entry as slidectl/ControllerState, which has the fields of ros2_control."""
-        commands = self.commands() if self.is_configured else []
-        return {
-            "name": self.name,
-            "state": self.shown_state,
-            "type": self.info.type,
-            "update_rate": rate_hz,
-            "claimed_interfaces": commands if self.is_running else [],
-            "required_command_interfaces": commands,
-            "required_state_interfaces": list(self.states_read) if self.is_configured else [],
-            "is_chainable": bool(self.exported()),
-            "is_chained": self.controller.is_chained,
-            "exported_state_interfaces": self.shown_states() if self.is_configured else [],
-            "reference_interfaces": self.references() if self.is_configured else [],
-            "chain_connections": [
-                {"name": one.name, "reference_interfaces": one.references()} for one in self.writes_to
-            ],
-        }
-
-
-BEST_EFFORT = 1
-STRICT = 2
-MOST_NAMES = 1000
-"""Most names in one request, for hooks are called for every name. A robot has a few dozen controllers at most."""
-
-
-def _way_out(conflicts: Sequence[Conflict], starting: Collection[str]) -> str:
-    """The switch that frees the resources of those that start; empty when they only conflict with one another."""
-    claims = list(dict.fromkeys(name for conflict in conflicts for name in conflict.controllers))
-    in_the_way = [name for name in claims if name not in starting]
-    if not in_the_way:
-        return ""
-    to_start = " ".join(name for name in claims if name in starting)
-    return f"; slidectl controller switch --start {to_start} --stop {' '.join(in_the_way)}"
 
 
 def _in_update_order(loaded: Iterable[LoadedController]) -> tuple[LoadedController, ...]:
@@ -351,178 +53,6 @@ def _in_update_order(loaded: Iterable[LoadedController]) -> tuple[LoadedControll
         following = [position for position, one in enumerate(ordered) if one in entry.writes_to]
         ordered.insert(min(following, default=len(ordered)), entry)
     return tuple(ordered)
-
-
-def _known(
-    loaded: Mapping[str, LoadedController], wanted: Iterable[str], verb: str, strict: bool, node: NodeHandle
-) -> list[LoadedController]:
-    """The controllers of these names. Logs a warning about unknown ones, or raises when `strict`."""
-    found = [loaded[name] for name in wanted if name in loaded]
-    unknown = [name for name in wanted if name not in loaded]
-    if unknown and strict:
-        raise _not_loaded(loaded, unknown[0], verb, node)
-    unconfigured = [entry.name for entry in found if verb == "start" and not entry.is_configured]
-    if unconfigured:
-        reason = f"cannot start controller {quoted(unconfigured[0])}: it is unconfigured"
-        hint = f"configure it first: slidectl controller configure {unconfigured[0]}"
-        if strict:
-            raise Refused(reason, hint)
-        node.log("warn", f"{reason}; {hint}; the rest of the request goes on")
-        found = [entry for entry in found if entry.is_configured]
-    if unknown:
-        node.log("warn", f"no controller {listing(map(quoted, unknown))} to {verb}; the rest of the request goes on")
-    if len(found) > MOST_NAMES:
-        raise Refused(f"{len(found)} controllers to {verb}, and {MOST_NAMES} is the most in one request")
-    return found
-
-
-def _not_loaded(loaded: Mapping[str, LoadedController], name: str, verb: str, node: NodeHandle) -> SlidectlError:
-    """The error for a controller that is not loaded: whether it could be, by its parameters."""
-    with suppress(SlidectlError):  # the name may be none
-        if node.get_param(f"{name}/type", None) is not None:
-            hint = f"load and start it: slidectl controller spawn {name}; load it only: slidectl controller load {name}"
-            return Refused(f"controller {quoted(name)} is not loaded, so there is nothing to {verb}", hint)
-    return UnknownName("controller", name, list(loaded), f"to {verb}")
-
-
-@dataclass
-class Switch:
-    """An accepted switch. `advance` carries it out, once per cycle, after the updates.
-
-    A name may occur several times in a request; its hooks are then called as often.
-    """
-
-    start_request: list[LoadedController]
-    stop_request: list[LoadedController]
-    asap: bool
-    timeout_s: float
-    init_time_ns: int
-    on_done: Callable[[bool], None]
-    reasons: Reasons | None
-    """The reasons of the request. Errors in later cycles are added to them."""
-    start: list[ControllerInfo] = field(default_factory=list)
-    """The controllers that really start; `stop`: that really stop; `running`: that run afterwards."""
-    stop: list[ControllerInfo] = field(default_factory=list)
-    running: list[ControllerInfo] = field(default_factory=list)
-    modes: list[tuple[LoadedController, bool]] = field(default_factory=list)
-    """The chainable controllers that run afterwards, and whether in chained mode."""
-    has_begun: bool = False
-
-    def check_chains(self, loaded: Collection[LoadedController], strict: bool, node: NodeHandle) -> None:
-        """Leave out, with a warning, what would leave a controller without one that it needs.
-
-        Raises Refused: strict, and there is such a controller.
-        """
-        while found := self._broken_chain(loaded):
-            request, entry, refusal = found
-            if strict:
-                raise refusal
-            node.log("warn", f"{described(refusal)}; the rest of the request goes on")
-            request[:] = [one for one in request if one is not entry]
-
-    def _broken_chain(
-        self, loaded: Collection[LoadedController]
-    ) -> tuple[list[LoadedController], LoadedController, Refused] | None:
-        """A list of the request, the controller in it that must not be there, and why; None when there is none."""
-        runs = [one for one in loaded if one in self.start_request or (one.is_running and one not in self.stop_request)]
-        for entry in self.start_request:
-            for need in entry.needs:
-                if need not in runs:
-                    verb = "writes the references" if need in entry.writes_to else "reads the states"
-                    why = "this switch stops" if need.is_running else "does not run"
-                    text = f"cannot start controller {entry.name!r}: it {verb} of {need.name!r}, which {why}"
-                    hint = f"start both: slidectl controller switch --start {need.name} {entry.name}"
-                    return self.start_request, entry, Refused(text, "" if need.is_running else hint)
-        for entry in self.stop_request:
-            for user in runs if entry.is_running and entry not in runs else ():
-                if entry in user.needs:
-                    verb = "writes its references" if entry in user.writes_to else "reads its states"
-                    text = f"cannot stop controller {entry.name!r}: {user.name!r}, which {verb}, goes on"
-                    hint = f"stop both: slidectl controller switch --stop {user.name} {entry.name}"
-                    return self.stop_request, entry, Refused(text, hint)
-        return None
-
-    def plan_chains(self, loaded: Iterable[LoadedController]) -> None:
-        """Set `modes`, and restart the running controllers whose mode changes. Call it after `plan`."""
-        after = {info.name for info in self.running}
-        runs = [entry for entry in loaded if entry.name in after]
-        for entry in runs:
-            if entry.controller.exported_references:
-                is_chained = any(entry in one.writes_to for one in runs)
-                self.modes.append((entry, is_chained))
-                if entry.is_running and entry.controller.is_chained != is_chained:
-                    self.stop_request.append(entry)
-                    if entry not in self.start_request:
-                        self.start_request.append(entry)
-        # Each stops before those that it needs, and starts after them.
-        self.stop_request.sort(key=lambda entry: -entry.depth)
-        self.start_request.sort(key=lambda entry: entry.depth)
-
-    def plan(self, loaded: Iterable[LoadedController], strict: bool) -> None:
-        """Set `start`, `stop` and `running`.
-
-        Raises:
-            Refused: strict and a controller runs already or does not run; or a running one is in both lists.
-        """
-        for entry in loaded:
-            is_running = entry.is_running
-            stops, starts = entry in self.stop_request, entry in self.start_request
-            if stops and not is_running:
-                if strict:
-                    raise Refused(f"cannot stop controller {entry.name!r}: it is not running")
-                stops = False
-            if starts and is_running and not stops:
-                if strict:
-                    raise Refused(f"cannot start controller {entry.name!r}: it is running already")
-                starts = False
-            if starts and stops:
-                raise Refused(f"controller {entry.name!r} cannot be started and stopped in one switch")
-            if stops:
-                self.stop.append(entry.info)
-            if starts:
-                self.start.append(entry.info)
-            if starts or (is_running and not stops):
-                self.running.append(entry.info)
-
-    def advance(self, hw: RobotHW, time_ns: int) -> bool:
-        """One cycle of the switch: stop, then start what the hardware is ready for. True when it is finished."""
-        if not self.has_begun:
-            hw.do_switch(self.start, self.stop)
-            self.has_begun = True
-            for entry in self.stop_request:
-                if entry.is_running:
-                    entry.enter_state(State.STOPPED, time_ns)
-            for entry, is_chained in self.modes:
-                if entry.controller.is_chained != is_chained:
-                    entry.controller.is_chained = is_chained
-        if not self.asap:
-            return self._start(self.start_request, None, hw, time_ns)
-        for entry in self.start_request:
-            if not entry.is_running and all(need.is_running for need in entry.needs):
-                self._start([entry], entry.info, hw, time_ns)
-        return all(
-            entry.is_running or entry.is_aborted or any(need.is_aborted for need in entry.needs)
-            for entry in self.start_request
-        )
-
-    def give_up(self, time_ns: int) -> None:
-        """Abort the controllers that should start, because the hardware failed."""
-        for entry in self.start_request:
-            if not entry.is_running:
-                entry.enter_state(State.ABORTED, time_ns)
-
-    def _start(self, entries: list[LoadedController], info: ControllerInfo | None, hw: RobotHW, time_ns: int) -> bool:
-        """Start the entries, let them wait, or abort them, by the hardware's state for `info`. False: they wait."""
-        if hw.switch_result(info) is SwitchState.DONE:
-            for entry in entries:
-                if all(need.is_running for need in entry.needs):  # else it is aborted with its chain
-                    entry.start(time_ns)
-            return True
-        has_timed_out = 0.0 < self.timeout_s < to_seconds(time_ns - self.init_time_ns)
-        is_over = hw.switch_result(info) is SwitchState.ERROR or has_timed_out
-        for entry in entries:
-            entry.enter_state(State.ABORTED if is_over else State.WAITING, time_ns)
-        return is_over
 
 
 Names = list[str]
@@ -735,10 +265,6 @@ class ControllerManager:
         """All loaded controllers in the order of updates, each as controller_manager_msgs/ControllerState."""
         return [entry.message() for entry in self._order]
 
-    def list_as_in_ros2(self, rate_hz: int) -> Messages:
-        """As `list`, each as slidectl/ControllerState. `rate_hz` is the rate of the updates."""
-        return [entry.message_of_ros2(rate_hz) for entry in self._order]
-
     def states(self) -> dict[str, str]:
         """Name -> state of all loaded controllers as clients see it, in load order."""
         return {entry.name: entry.shown_state for entry in self._loaded.values()}
@@ -747,13 +273,10 @@ class ControllerManager:
         """The hardware components of a robot of ROS 2."""
         return self._hw.components()
 
-    def exporting(self) -> Sequence[LoadedController]:
-        """The configured controllers that export references or states."""
-        return [entry for entry in self._loaded.values() if entry.is_configured and entry.exported()]
-
-    def claimed_commands(self) -> set[str]:
-        """The commands that running controllers claim, by their names in ros2_control."""
-        return {name for entry in self._running for name in entry.commands()}
+    @property
+    def in_order(self) -> Sequence[LoadedController]:
+        """All loaded controllers, in the order of updates."""
+        return self._order
 
     def update_times(self) -> Messages:
         """The update times of all loaded controllers, in load order, each as slidectl/UpdateTimes."""
@@ -897,7 +420,7 @@ class ControllerManager:
         """The controller of that name, unless it runs or a switch is pending. Logs why it is None."""
         entry = self._loaded.get(name)
         if entry is None:
-            self._refuse(f"cannot {verb}: {described(_not_loaded(self._loaded, name, verb, self._node))}")
+            self._refuse(f"cannot {verb}: {described(not_loaded(self._loaded, name, verb, self._node))}")
         elif self._switch is not None:
             self._refuse(f"cannot {verb} controller {quoted(name)}: a switch is in progress")
         elif entry.is_running:
@@ -1072,8 +595,8 @@ class ControllerManager:
             if strictness not in (BEST_EFFORT, STRICT):
                 text = f"strictness {strictness} is neither BEST_EFFORT (1) nor STRICT (2); BEST_EFFORT is used"
                 node.log("warn", text)
-            to_stop = _known(self._loaded, stop, "stop", is_strict, node)
-            to_start = _known(self._loaded, start, "start", is_strict, node)
+            to_stop = known(self._loaded, stop, "stop", is_strict, node)
+            to_start = known(self._loaded, start, "start", is_strict, node)
             switch = Switch(to_start, to_stop, start_asap, timeout_s, node.now_ns(), on_done, node.reasons)
             switch.check_chains(self._loaded.values(), is_strict, node)
             switch.plan(self._loaded.values(), is_strict)
@@ -1083,7 +606,7 @@ class ControllerManager:
                 for conflict in conflicts:
                     node.log("warn", f"resource conflict: {conflict}")
                 text = f"resource conflict: {'; '.join(map(str, conflicts))}"
-                raise Refused(text + _way_out(conflicts, {info.name for info in switch.start}))
+                raise Refused(text + way_out(conflicts, {info.name for info in switch.start}))
             with watched_hardware(self._hw, self.known.code):
                 is_possible = self._hw.prepare_switch(switch.start, switch.stop)
             if not is_possible:

@@ -37,8 +37,9 @@ from slidectl.simulation.clock import SECOND
 from slidectl.simulation.cycle import ControlCycle
 from slidectl.simulation.graph import GraphNode
 from slidectl.simulation.loop import Loop
-from slidectl.simulation.manager_services import ManagerServices, Ros2ManagerServices
+from slidectl.simulation.manager_services import ManagerServices
 from slidectl.simulation.parameters import Parameters
+from slidectl.simulation.ros2_manager_services import Ros2ManagerServices
 from slidectl.simulation.topics import PeriodicTopic
 
 DESCRIPTION = "robot_description"

@@ -13,8 +13,8 @@ from slidectl.control.controller_interface import (
     MultiInterfaceController,
     State,
 )
-from slidectl.control.controller_manager import LoadedController
 from slidectl.control.hardware_interface import EffortJointInterface, PositionJointInterface, VelocityJointInterface
+from slidectl.control.loaded_controller import LoadedController
 from slidectl.control.user_modules import UserCode
 from slidectl.errors import Refused
 

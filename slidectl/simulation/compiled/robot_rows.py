@@ -14,8 +14,8 @@ from struct import Struct
 from typing import TYPE_CHECKING, Any
 
 from slidectl.control.controller_interface import Compiled, Member, Parts
-from slidectl.control.controller_manager import LoadedController
 from slidectl.control.hardware_interface import JointStateHandle
+from slidectl.control.loaded_controller import LoadedController
 from slidectl.control.pid import Pid
 from slidectl.errors import Refused
 from slidectl.physics import MujocoRobotHW
