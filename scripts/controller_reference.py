@@ -150,7 +150,7 @@ CHAINS = """
 A chainable controller, such as `pid_controller/PidController`, takes its references from other controllers. It exports
 each reference under a name `CONTROLLER/JOINT`, in the interface of its quantity. Any controller finds and claims it
 there as it does a joint. So a forward command controller gives positions to a PID, and the PID gives efforts to the
-joint, in the same cycle. This file of ROS 2 does that for the shipped slider:
+joint, in the same cycle. This file of ROS 2 does that for the shipped slider. Save it as `chain.yaml`:
 
 ```yaml
 controller_manager:
@@ -172,7 +172,23 @@ position_controller:
     interface_name: position
 ```
 
-`slidectl spawn slider --controllers chain.yaml --start pid_controller position_controller` loads and starts both.
+```console
+$ slidectl daemon start --paused
+daemon default: started, process 4711
+$ slidectl spawn slider --controllers chain.yaml --start pid_controller position_controller
+slider: spawned in /slider at 0 0 0, joints: joint1
+$ slidectl controller list
+MANAGER  NAME                 STATE    TYPE
+/slider  position_controller  running  forward_command_controller/ForwardCommandController
+/slider  pid_controller       running  pid_controller/PidController
+$ slidectl pub position_controller/commands '[0.5]'
+$ slidectl sim step 8s
+time 8 s after 8000 cycles
+$ slidectl robots slider | grep joint1
+joint1  prismatic  EffortJointInterface  0.5  0  0  -1  1  0.1  100
+$ slidectl daemon stop
+daemon default: stopped, it was process 4711
+```
 
 * **Load** the following controller (here the PID) first: the others find its interfaces then. It cannot be unloaded
   while another loaded controller has them.
@@ -190,34 +206,24 @@ reads them needs it running, too. The exported names are none of the robot's joi
 OF_ROS_2 = """## Controllers of ROS 2
 
 The controllers of the following sections behave as those of ros2_controllers: names, topics, parameters, and what they
-do. Where ros_controllers have a type of the same name, as `position_controllers/JointGroupPositionController`, a robot
-with a `<ros2_control>` tag gets that of ROS 2, any other robot that of ROS 1.
+do. Where ros_controllers have a type of the same name, as `position_controllers/JointGroupPositionController`, a
+[robot of ROS 2](ros2-robots.md) gets that of ROS 2, any other robot that of ROS 1.
 
 slidectl reads parameter files of ROS 2. It puts parameters below `ros__parameters` directly below their node, and those
 of `controller_manager` beside it, and reads dots in names as slashes. `update_rate` of a controller counts against the
 rate of the control cycle, as in ROS 2 against that of the manager. A parameter that is read-only in ROS 2 is fixed when
 the controller is loaded.
 
+This file drives the shipped cart, which is a robot of ROS 1. Save it as `base.yaml`:
+
 ```yaml
 controller_manager:
   ros__parameters:
     states: {type: joint_state_broadcaster/JointStateBroadcaster}
-    arm: {type: forward_command_controller/ForwardCommandController}
+    base: {type: diff_drive_controller/DiffDriveController}
 states:
   ros__parameters:
     update_rate: 50
-arm:
-  ros__parameters:
-    joints: [joint1, joint2]
-    interface_name: effort
-```
-
-A base has limits where they are set:
-
-```yaml
-controller_manager:
-  ros__parameters:
-    base: {type: diff_drive_controller/DiffDriveController}
 base:
   ros__parameters:
     left_wheel_names: [left_wheel_joint]
@@ -229,17 +235,19 @@ base:
     angular.z.max_velocity: 2.0
 ```
 
-A sensor of the model has the name that [sensors](sensors.md) gives it:
-
-```yaml
-controller_manager:
-  ros__parameters:
-    forces: {type: force_torque_sensor_broadcaster/ForceTorqueSensorBroadcaster}
-forces:
-  ros__parameters:
-    sensor_name: wrist
-    frame_id: tool
-    offset.force.z: 19.6
+```console
+$ slidectl daemon start --paused
+daemon default: started, process 4711
+$ slidectl spawn cart drive:=controller --controllers base.yaml --start states base
+cart: spawned in /cart at 0 0 0, joints: left_wheel_joint right_wheel_joint
+$ slidectl pub cart/base/cmd_vel '{twist: {linear: {x: 0.5}}}'
+warning: /cart/base: the command has no stamp, and counts from its arrival
+$ slidectl sim step 0.4s
+time 0.4 s after 400 cycles
+$ slidectl robots cart | grep position    # 2 m/s² for 0.25 s, then 0.5 m/s
+position:    0.137516 -1.92734e-18 -0.000293718
+$ slidectl daemon stop
+daemon default: stopped, it was process 4711
 ```
 
 These are the differences from the controllers of ros_controllers.
