@@ -6,6 +6,7 @@ yaml_tree reads the text. This module knows how a tree of controllers looks, and
 from __future__ import annotations
 
 from collections.abc import Mapping
+from math import isnan
 from pathlib import Path
 
 from slidectl.description.models import read_file
@@ -50,6 +51,8 @@ def plain(tree: Tree, replaced: list[str] | None = None) -> Tree:
     for path, value in leaves(tree, "/"):
         place = plain_path(path) or path  # `ros__parameters: 5` alone stays
         moved = moved or place != path
+        if place != path and isinstance(value, float) and isnan(value):
+            continue  # in ROS 2 this says that the parameter is not set
         lost = merge(found, nest(place, value))
         if replaced is not None:
             replaced += lost

@@ -208,3 +208,11 @@ def test_every_value_has_a_line_however_it_came_into_the_tree() -> None:
 def test_a_value_needs_a_name(text: str) -> None:
     with pytest.raises(BadFile, match="is not a name"):
         yaml_tree.read(text, "f.yaml")
+
+
+def test_nan_in_a_file_of_ros2_is_a_parameter_that_is_not_set(tmp_path: Path) -> None:
+    file = tmp_path / "base.yaml"
+    file.write_text("base:\n  ros__parameters:\n    linear.x: {max_velocity: 1.0, max_jerk: .NAN}\n")
+    assert controllers_file.read(file) == {"base": {"linear": {"x": {"max_velocity": 1.0}}}}
+    file.write_text("base: {max_jerk: .NAN}\n")
+    assert math.isnan(controllers_file.read(file)["base"]["max_jerk"])
