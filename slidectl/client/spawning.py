@@ -177,6 +177,7 @@ def robot_plan(
     """
     from slidectl import description
     from slidectl.description.install_rules import located
+    from slidectl.description.packages import is_file, package_of
     from slidectl.description.robot import MOVING, check_position
 
     xml = rooted(model.xml, model.file, fixed)
@@ -192,13 +193,17 @@ def robot_plan(
     place = description.namespace_of(robot, chosen) if namespace is None else names.check("/" + namespace.strip("/"))
     plan = SpawnPlan([request(chosen, xml, at)], namespace=place, robot=robot, joints=joints or {})
     for file in robot.ros2_control.parameter_files if robot.ros2_control is not None else ():
-        path = located((Path(model.file).parent / file).absolute())
-        if path.is_file():
-            plan.own_files.append(str(path))
-        else:
+        folder = Path(model.file).absolute().parent
+        path = located(folder / file)
+        if not is_file(path):
             plan.warnings.append(
                 f"the model's plugin names the parameters {file}, which are not there: --controllers FILE"
             )
+        elif folder.resolve() not in (real := path.resolve()).parents and package_of(real) is None:
+            text = "which are neither beside the model nor in a package, and are left out: --controllers FILE"
+            plan.warnings.append(f"the model's plugin names the parameters {file}, {text}")
+        else:
+            plan.own_files.append(str(path))
     return plan
 
 

@@ -7,6 +7,7 @@ It does not know the names of the services that call it, nor the clients that wa
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import replace
 from functools import partial
 from time import perf_counter_ns
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -25,7 +26,7 @@ from slidectl.control.hardware_interface import (
     UnknownResource,
 )
 from slidectl.control.loaded_controller import LoadedController, UpdateTimes
-from slidectl.control.node_handle import NodeHandle
+from slidectl.control.node_handle import NodeHandle, ParameterChange
 from slidectl.control.params import judge
 from slidectl.control.registry import ControllerTypes
 from slidectl.control.ros2_names import refuse_others
@@ -47,11 +48,17 @@ T = TypeVar("T")
 
 
 def _in_update_order(loaded: Iterable[LoadedController]) -> tuple[LoadedController, ...]:
-    """The controllers in load order, but each before those whose references it writes, which were loaded before it."""
-    ordered: list[LoadedController] = []
-    for entry in loaded:
-        following = [position for position, one in enumerate(ordered) if one in entry.writes_to]
-        ordered.insert(min(following, default=len(ordered)), entry)
+    """The controllers in load order, but each before those whose references it writes."""
+    waiting, ordered = list(loaded), dict[LoadedController, None]()
+
+    def add(entry: LoadedController) -> None:
+        for one in waiting:
+            if entry in one.writes_to and one not in ordered:
+                add(one)
+        ordered.setdefault(entry)
+
+    for entry in waiting:
+        add(entry)
     return tuple(ordered)
 
 
@@ -220,6 +227,7 @@ class ControllerManager:
 
     def _refresh(self) -> None:
         self._running = tuple(entry for entry in self._order if entry.is_running)
+        self._hw.release_unclaimed([entry.info for entry in self._running])
         self._updates = tuple((entry.bare_update, entry.times) for entry in self._running)
         self._commands = tuple(
             (entry, commands)
@@ -334,7 +342,7 @@ class ControllerManager:
             if isinstance(failure, UnknownResource) and failure.kind == JointStateInterface.kind:
                 failure.hint = f"{failure.hint}\n{self._about(failure.name)}"
             raise
-        node.guard_params(partial(judge, node, controller.parameters))
+        node.guard_params(partial(self._judge, node, controller))
         handles, commands = self._hw.joint_handles(only_new=True)
         watch = None
         if guard is not None:
@@ -353,6 +361,13 @@ class ControllerManager:
             handle.name = f"{name}/{handle.name}"
             self._hw.export(kind, handle)
         return entry
+
+    def _judge(self, node: NodeHandle, controller: ControllerBase, change: ParameterChange) -> None:
+        """Refuse a change that the controller cannot use. One of ROS 2 that does not run takes all when configured."""
+        declared = controller.parameters
+        if self._hw.is_of_ros2 and controller.state is not State.RUNNING:
+            declared = tuple(replace(parameter, fixed=False) for parameter in declared)
+        judge(node, declared, change)
 
     def _about(self, joint: str) -> str:
         """What to do about a joint that no controller can get."""
@@ -414,7 +429,9 @@ class ControllerManager:
         return entry is not None
 
     def _clean_up(self, entry: LoadedController) -> None:
-        entry.is_configured, entry.loaded_with = False, None
+        entry.is_configured = False
+        if not self._users_of(entry):
+            entry.loaded_with = None
 
     def _idle(self, name: str, verb: str) -> LoadedController | None:
         """The controller of that name, unless it runs or a switch is pending. Logs why it is None."""

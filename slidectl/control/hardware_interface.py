@@ -450,6 +450,9 @@ class RobotHW:
     def do_switch(self, start: Sequence[ControllerInfo], stop: Sequence[ControllerInfo]) -> None:
         """Begin the change of interfaces, in the cycle of the switch."""
 
+    def release_unclaimed(self, running: Sequence[ControllerInfo]) -> None:
+        """Called when controllers have come, gone or failed: joints that none of these claims may be released."""
+
     def switch_result(self, info: ControllerInfo | None = None) -> SwitchState:  # noqa: ARG002
         """The progress of the change, for one controller or (None) for all."""
         return SwitchState.DONE

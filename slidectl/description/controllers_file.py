@@ -5,6 +5,7 @@ yaml_tree reads the text. This module knows how a tree of controllers looks, and
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from math import isnan
 from pathlib import Path
@@ -13,6 +14,8 @@ from slidectl.description.models import read_file
 from slidectl.description.parameter_trees import Tree, leaves, merge, nest
 from slidectl.description.robot import Notice
 
+_ANY_NAMESPACE = re.compile(r"^/*\*\*?/")
+"""The begin of `/**/NAME`: the node of that name in any namespace."""
 ROS_2 = "ros__parameters"
 """The key that holds the parameters of a node in files of ROS 2."""
 
@@ -68,6 +71,7 @@ def plain_path(path: str) -> str:
     node, mark, name = path.partition(f"/{ROS_2}")
     if not mark or name[:1] not in ("", "/"):
         return path
+    node = _ANY_NAMESPACE.sub("/", node)
     return node.removesuffix("/controller_manager").removesuffix("/**") + name.replace(".", "/")
 
 

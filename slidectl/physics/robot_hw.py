@@ -626,6 +626,8 @@ class MujocoRobotHW(RobotHW):
         for joint in self._offered:
             if joint.quantity == "position" and joint.name in positions:
                 joint.command(positions[joint.name])
+                if joint.limit is not None:  # it counts from the last command
+                    joint.limit.reset()
 
     def reset(self) -> None:
         """Reset after a reset of the world: handles, commands, limits and PIDs."""

@@ -22,6 +22,7 @@ from slidectl.description.ros2_control import ControlledJoint, Interface, PidGai
 from slidectl.physics.robot_hw import (
     LENGTH,
     POSITION_MOTOR,
+    REACH,
     REVOLVING,
     TURNING,
     VELOCITY,
@@ -130,8 +131,7 @@ class PeriodicDrive(Drive):
     def __init__(self, joint: HardwareJoint, kind: int, pid: Pid | None = None) -> None:
         super().__init__(joint, kind, pid)
         self.steps_left = 1
-        if joint.joint.limit is None:
-            self.fastest = _FASTEST
+        self.fastest = _FASTEST if joint.limit is None else min(_FASTEST, REACH * joint.limit.max_velocity)
 
     def begin(self, period_s: float) -> None:
         """A control period begins, with a new command."""
@@ -152,6 +152,8 @@ class Ros2RobotHW(MujocoRobotHW):
     """
 
     is_of_ros2 = True
+    _began_s = 0.0
+    """The control period that has begun since the last `write`, s; 0: none. A switch in the cycle must not lose it."""
     how_to_drive = (
         "is in no <ros2_control> of the model, so nothing can command it; a <joint> in there names it, with a "
         "<command_interface>"
@@ -188,7 +190,6 @@ class Ros2RobotHW(MujocoRobotHW):
         # The controller manager enforces the limits, in each control period.
         self._of_period, self._enforce = self._enforce, ()
         self._periodic = [drive for drive in self.drives if isinstance(drive, PeriodicDrive)]
-        self._began_s = 0.0
 
     def read(self, time_ns: int, period_s: float) -> None:
         super().read(time_ns, period_s)
@@ -230,13 +231,33 @@ class Ros2RobotHW(MujocoRobotHW):
             if (joint.interface.type_name, joint.name) in given_back
             and not any(name == joint.name for _, name in claimed)
         ]
-        if released:
-            self._joints = [self._released[one.name] if one.name in released else one for one in self._joints]
-            for name in released:
-                self._released[name].rest()
-            self._held = None
-            self.engage()
+        self._release(released)
         super().do_switch(start, stop)
+
+    def release_unclaimed(self, running: Sequence[ControllerInfo]) -> None:
+        """Release the joints whose controllers have failed or are gone."""
+        claims = _claims(running)
+        commanded = (joint for joint in self._joints if not isinstance(joint, Released))
+        self._release([joint.name for joint in commanded if (joint.interface.type_name, joint.name) not in claims])
+
+    def _release(self, names: Sequence[str]) -> None:
+        if not names:
+            return
+        self._joints = [self._released[one.name] if one.name in names else one for one in self._joints]
+        for name in names:
+            self._released[name].rest()
+        self._held = None
+        self.engage()
+
+    def _find_joints(self) -> None:
+        super()._find_joints()
+        # Hardware of ROS 2 gives positions as they are: an angle may begin beyond half a turn.
+        self._sliding, self._turning = (*self._sliding, *self._turning), ()
+
+    def _hold_positions(self) -> None:
+        if self._estop and self._held is None:  # the handles have the positions at the begin of the control period
+            self._held = [self._qpos[self._attached.place(joint.name).qpos] for joint in self._joints]
+        super()._hold_positions()
 
     def save_state(self) -> dict[str, Any]:
         return {**super().save_state(), "began_s": self._began_s}

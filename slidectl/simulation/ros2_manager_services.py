@@ -245,7 +245,7 @@ def _message(entry: LoadedController, rate_hz: int) -> Message:
         "required_command_interfaces": commands,
         "required_state_interfaces": list(entry.states_read) if is_configured else [],
         "is_chainable": bool(entry.exported()),
-        "is_chained": entry.controller.is_chained,
+        "is_chained": entry.controller.is_chained and entry.is_running,
         "exported_state_interfaces": _exported_states(entry) if is_configured else [],
         "reference_interfaces": _references(entry) if is_configured else [],
         "chain_connections": [{"name": one.name, "reference_interfaces": _references(one)} for one in entry.writes_to],

@@ -331,7 +331,8 @@ class Robots:
         parts.cycle = ControlCycle(parts.hardware, parts.manager, period_ns, loop.graph.clock.time_ns)
         places = parts.manager, robot.node, robot.read_joints, loop
         if parts.manager.is_of_ros2:
-            robot.services = Ros2ManagerServices(*places, round(SECOND / period_ns))
+            whole_ns = -(-period_ns // loop.step_ns) * loop.step_ns  # controllers run at the next step
+            robot.services = Ros2ManagerServices(*places, round(SECOND / whole_ns))
         else:
             robot.services = ManagerServices(*places)
         if parts.hardware.actuator_states():

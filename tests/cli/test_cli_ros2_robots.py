@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -76,3 +77,17 @@ def test_a_second_robot_of_ros2_needs_another_namespace(started: CommandLine, tm
     assert "second: spawned in /left" in started.ok(
         "spawn", robot, "-n", "second", "--namespace", "left", "--start", "up"
     )
+
+
+@pytest.mark.parametrize("named", ["../other.yaml", "link.yaml", f"{'x' * 300}.yaml", "pipe.yaml"])
+def test_other_files_of_the_user_are_not_taken(started: CommandLine, tmp_path: Path, named: str) -> None:
+    """Those elsewhere, also through a link, a name that is too long, and a FIFO."""
+    folder = tmp_path / "model"
+    folder.mkdir()
+    (tmp_path / "other.yaml").write_text("token: secret\n")
+    (folder / "link.yaml").symlink_to(tmp_path / "other.yaml")
+    os.mkfifo(folder / "pipe.yaml")
+    done = started("spawn", written(folder, named))
+    assert done.returncode == 0
+    assert f"the model's plugin names the parameters {named}, which are " in done.stderr
+    assert "token" not in started.ok("param", "list")

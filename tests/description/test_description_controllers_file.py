@@ -216,3 +216,10 @@ def test_nan_in_a_file_of_ros2_is_a_parameter_that_is_not_set(tmp_path: Path) ->
     assert controllers_file.read(file) == {"base": {"linear": {"x": {"max_velocity": 1.0}}}}
     file.write_text("base: {max_jerk: .NAN}\n")
     assert math.isnan(controllers_file.read(file)["base"]["max_jerk"])
+
+
+@pytest.mark.parametrize("key", ["/**/fwd", "/*/fwd", "/fwd", "fwd"])
+def test_a_node_of_ros2_in_any_namespace_is_the_controller(tmp_path: Path, key: str) -> None:
+    file = tmp_path / "fwd.yaml"
+    file.write_text(f'"{key}":\n  ros__parameters: {{joints: [j1]}}\n')
+    assert controllers_file.read(file) == {"fwd": {"joints": ["j1"]}}

@@ -250,3 +250,101 @@ def test_each_tag_is_a_hardware_component_with_the_interfaces_that_it_names() ->
     assert switch(simulation, ["effort"])
     listed = simulation.call("/controller_manager/list_hardware_interfaces")["command_interfaces"]
     assert {one["name"]: one["is_claimed"] for one in listed} == {"hinge/effort": True, "hinge/position": False}
+
+
+def two_lifts() -> str:
+    """Two masses on rails, each with commands of its position, at most 0.5 m/s and within 1 m."""
+    parts = joints = ""
+    for name, y in (("left", 0), ("right", 3)):
+        parts += f"""<joint name="{name}" type="prismatic"><parent link="world"/><child link="{name}_box"/>
+          <origin xyz="0 {y} 1"/><axis xyz="1 0 0"/><limit lower="-1" upper="1" effort="100" velocity="0.5"/></joint>
+          <link name="{name}_box"><inertial><mass value="1"/>
+          <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>"""
+        joints += f'<joint name="{name}"><command_interface name="position"/><command_interface name="effort"/>'
+        joints += f"{STATES}</joint>"
+    tag = f'<ros2_control name="sys" type="system">{joints}</ros2_control>'
+    return f'<robot name="lifts"><link name="world"/>{parts}{tag}</robot>'
+
+
+def position_of(simulation: Simulation, joint: str) -> float:
+    return state(simulation, "lifts", joint)[0]
+
+
+def test_a_switch_in_a_running_world_disturbs_no_other_joint() -> None:
+    simulation = Simulation(ground=False)
+    simulation.spawn(two_lifts(), "lifts")
+    for name in ("left", "right"):
+        own = {"type": GROUPS["position"], "joints": [name]}
+        simulation.parameters.set(f"/{name}_group", own)
+        assert simulation.call("/controller_manager/load_controller", {"name": f"{name}_group"})["ok"]
+        assert simulation.call("/controller_manager/configure_controller", {"name": f"{name}_group"})["ok"]
+    assert switch(simulation, ["left_group"])
+    simulation.step(20)
+    manager = simulation.robots.get("lifts").manager
+    simulation.publish("/left_group/commands", {"data": [5.0]})
+    assert manager.request_switch(["right_group"], [], 2)
+    before = position_of(simulation, "left")
+    for _ in range(30):
+        simulation.step(1)
+        now = position_of(simulation, "left")
+        assert abs(now - before) <= 0.5 * 1e-3 * 1.02  # the velocity limit
+        before = now
+
+
+@pytest.mark.parametrize("end", ["fail", "kill"])
+def test_a_joint_is_held_when_its_controller_fails_or_is_killed(end: str) -> None:
+    simulation = spawned(pendulum("effort", states=starts_at(0.5)), "effort")
+    assert switch(simulation, ["effort"])
+    command(simulation, "effort", 20.0)
+    simulation.step(50)
+    manager = simulation.robots.get("pendulum").manager
+    assert manager.fail("effort", RuntimeError("broken")) if end == "fail" else manager.kill("effort")
+    simulation.step(200)
+    here = angle(simulation)
+    simulation.step(500)
+    assert angle(simulation) == pytest.approx(here, abs=1e-6)
+
+
+def test_a_position_beyond_half_a_turn_is_measured_as_it_is() -> None:
+    limit = '<limit lower="0" upper="6.2" effort="50" velocity="4"/>'
+    simulation = spawned(pendulum("position", limit=limit, states=starts_at(4.0)), "position")
+    hardware = simulation.robots.get("pendulum").hardware
+    assert hardware.handles("hinge")[0].position == pytest.approx(4.0)
+    assert switch(simulation, ["position"])
+    simulation.step(100)
+    assert angle(simulation) == pytest.approx(4.0)
+    simulation.call("/gazebo/reset_simulation")
+    simulation.step(50)
+    assert hardware.handles("hinge")[0].position == pytest.approx(4.0)
+
+
+def test_an_emergency_stop_in_a_control_period_throws_nothing_back() -> None:
+    simulation = spawned(pendulum("position"), "position", rate_hz=10)
+    assert switch(simulation, ["position"])
+    command(simulation, "position", 2.0)
+    simulation.step(250)
+    simulation.step(60)
+    before = angle(simulation)
+    simulation.robots.get("pendulum").emergency_stop = True
+    simulation.step(1)
+    assert angle(simulation) >= before
+
+
+def test_a_joint_that_is_set_stays_there_under_its_position_command() -> None:
+    simulation = spawned(pendulum("position"), "position")
+    assert switch(simulation, ["position"])
+    command(simulation, "position", 0.3)
+    simulation.step(300)
+    simulation.robots.set_joints("pendulum", ["hinge"], [2.0])
+    simulation.step(1)
+    assert angle(simulation) == pytest.approx(2.0, abs=0.05)
+
+
+def test_limits_that_are_off_do_not_make_positions_jump() -> None:
+    xml = pendulum("position", inside='<limits enable="false"/>', limit=LIMIT.replace('velocity="4"', 'velocity="0.1"'))
+    simulation = spawned(xml, "position")
+    assert switch(simulation, ["position"])
+    simulation.step(25)
+    command(simulation, "position", 0.05)
+    simulation.step(10)
+    assert state(simulation, "pendulum", "hinge")[1] == pytest.approx(0.05 / 0.01, rel=1e-6)

@@ -216,6 +216,8 @@ class SpawnModel(Task):
         plan = spawning.robot_plan(self._document(run), self.pose, self.model, strict=run.options.strict)
         assert plan.robot is not None
         plan.namespace = self.home(plan.robot, run.tasks)
+        for file in plan.own_files:
+            run.console.warn(f'the parameters {file}, which the model names, are not loaded: <rosparam file="..."/>')
         options = {"reference_frame": self.words.one("-reference_frame"), "robot_namespace": plan.namespace}
         plan.models = [{**model, **options} for model in plan.models]
         return plan
