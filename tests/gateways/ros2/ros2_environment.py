@@ -44,7 +44,7 @@ def folder_of(distribution: str) -> Path:
         lacks("Python 3.12, for which rclpy's wheels are,")
     rclpy, prefix = DISTRIBUTIONS[distribution]
     wanted = ["--editable", str(ROOT), rclpy, *(prefix + name for name in MESSAGES)]
-    made = ROOT / ".cache" / f"ros2-{distribution}"
+    made = ROOT / ".environments" / f"ros2-{distribution}"
 
     def install() -> None:
         run(python, "-m", "venv", str(made))
