@@ -202,6 +202,7 @@ class Manager:
         states: Mapping[str, str] | None = None,
         loads: dict[str, str] | None = None,
         listing: str | None = None,
+        configures: bool = True,
     ) -> dict[str, str]:
         """Load the controllers that are not loaded, then start the idle ones in one strict switch. Returns the states.
 
@@ -212,13 +213,14 @@ class Manager:
             states: the states before; None: they are requested.
             loads: calls of `ask_to_load` under way; None: the missing controllers are loaded here.
             listing: a call of `ask_for_controllers` that was sent after `loads`; None: it is sent here.
+            configures: False for a robot that is known to be none of ROS 2, which saves the listing.
 
         Raises:
             Refused: a controller cannot be loaded, and none is started; or one did not start.
         """
         states = self.states() if states is None else states
         loads = self.ask_to_load([name for name in wanted if name not in states]) if loads is None else loads
-        if start and loads and listing is None:
+        if start and loads and listing is None and configures:
             listing = self.ask_for_controllers()  # in the time of the loads
         self.loaded(loads)
         if listing is not None:

@@ -354,15 +354,16 @@ class Spawn:
 
         With `left_out` each is started that can be, and it gets the others with their errors. Raises Refused.
         """
-        wanted = self.plan.controllers
+        wanted, robot = self.plan.controllers, self.plan.robot
+        configures = robot is None or robot.ros2_control is not None
         if left_out is None:
             if wanted:
-                manager.bring_up(wanted, states={}, loads=loads)
+                manager.bring_up(wanted, states={}, loads=loads, configures=configures)
             return wanted
         there = []
         for name, load in loads.items():
             try:
-                manager.bring_up([name], states={}, loads={name: load})
+                manager.bring_up([name], states={}, loads={name: load}, configures=configures)
             except Refused as error:
                 left_out(name, error)
             else:

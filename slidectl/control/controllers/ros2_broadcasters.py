@@ -10,8 +10,6 @@ from __future__ import annotations
 from math import nan
 from typing import Any, ClassVar
 
-import numpy as np
-
 from slidectl.control import params
 from slidectl.control.controller_interface import Controller
 from slidectl.control.duration import header_of
@@ -94,6 +92,8 @@ class ImuBroadcaster(Ros2Controller, Controller[ImuSensorInterface]):
 
 def _turned(rotation: Quaternion, covariance: list[float]) -> list[float]:
     """The covariance of a turned vector, R · C · Rᵀ, row by row."""
+    import numpy as np  # takes long, and most robots turn no covariance
+
     turn = np.array(matrix(rotation))
     turned: list[float] = (turn @ np.reshape(covariance, (3, 3)) @ turn.T).ravel().tolist()
     return turned
