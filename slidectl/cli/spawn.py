@@ -126,9 +126,7 @@ def spawn(
     places = package_lookup(packages)
     source, given = in_package(model, arguments, places)
     if spawning.is_scene(source):
-        spawning.check_scene_options(given, controllers, start, positions, transmissions)
-        if namespace is not None:
-            raise UsageError("SDF models have no controllers, so they need no --namespace")
+        spawning.check_scene_options(given, controllers, start, positions, transmissions, namespace)
         _spawn_scene(ctx, spawning.scene(source, places, missing), name, at, fixed, strict)
         _warn_left_out(ctx, missing)
         return
@@ -146,42 +144,17 @@ def spawn(
     assert plan.robot is not None
     if remark := names.remark_on_robot(plan.robot.name if name is None else name):
         ctx.warn(remark)
-    for text in plan.warnings if controllers is None else ():
-        ctx.warn(text)
     plan.controllers = list(start)
     spawn = spawning.Spawn(ctx.client, plan, ctx.wait_limit(spawning.LIMIT_S))
-    for file in [controllers] if controllers is not None else plan.own_files:
-        try:
-            plan.parameters |= read_parameters(ctx, file, [plan.namespace], reports_moves=name is None)
-        except NotThere as error:
-            missing.note(error, "the parameters of controllers are left out")
-            missing.refuse()
-    for unknown in spawn.unknown_controllers():
-        if not missing.keeps_going:
-            raise unknown
-        _leave_out(missing, unknown.name, unknown)
-        plan.controllers.remove(unknown.name)
+    _complete(ctx, spawn, controllers, missing, reports_moves=name is None)
     [robot, *_], warnings = spawn.apply()
-    manager = ctx.manager(plan.namespace)
-    loads = spawn.ask_to_load(manager)
+    loads = spawn.ask_to_load(ctx.manager(plan.namespace))
     if loads:
         robot = spawn.robot()  # in the same round trip
     _print_report(ctx, robot, document, positions)
-    for slip in slips.of_robot(plan.robot):
-        ctx.warn(slip)
-    for warning in warnings:
-        ctx.warn(warning)
-    left_out = (lambda name, error: _leave_out(missing, name, error)) if missing.keeps_going else None
-    try:
-        there = spawn.bring_up(manager, loads, left_out)
-    except Refused as error:
-        _print_robot(ctx, robot)
-        next_step = _how_to_go_on(ctx, robot, controllers, start)
-        raise Refused(error.message, f"{error.hint}\n{next_step}" if error.hint else next_step) from None
-    _print_robot(ctx, robot)
-    _warn_left_out(ctx, missing)
-    if start and not there:
-        raise Refused(f"nothing is left to drive {robot['name']}: none of its controllers is there")
+    for text in (*slips.of_robot(plan.robot), *warnings):
+        ctx.warn(text)
+    _bring_up(ctx, spawn, robot, loads, controllers, start, missing)
 
 
 @command(
@@ -224,6 +197,52 @@ def urdf(ctx: Context, model: str, arguments: tuple[str, ...], target: str | Non
         return
     output.save(target, document.urdf)
     ctx.done({"file": target}, f"{target}: written")
+
+
+def _complete(
+    ctx: Context, spawn: spawning.Spawn, controllers: str | None, missing: Missing, reports_moves: bool
+) -> None:
+    """Read the parameters of the plan, and check its controllers. Those of the model count without `controllers`.
+
+    Raises BadFile, NotThere, UnknownName: a file is broken or missing, or a controller is, and nothing may be.
+    """
+    plan = spawn.plan
+    for text in plan.warnings if controllers is None else ():
+        ctx.warn(text)
+    for file in plan.own_files if controllers is None else [controllers]:
+        try:
+            plan.parameters |= read_parameters(ctx, file, [plan.namespace], reports_moves=reports_moves)
+        except NotThere as error:
+            missing.note(error, "the parameters of controllers are left out")
+            missing.refuse()
+    for unknown in spawn.unknown_controllers():
+        if not missing.keeps_going:
+            raise unknown
+        _leave_out(missing, unknown.name, unknown)
+        plan.controllers.remove(unknown.name)
+
+
+def _bring_up(
+    ctx: Context,
+    spawn: spawning.Spawn,
+    robot: RobotInfoMsg,
+    loads: dict[str, str],
+    controllers: str | None,
+    start: Sequence[str],
+    missing: Missing,
+) -> None:
+    """Start the controllers, whose loads are under way, and print the robot. Raises Refused: and how to go on."""
+    left_out = (lambda name, error: _leave_out(missing, name, error)) if missing.keeps_going else None
+    try:
+        there = spawn.bring_up(ctx.manager(spawn.plan.namespace), loads, left_out)
+    except Refused as error:
+        _print_robot(ctx, robot)
+        next_step = _how_to_go_on(ctx, robot, controllers, start)
+        raise Refused(error.message, f"{error.hint}\n{next_step}" if error.hint else next_step) from None
+    _print_robot(ctx, robot)
+    _warn_left_out(ctx, missing)
+    if start and not there:
+        raise Refused(f"nothing is left to drive {robot['name']}: none of its controllers is there")
 
 
 def _single_model(source: str, places: Packages) -> Document:

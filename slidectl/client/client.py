@@ -53,6 +53,7 @@ class Client(GraphClient):
         start: Sequence[str] = (),
         joints: Mapping[str, float] | None = None,
         transmissions: str | None = None,
+        robot_namespace: str | None = None,
         **xacro_arguments: str,
     ) -> RobotInfoMsg:
         """Spawn a robot, or all models of a file, as `slidectl spawn` does.
@@ -67,6 +68,7 @@ class Client(GraphClient):
             start: controllers to load and start.
             joints: start positions of joints, rad or m.
             transmissions: `gazebo` or `real`; overrides the model.
+            robot_namespace: that of its controllers; by default the model's.
 
         Raises:
             BadFile, UnknownName, UsageError: nothing has been changed. Refused: with the daemon's reason.
@@ -80,7 +82,9 @@ class Client(GraphClient):
             warnings.warn(remark, stacklevel=2)
         place = spawning.pose(at)
         if spawning.is_scene(model):
-            spawning.check_scene_options(xacro_arguments, controllers, start, joints or {}, transmissions)
+            spawning.check_scene_options(
+                xacro_arguments, controllers, start, joints or {}, transmissions, robot_namespace
+            )
             plan = spawning.scene_plan(spawning.scene(model).named(name), place)
         else:
             document = spawning.document(model, xacro_arguments, name)
@@ -88,7 +92,9 @@ class Client(GraphClient):
             for notice in document.report:
                 if notice.subject in given:
                     raise UsageError(f"{model}: {notice.subject} {notice.text}")
-            plan = spawning.robot_plan(document, place, name, joints=joints, transmissions=transmissions)
+            plan = spawning.robot_plan(
+                document, place, name, joints=joints, transmissions=transmissions, namespace=robot_namespace
+            )
             plan.controllers = list(start)
             files = plan.own_files if controllers is None else [controllers]
             plan.parameters = spawning.controller_parameters(files, plan.namespace)

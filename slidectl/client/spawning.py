@@ -80,6 +80,7 @@ def check_scene_options(
     start: Sequence[str] = (),
     joints: Mapping[str, float] | None = None,
     transmissions: str | None = None,
+    namespace: str | None = None,
 ) -> None:
     """Raise UsageError for options that only a URDF or xacro robot has."""
     if arguments:
@@ -90,6 +91,8 @@ def check_scene_options(
         raise UsageError("SDF models have no controllers", "describe a robot that is driven in URDF or xacro")
     if transmissions is not None:
         raise UsageError("SDF models have no transmissions", "describe a robot that is driven in URDF or xacro")
+    if namespace is not None:
+        raise UsageError("SDF models have no controllers, and need no namespace of these")
 
 
 def scene(source: str, places: Packages | None = None, missing: Missing | None = None) -> Scene:
@@ -176,8 +179,6 @@ def robot_plan(
         BadFile: the model is broken. BadName. UnknownName: no such moving joint. Refused: a position out of range.
     """
     from slidectl import description
-    from slidectl.description.install_rules import located
-    from slidectl.description.packages import is_file, package_of
     from slidectl.description.robot import MOVING, check_position
 
     xml = rooted(model.xml, model.file, fixed)
@@ -192,19 +193,34 @@ def robot_plan(
         check_position(moving[joint], position)
     place = description.namespace_of(robot, chosen) if namespace is None else names.check("/" + namespace.strip("/"))
     plan = SpawnPlan([request(chosen, xml, at)], namespace=place, robot=robot, joints=joints or {})
-    for file in robot.ros2_control.parameter_files if robot.ros2_control is not None else ():
-        folder = Path(model.file).absolute().parent
-        path = located(folder / file)
-        if not is_file(path):
-            plan.warnings.append(
-                f"the model's plugin names the parameters {file}, which are not there: --controllers FILE"
-            )
-        elif folder.resolve() not in (real := path.resolve()).parents and package_of(real) is None:
-            text = "which are neither beside the model nor in a package, and are left out: --controllers FILE"
-            plan.warnings.append(f"the model's plugin names the parameters {file}, {text}")
-        else:
-            plan.own_files.append(str(path))
+    if robot.ros2_control is not None:
+        plan.own_files, plan.warnings = _own_files(
+            robot.ros2_control.parameter_files, Path(model.file).absolute().parent
+        )
     return plan
+
+
+def _own_files(named: Sequence[str], folder: Path) -> tuple[list[str], list[str]]:
+    """The files of parameters that a model in `folder` names and may have, and a warning about each other one.
+
+    It may have those beside it or in a package: it can be a stranger's, and all clients of the world see parameters.
+    """
+    from slidectl.description.install_rules import located
+    from slidectl.description.packages import is_file, package_of
+
+    files, warnings = [], []
+    for file in named:
+        path = located(folder / file)
+        why = ""
+        if not is_file(path):
+            why = "are not there"
+        elif folder.resolve() not in (real := path.resolve()).parents and package_of(real) is None:
+            why = "are neither beside the model nor in a package, and are left out"
+        if why:
+            warnings.append(f"the model's plugin names the parameters {file}, which {why}: --controllers FILE")
+        else:
+            files.append(str(path))
+    return files, warnings
 
 
 def scene_plan(

@@ -260,9 +260,9 @@ class ControllerManager:
         """The names of all loaded controllers, in load order."""
         return list(self._loaded)
 
-    def loaded(self) -> Sequence[tuple[str, str]]:
-        """Names and types of all controllers, in load order."""
-        return [(entry.name, entry.info.type) for entry in self._loaded.values()]
+    def loaded(self) -> Sequence[tuple[str, str, Any]]:
+        """Names, types and parameters with which all controllers were loaded, in load order."""
+        return [(entry.name, entry.info.type, entry.loaded_with) for entry in self._loaded.values()]
 
     def get(self, name: str) -> ControllerBase | None:
         """The loaded controller of that name, else None."""

@@ -118,8 +118,8 @@ class LoadedController:
         self.is_of_ros2 = is_of_ros2
         self.is_configured = not is_of_ros2
         """False in the state `unconfigured` of ROS 2, in which it cannot start. Its `init` was called nevertheless."""
-        self.loaded_with: Any = node.get_param(node.namespace, None) if is_of_ros2 else None
-        """Its parameters right after it was loaded, for `configure`; None: it must be loaded again."""
+        self.loaded_with: Any = node.get_param(node.namespace, None)
+        """Its parameters right after it was loaded, for `configure` and snapshots; None: it must be loaded again."""
         self.states_read = tuple(states_read)
         """The states of joints that it can read, as `joint1/position`; only for a robot of ROS 2."""
         self._is_of_user = is_of_a_user(type(controller))

@@ -38,6 +38,7 @@ from slidectl.description.robot import (
     Shape,
     Sphere,
     Surface,
+    TransmissionInfo,
     Vector,
 )
 from slidectl.description.ros2_control import TAG, Ros2Control, Ros2ControlReader, start_positions
@@ -113,14 +114,7 @@ def parse_tree(root: Element, meshes: MeshFiles, report: Report, strict: bool = 
             report.wrong(element, f"the text {stray!r} has no effect: is it a tag without its '<'?")
     known = dict.fromkeys(part.get("name") or "" for part in root.find_all("link"))
     ends = {part.get("name") or "": (_end(part, "parent"), _end(part, "child")) for part in root.find_all("joint")}
-    is_ros2 = bool(root.find_all(TAG)) and not control_plugins(root)
-    of_ros2 = Ros2ControlReader(report, joints, is_whole)
-    for element in root.find_all(TAG):
-        if is_ros2:
-            report.attempt(of_ros2.read, element)
-        else:
-            text = "has no effect: the robot has the plugin of gazebo_ros_control, and its <transmission>s drive it"
-            report.ignored(element, text)
+    of_ros2 = _read_ros2_control(root, joints, is_whole, report)
     for name in of_ros2.changed if is_whole else ():
         report.attempt(structure.check_mimic, joint_at[name])
     gazebo = GazeboReader(report, known, ends, of_ros2.sensors)
@@ -129,24 +123,10 @@ def parse_tree(root: Element, meshes: MeshFiles, report: Report, strict: bool = 
     of_ros2.check_sensors([sensor.name for sensor in gazebo.sensors.sensors])
     control = of_ros2.result(gazebo.ros2_plugin)
     if is_whole:
-        for follower, (mimic, plugin) in gazebo.drives.mimics.items():
-            if (kind := joints[follower].type) not in MOVING:
-                report.wrong(plugin, f"joint {follower!r} is {kind} and cannot follow; the plugin has no effect")
-                continue
-            if joints[follower].mimic not in (None, mimic):
-                text = f"the plugin overrides the <mimic> of joint {follower!r}, which differs, as in Gazebo"
-                report.wrong(plugin, text)
-            joints[follower] = replace(joints[follower], mimic=mimic)
-            report.attempt(structure.check_mimic, joint_at[follower])
-    is_real = gazebo.plugin is not None and gazebo.plugin.transmissions == "real"
-    reader = TransmissionReader(report, joints, is_whole, is_real)
-    transmissions = ()
-    if control is None:
-        read = (report.attempt(reader.read, element) for element in root.find_all("transmission"))
-        transmissions = tuple(info for info in read if info is not None)
-    else:
-        for element in root.find_all("transmission"):
-            report.ignored(element, f"is of ROS 1 and has no effect: joints are driven by <{TAG}>")
+        _follow_plugins(gazebo, joints, report)
+        for name in gazebo.drives.mimics:
+            report.attempt(structure.check_mimic, joint_at[name])
+    transmissions = _read_transmissions(root, gazebo, control, joints, is_whole, report)
     # A position joint moves to its command, which the limits bound, in the first steps.
     moved = {joint.name for _, joint in driving(transmissions) if has_position_command(joint)}
     moved |= set(_starts(control, joints, report, joint_at))
@@ -162,6 +142,51 @@ def parse_tree(root: Element, meshes: MeshFiles, report: Report, strict: bool = 
     return Robot(
         name, links, joints, base, transmissions, gazebo.plugin, report.notices(root), sensors, drives, control
     )
+
+
+def _read_ros2_control(root: Element, joints: dict[str, Joint], is_whole: bool, report: Report) -> Ros2ControlReader:
+    """Read the `<ros2_control>` tags, which may change what joints follow. Those of a robot of ROS 1 have no effect."""
+    reader = Ros2ControlReader(report, joints, is_whole)
+    of_ros1 = bool(control_plugins(root))
+    for element in root.find_all(TAG):
+        if of_ros1:
+            text = "has no effect: the robot has the plugin of gazebo_ros_control, and its <transmission>s drive it"
+            report.ignored(element, text)
+        else:
+            report.attempt(reader.read, element)
+    return reader
+
+
+def _follow_plugins(gazebo: GazeboReader, joints: dict[str, Joint], report: Report) -> None:
+    """Let joints follow others as plugins of the model say."""
+    for follower, (mimic, plugin) in list(gazebo.drives.mimics.items()):
+        if (kind := joints[follower].type) not in MOVING:
+            report.wrong(plugin, f"joint {follower!r} is {kind} and cannot follow; the plugin has no effect")
+            continue
+        if joints[follower].mimic not in (None, mimic):
+            text = f"the plugin overrides the <mimic> of joint {follower!r}, which differs, as in Gazebo"
+            report.wrong(plugin, text)
+        joints[follower] = replace(joints[follower], mimic=mimic)
+
+
+def _read_transmissions(
+    root: Element,
+    gazebo: GazeboReader,
+    control: Ros2Control | None,
+    joints: dict[str, Joint],
+    is_whole: bool,
+    report: Report,
+) -> tuple[TransmissionInfo, ...]:
+    """Read the `<transmission>`s. Those of a robot of ROS 2 have no effect."""
+    elements = root.find_all("transmission")
+    if control is not None:
+        for element in elements:
+            report.ignored(element, f"is of ROS 1 and has no effect: joints are driven by <{TAG}>")
+        return ()
+    is_real = gazebo.plugin is not None and gazebo.plugin.transmissions == "real"
+    reader = TransmissionReader(report, joints, is_whole, is_real)
+    read = (report.attempt(reader.read, element) for element in elements)
+    return tuple(info for info in read if info is not None)
 
 
 def _starts(

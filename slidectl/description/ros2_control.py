@@ -85,8 +85,8 @@ class ControlledJoint:
 
         With position and velocity also both at once, as a joint trajectory controller may claim them.
         """
-        found = [_OF_QUANTITY[quantity] for quantity in dict.fromkeys(_QUANTITIES[name] for name in self.commands
-                                                                      if name in _QUANTITIES)]  # fmt: skip
+        quantities = dict.fromkeys(_QUANTITIES[name] for name in self.commands if name in _QUANTITIES)
+        found = [_OF_QUANTITY[quantity] for quantity in quantities]
         if interfaces.POSITION in found and interfaces.VELOCITY in found:
             found.append(interfaces.POS_VEL)
             if _ACCELERATION in self.commands:

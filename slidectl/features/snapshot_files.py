@@ -144,7 +144,15 @@ def _pack_all(snapshot: Snapshot) -> _Packed:
 def _unpack_all(packed: _Packed) -> Snapshot:
     values = _unpack(packed)
     robots = [
-        SpawnedAs(**{**one, "hulls": dict(_hull(*hull) for hull in one["hulls"])}) for one in values.pop("robots")
+        SpawnedAs(
+            **{
+                **one,
+                "hulls": dict(_hull(*hull) for hull in one["hulls"]),
+                # A file of an earlier version does not tell the parameters: then the controllers are loaded again.
+                "controllers": [(*each, None)[:3] for each in one["controllers"]],
+            }
+        )
+        for one in values.pop("robots")
     ]
     values["is_from_file"] = True
     values.setdefault("derived", [])  # a file that does not tell them has all parameters as set by clients

@@ -47,8 +47,8 @@ class SpawnedAs:
     may_use_files: bool
     hulls: Hulls
     made_parameters: list[str]
-    controllers: list[tuple[str, str]]
-    """Names and types in load order."""
+    controllers: list[tuple[str, str, Any]]
+    """Names, types, and the parameters with which they were loaded, in load order."""
 
     @classmethod
     def of(cls, robot: SpawnedRobot) -> SpawnedAs:
@@ -309,7 +309,7 @@ def _make(simulation: Simulation, snapshot: Snapshot) -> list[str]:
         simulation.parameters.replace(snapshot.parameters, snapshot.derived)
         return []
     for one in wanted:
-        for name, type_name in one.controllers:
+        for name, type_name, _ in one.controllers:
             _check_type(simulation.types, one.name, name, type_name)
     same = _common([one.is_like(other) for one, other in zip(present, wanted, strict=False)])
     for one in reversed(present[same:]):
@@ -317,14 +317,14 @@ def _make(simulation: Simulation, snapshot: Snapshot) -> list[str]:
     kept = {}
     for one, other in zip(present[:same], wanted, strict=False):
         count = _common([mine == its for mine, its in zip(one.controllers, other.controllers, strict=False)])
-        kept[one.name] = [name for name, _ in one.controllers[:count]]
+        kept[one.name] = [name for name, *_ in one.controllers[:count]]
         if count < len(one.controllers):
             robots.get(one.name).manager.keep_only(kept[one.name])
     late = {name for one in wanted[same:] for name in one.made_parameters}
     simulation.parameters.replace(snapshot.parameters, snapshot.derived, late)
     for one in wanted:
         robot = robots.get(one.name) if one.name in robots else robots.spawn_read(one.parsed(), one.pose, one.hulls)
-        for name, _ in one.controllers:
+        for name, *_ in one.controllers:
             if name not in kept.get(one.name, ()):
                 robot.manager.load_again(name)
     simulation.parameters.replace(snapshot.parameters, snapshot.derived)

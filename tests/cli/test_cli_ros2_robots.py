@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 from command_line import CommandLine
 
+from slidectl.errors import Refused
+
 URDF = """<robot name="2dof-lift"><link name="world"/>
 <joint name="lift" type="prismatic"><parent link="world"/><child link="box"/><axis xyz="0 0 1"/>
 <limit lower="0" upper="2" effort="100" velocity="1"/></joint>
@@ -74,6 +76,10 @@ def test_a_second_robot_of_ros2_needs_another_namespace(started: CommandLine, tm
     assert refused.returncode == 1
     assert "the namespace / belongs to robot 'robot_2dof_lift' already" in refused.stderr
     assert "--namespace" in refused.stderr
+    with started.client() as client, pytest.raises(Refused, match="the namespace / belongs to robot"):
+        client.spawn(robot, "third")
+    with started.client() as client:
+        assert client.spawn(robot, "third", robot_namespace="right", start=["up"])["namespace"] == "/right"
     assert "second: spawned in /left" in started.ok(
         "spawn", robot, "-n", "second", "--namespace", "left", "--start", "up"
     )

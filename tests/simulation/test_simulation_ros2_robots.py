@@ -348,3 +348,39 @@ def test_limits_that_are_off_do_not_make_positions_jump() -> None:
     command(simulation, "position", 0.05)
     simulation.step(10)
     assert state(simulation, "pendulum", "hinge")[1] == pytest.approx(0.05 / 0.01, rel=1e-6)
+
+
+def test_a_snapshot_takes_back_a_controller_that_was_loaded_with_other_parameters() -> None:
+    simulation = Simulation(ground=False)
+    simulation.spawn(two_lifts(), "lifts")
+
+    def load(joint: str) -> None:
+        simulation.parameters.set("/group", {"type": GROUPS["position"], "joints": [joint]})
+        assert simulation.call("/controller_manager/load_controller", {"name": "group"})["ok"]
+        assert simulation.call("/controller_manager/configure_controller", {"name": "group"})["ok"]
+
+    load("left")
+    assert switch(simulation, ["group"])
+    simulation.save("left")
+    assert switch(simulation, stop=["group"])
+    assert simulation.call("/controller_manager/unload_controller", {"name": "group"})["ok"]
+    load("right")
+    simulation.load("left")
+    (listed,) = simulation.call("/controller_manager/controller_states")["controller"]
+    assert (listed["state"], listed["claimed_interfaces"]) == ("active", ["left/position"])
+    simulation.publish("/group/commands", {"data": [0.1]})
+    simulation.step(500)
+    assert (position_of(simulation, "left"), position_of(simulation, "right")) == pytest.approx((0.1, 0.0))
+
+
+def test_a_snapshot_takes_back_a_controller_whose_configuration_has_failed() -> None:
+    simulation = spawned(pendulum("position"), "position")
+    assert switch(simulation, ["position"])
+    simulation.save("here")
+    assert switch(simulation, stop=["position"])
+    simulation.parameters.delete("/position/joints")
+    assert not simulation.call("/controller_manager/configure_controller", {"name": "position"})["ok"]
+    simulation.load("here")
+    command(simulation, "position", 0.2)
+    simulation.step(300)
+    assert angle(simulation) == pytest.approx(0.2)

@@ -49,6 +49,7 @@ _GATHER_S = 0.01
 _ASK_AGAIN_S = 1.0
 _MANAGER = "/controller_manager"
 _DESCRIPTION = "/robot_description"
+_TRANSFORMS = "tf2_msgs/TFMessage"
 
 
 @dataclass(frozen=True)
@@ -422,11 +423,15 @@ class Ros2Gateway(Gateway):
             await bridge.set_stream(self._main)
 
     def _awaited(self) -> dict[str, dict[str, Any]]:
-        """Topics that nodes of ROS 2 subscribe: a program of slidectl that publishes only briefly reaches them too."""
+        """Topics that nodes of ROS 2 subscribe, since a program of slidectl may publish only briefly, and those that
+        are taken without a subscriber."""
         found = {}
         for name, by_type in self._foreign.topics.items():
             kind = self._known_type(name, by_type, {})
-            if kind and by_type[types.ros2_name(kind)].subscribers and name not in self._descriptions:
+            if not kind or name in self._descriptions:
+                continue
+            foreign = by_type[types.ros2_name(kind)]
+            if foreign.subscribers or _is_taken_always(kind, foreign):
                 found[name] = {"name": name, "type": kind, "publishers": [], "subscribers": []}
         return found
 
@@ -436,7 +441,11 @@ class Ros2Gateway(Gateway):
         publisher = (
             self._made_owner(name, publishers[0]) if publishers else self._own_node if foreign.subscribers else ""
         )
-        subscriber = self._made_owner(name, subscribers[0]) if subscribers and not self._options.read_only else ""
+        subscriber = ""
+        if not self._options.read_only and _is_taken_always(topic["type"], foreign):
+            subscriber = self._own_node
+        elif not self._options.read_only and subscribers:
+            subscriber = self._made_owner(name, subscribers[0])
         if publishers and name not in self._latched:
             self._latched[name] = await self._is_latched(name, topic["type"])
         return Wanted(
@@ -537,3 +546,8 @@ class Ros2Gateway(Gateway):
         if what not in self._left_out and what.partition("/")[0] not in types.OWN_PACKAGES:
             self._left_out[what] = why
             _log.warning("%s is left out in ROS 2: %s", what, why.replace("\n", "; "))
+
+
+def _is_taken_always(kind: str, foreign: Ros2Topic) -> bool:
+    """True for fixed transforms that nodes of ROS 2 keep: who asks for them in the daemon does not wait for others."""
+    return kind == _TRANSFORMS and foreign.is_transient and bool(foreign.publishers)
