@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slidectl import input_files, names
+from slidectl import input_files, names, rotations
 from slidectl.cli import completion, output, robots
 from slidectl.cli.commands import Variadic, command, is_number
 from slidectl.cli.context import Context
@@ -42,10 +42,24 @@ def _check_words(
 
 
 def _step_effects(parameters: Mapping[str, Any], has_daemon: bool) -> StepEffects:  # noqa: ARG001
+    has_own = bool(parameters["start"]) and not parameters["controllers"] and _names_files(parameters)
     return StepEffects(
         controllers=parameters["controllers"] or "", named=tuple(parameters["start"]), model=parameters["model"],
-        may_add_controllers=parameters["keep_going"],
+        may_add_controllers=parameters["keep_going"] or has_own,
     )  # fmt: skip
+
+
+def _names_files(parameters: Mapping[str, Any]) -> bool:
+    """True for a model that names files of controllers, as far as it can be read now."""
+    try:
+        places = package_lookup(parameters["packages"])
+        source, given = in_package(parameters["model"], parameters["arguments"], places)
+        if source == "-" or spawning.is_scene(source):
+            return False
+        document = spawning.document(source, given, parameters["name"], places)
+        return bool(spawning.robot_plan(document, rotations.ORIGIN).own_files)
+    except SlidectlError:  # the step itself tells it
+        return False
 
 
 @command(

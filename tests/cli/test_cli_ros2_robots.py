@@ -97,3 +97,34 @@ def test_other_files_of_the_user_are_not_taken(started: CommandLine, tmp_path: P
     assert done.returncode == 0
     assert f"the model's plugin names the parameters {named}, which are " in done.stderr
     assert "token" not in started.ok("param", "list")
+
+
+LAUNCH = """<launch><param name="robot_description" textfile="$(dirname)/lift.urdf"/>{more}
+<node name="spawn" pkg="gazebo_ros" type="spawn_model" args="-urdf -param robot_description -model lift"/>
+<node name="spawner" pkg="controller_manager" type="spawner" args="states up"/></launch>
+"""
+
+
+@pytest.mark.parametrize(("more", "rate"), [("", "50"), ('<param name="update_rate" value="200"/>', "200")])
+def test_a_launch_loads_the_files_that_the_model_names(
+    slidectl: CommandLine, tmp_path: Path, more: str, rate: str
+) -> None:
+    """What the launch sets itself counts."""
+    written(tmp_path, str(tmp_path / "lift.yaml"))
+    (tmp_path / "lift.launch").write_text(LAUNCH.format(more=more))
+    done = slidectl.ok("launch", str(tmp_path / "lift.launch"), "--detach")
+    assert "spawner: states, up running in /" in done
+    assert slidectl.ok("param", "get", "/update_rate").strip() == rate
+    slidectl.ok("daemon", "stop")
+
+
+def test_a_scenario_spawns_a_robot_that_names_its_files(slidectl: CommandLine, tmp_path: Path) -> None:
+    robot = written(tmp_path, "lift.yaml")
+    steps = [
+        f"spawn: {robot} --start states up",
+        "pub: /up/commands '[0.5]'",
+        "wait: /joint_states/position[0] --near 0.5",
+    ]
+    (tmp_path / "up.yaml").write_text("name: up\nsteps:\n" + "".join(f"- {step}\n" for step in steps))
+    assert "no mistakes" in slidectl("test", "--check", str(tmp_path / "up.yaml")).stderr
+    assert "1 passed" in slidectl.ok("test", str(tmp_path / "up.yaml"))

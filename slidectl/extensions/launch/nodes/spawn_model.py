@@ -95,6 +95,8 @@ class SpawnModel(Task):
         """
         if self.given_namespace is not None:
             return self.given_namespace
+        if robot.ros2_control is not None:  # its manager is where the plugin has it
+            return description.namespace_of(robot, self.model)
         is_open = robot.plugin is not None and robot.plugin.robot_namespace is None
         is_free = robot.plugin is None and not robot.transmissions and bool(robot.drives or robot.sensors)
         managers = {task.manager_namespace for task in tasks}
@@ -216,8 +218,11 @@ class SpawnModel(Task):
         plan = spawning.robot_plan(self._document(run), self.pose, self.model, strict=run.options.strict)
         assert plan.robot is not None
         plan.namespace = self.home(plan.robot, run.tasks)
-        for file in plan.own_files:
-            run.console.warn(f'the parameters {file}, which the model names, are not loaded: <rosparam file="..."/>')
+        for text in plan.warnings:
+            run.console.warn(text)
+        own = spawning.controller_parameters(plan.own_files, plan.namespace)
+        # What the launch sets counts.
+        plan.parameters = {name: value for name, value in own.items() if name not in run.parameters}
         options = {"reference_frame": self.words.one("-reference_frame"), "robot_namespace": plan.namespace}
         plan.models = [{**model, **options} for model in plan.models]
         return plan
