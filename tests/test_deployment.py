@@ -26,7 +26,8 @@ from slidectl.errors import NoDaemon
 
 ROOT = Path(__file__).parent.parent
 BIN = Path(sys.executable).parent
-LIMIT_S = 300
+LIMIT_S = 900
+pytestmark = pytest.mark.timeout(1200)  # pip asks the index for what builds a wheel, and may wait for it
 
 
 def action_steps() -> dict[str, dict[str, Any]]:

@@ -70,11 +70,19 @@ store.set({
 // --- the world -------------------------------------------------------------------------------------------------------
 
 let reading = null;
+let nextReading = null;
 
-/** Read status, robots, controllers and the page's own state. Calls during a reading share the next one. */
+/** Read status, robots, controllers and the page's own state. Calls during a reading share one that begins after it: what
+ * they have changed may not be in the answers that are under way. */
 function readWorld() {
-  reading ??= (async () => {
-    await undefined;
+  if (reading) {
+    nextReading ??= reading.then(() => {
+      nextReading = null;
+      return readWorld();
+    });
+    return nextReading;
+  }
+  reading = (async () => {
     try {
       const [status, robots, pageState] = await Promise.all([
         call("/slidectl/status"), call("/slidectl/list_robots", { name: "" }), page("state", { ...BROWSER, pixel_ratio: devicePixelRatio }),
@@ -90,10 +98,8 @@ function readWorld() {
       store.set(changes);
     } catch (error) {
       if (store.values.ros.isOpen && store.values.isThere) notify(error.message, error.hint ?? "", "bad");
-    } finally {
-      reading = null;
     }
-  })();
+  })().finally(() => { reading = null; });
   return reading;
 }
 
@@ -129,7 +135,7 @@ function connect() {
       readWorld();
     }, 200);
   }, { type: "std_msgs/Empty" });
-  setInterval(() => document.hidden || (ros.isOpen && readWorld()), LOOK_MS);
+  setInterval(() => document.hidden || reading || (ros.isOpen && readWorld()), LOOK_MS);
   document.addEventListener("visibilitychange", () => !document.hidden && ros.isOpen && readWorld());
 }
 

@@ -112,7 +112,7 @@ export const reasonOf = ({ message, hint }) => [message, hint].filter(Boolean).j
 /** As `attempt`; then the world is read again. */
 export async function act(action) {
   const done = await attempt(action);
-  store.values.readWorld?.();
+  await store.values.readWorld?.();
   return done;
 }
 
@@ -178,19 +178,39 @@ export function Empty({ children }) {
   return html`<p class="empty">${children}</p>`;
 }
 
+/** What an element shows, and what it calls with a choice: it shows the choice until that holds or was refused, since
+ * the panel may be drawn again before the answer comes. `onChange` may be asynchronous; its end is the answer. */
+function useChoice(value, onChange) {
+  const [choice, setChoice] = useState(null);
+  const newest = useRef(0);
+  const choose = async (wanted) => {
+    newest.current += 1;
+    const mine = newest.current;
+    setChoice({ wanted });
+    try {
+      await onChange(wanted);
+    } finally {
+      if (mine === newest.current) setChoice(null);
+    }
+  };
+  return [choice ? choice.wanted : value, choose];
+}
+
 export function Select({ value, options, onChange, label, ...rest }) {
-  return html`<select aria-label=${label} value=${value} onChange=${(event) => onChange(event.target.value)} ...${rest}>
+  const [shown, choose] = useChoice(value, onChange);
+  return html`<select aria-label=${label} value=${shown} onChange=${(event) => choose(event.target.value)} ...${rest}>
     ${options.map((one) => {
       const [key, text] = Array.isArray(one) ? one : [one, one];
-      return html`<option value=${key} selected=${key === value}>${text}</option>`;
+      return html`<option value=${key} selected=${key === shown}>${text}</option>`;
     })}
   </select>`;
 }
 
 /** A check box with its label behind it. */
 export function Check({ checked, onChange, children, disabled }) {
-  return html`<label class="check"><input type="checkbox" checked=${checked} disabled=${disabled}
-    onChange=${(event) => onChange(event.target.checked)} /><span>${children}</span></label>`;
+  const [shown, choose] = useChoice(checked, onChange);
+  return html`<label class="check"><input type="checkbox" checked=${shown} disabled=${disabled}
+    onChange=${(event) => choose(event.target.checked)} /><span>${children}</span></label>`;
 }
 
 /** A text that is taken with Enter or when the field is left; Escape gives it up. Until then nothing overwrites it. */
