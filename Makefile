@@ -5,7 +5,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: docs help demo test quick most fuzz soak lint types bench pictures examples wheel clean
+.PHONY: docs help demo test quick units most fuzz soak lint types bench pictures examples wheel clean
 .DEFAULT_GOAL := help
 
 help:  ## this list
@@ -25,10 +25,12 @@ demo: $(STAMP)  ## start a daemon, slide up, to the middle and down, show it mov
 test: $(STAMP)  ## all tests, four at a time: most wait for processes
 	@$(BIN)/python -m pytest -n 4 --dist loadfile $(ARGS)
 
-quick: $(STAMP) lint types  ## lint, types, and the tests that are not slow and start no processes, in a minute
+quick: lint types units  ## lint, types, and the tests that are not slow and start no processes, in a minute
+
+units: $(STAMP)  ## the tests of quick alone; with another Python: PYTHON=python3.13 VENV=.venv-3.13
 	@$(BIN)/python -m pytest -n 2 --dist loadfile --hypothesis-profile quick -m "not slow and not process" $(ARGS)
 
-most: $(STAMP)  ## the tests that are not slow; with another Python: PYTHON=python3.13 VENV=.venv-3.13
+most: $(STAMP)  ## the tests that are not slow
 	@$(BIN)/python -m pytest -n 4 --dist loadfile -m "not slow" $(ARGS)
 
 fuzz: $(STAMP)  ## attack a daemon and the readers of files for 2 to 3 minutes, with another seed each time

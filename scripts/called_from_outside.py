@@ -32,6 +32,9 @@ aborting
 # features/saved_state.py looks it up in each class.
 saved_or_none
 
+# rclpy's nodes call it of their executor.
+add_node
+
 # io.BufferedReader calls it of a raw file.
 readall
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Runs `make most` with each Python that slidectl supports, is on this machine, and is not the one of `make test`, which
+# Runs `make units` with each Python that slidectl supports, is on this machine, and is not the one of `make test`, which
 # PYTHON names (python3). Each has an environment of its own, .venv-3.x. They are looked for on the PATH and among those of
 # pyenv. Those that are not here are named in one line, and are no failure.
 set -euo pipefail
@@ -20,7 +20,7 @@ for version in 3.11 3.12 3.13 3.14; do
     fi
   done
   if [ -n "$found" ]; then
-    bash scripts/gate_tests.sh PYTHON="$found" VENV=".venv-$version" most
+    bash scripts/gate_tests.sh PYTHON="$found" VENV=".venv-$version" units
   else
     missing+=("$version")
   fi

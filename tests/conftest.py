@@ -30,6 +30,7 @@ _CACHE = pytest.StashKey[pytest.MonkeyPatch]()
 def pytest_configure(config: pytest.Config) -> None:
     """Signals do what they do in a terminal, and the folder of compiled code is one of this run."""
     _restore_signals()
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # else each process of a test compiles all its modules anew
     _share_cache(config)
 
 

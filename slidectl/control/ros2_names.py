@@ -27,10 +27,6 @@ OTHERS: dict[str, tuple[str, tuple[str, ...]]] = {
     "bicycle_steering_controller/BicycleSteeringController": (_STEERS_ONE, ()),
     "tricycle_controller/TricycleController": (_STEERS_ONE, ()),
     "tricycle_steering_controller/TricycleSteeringController": (_STEERS_ONE, ()),
-    "parallel_gripper_action_controller/GripperActionController": (
-        "position_controllers/GripperActionController, whose goals are control_msgs/GripperCommand",
-        (),
-    ),
     "pose_broadcaster/PoseBroadcaster": ("the pose of each link is on /tf and on /gazebo/link_states", ()),
     "range_sensor_broadcaster/RangeSensorBroadcaster": ("a laser scanner of the model publishes by itself", ()),
     "state_interfaces_broadcaster/StateInterfacesBroadcaster": (

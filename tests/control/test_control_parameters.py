@@ -69,6 +69,7 @@ NAMED = {
     "interface_name": "effort",
     "interface_names": ["effort"],
     "sensor_filter_chain": None,
+    "state_interfaces": ["position", "velocity"],
     **{f"interface_names/{quantity}/{axis}": "" for quantity in ("force", "torque") for axis in "xyz"},
     **dict.fromkeys(("min_velocity", "max_deceleration", "max_acceleration_reverse", "min_jerk"), -1.0),
 }

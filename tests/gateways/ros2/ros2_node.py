@@ -59,6 +59,8 @@ _ARGUMENTS = {
     "all_are_reached": ("topic",),
     "offer": ("service", "type", "values"),
     "call": ("service", "type", "values"),
+    "send_goal": ("action", "type", "values"), "cancel_goal": ("number",), "has_ended": ("number",),
+    "result_of": ("number",), "has_action": ("action",),
 }  # fmt: skip
 
 

@@ -88,6 +88,9 @@ def test_fixed_transforms_of_a_node_are_those_of_the_daemon_too(world: World) ->
         eventually(lambda: "fixed" in world.run("tf", "list").stdout)
         assert "/fixed_marker" in world.run("topic", "info", "/tf_static").stdout
         assert "1.5" in world.run("tf", "echo", "map", "fixed").stdout
+        with world.client() as client, client.subscribe("/tf_static") as kept:
+            last = [kept.get(timeout=60)["transforms"][0]["child_frame_id"] for _ in range(2)]  # one of each publisher
+        assert sorted(last) == ["base_link", "fixed"]
 
 
 def test_the_state_of_a_controller_arrives(world: World, node: Ros2Node) -> None:

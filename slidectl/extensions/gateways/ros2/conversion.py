@@ -140,8 +140,29 @@ def service_conversion(name: str) -> ServiceConversion:
     )
 
 
+class ActionConversion(NamedTuple):
+    """An action type in both."""
+
+    name: str
+    ros2_class: Any
+    goal: Conversion
+    feedback: Conversion
+    result: Conversion
+
+
+@cache
+def action_conversion(name: str) -> ActionConversion:
+    """The conversion of an action type of the daemon, `pkg/Name` as in ROS 2. Raises UnknownName, NotInRos2."""
+    ros2_class = _class(ros2_name(name, "action"))
+    goal, feedback, result = (
+        _conversion(f"{name}{part}", getattr(ros2_class, part), msgs.fields(f"{name}{part}"))
+        for part in ("Goal", "Feedback", "Result")
+    )
+    return ActionConversion(name, ros2_class, goal, feedback, result)
+
+
 def _class(full_name: str) -> Any:
-    """The class of a type `pkg/msg/Name` or `pkg/srv/Name`. Raises NotInRos2."""
+    """The class of a type `pkg/msg/Name`, `pkg/srv/Name` or `pkg/action/Name`. Raises NotInRos2."""
     package, kind, name = full_name.split("/")
     if package in OWN_PACKAGES:
         raise NotInRos2(f"ROS 2 has no package {package}")

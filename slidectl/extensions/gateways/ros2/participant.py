@@ -13,7 +13,7 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Coroutine, Generator
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -40,6 +40,58 @@ _MOST_AT_ONCE = 100
 """Messages of one topic taken in a row, so that a topic with many does not hold up the others."""
 
 
+class AwaitedValue:
+    """A value that a coroutine of rclpy waits for, given by `set`. Both happen in rclpy's thread."""
+
+    def __init__(self) -> None:
+        self._is_set = False
+        self._value: Any = None
+        self._waiting: Coroutine[Any, Any, Any] | None = None
+
+    def __await__(self) -> Generator[AwaitedValue, None, Any]:
+        if not self._is_set:
+            yield self
+        return self._value
+
+    def set(self, value: Any) -> None:
+        """Give the value, and go on with what waits for it. A second one is ignored."""
+        if self._is_set:
+            return
+        self._is_set, self._value = True, value
+        if self._waiting is not None:
+            carry_on(self._waiting)
+
+    def go_on(self, coroutine: Coroutine[Any, Any, Any]) -> None:
+        """Carry on with it once the value is there."""
+        self._waiting = coroutine
+
+
+def carry_on(coroutine: Coroutine[Any, Any, Any]) -> None:
+    """Run a coroutine of rclpy as far as it comes without an AwaitedValue that has no value yet."""
+    try:
+        coroutine.send(None).go_on(coroutine)
+    except StopIteration:
+        pass
+    except Exception:  # of the middleware; nobody waits for the coroutine
+        _log.exception("rclpy")
+
+
+class _Tasks:
+    """What rclpy's nodes of actions take for their executor: it carries out goals."""
+
+    def add_node(self, _: Any) -> bool:
+        return True
+
+    def remove_node(self, _: Any) -> None:
+        pass
+
+    def wake(self) -> None:
+        pass
+
+    def create_task(self, work: Callable[..., Coroutine[Any, Any, Any]], *given: Any) -> None:
+        carry_on(work(*given))
+
+
 class Participant:
     """The gateway's part of a ROS 2 domain. `open` comes first, `close` last."""
 
@@ -57,6 +109,7 @@ class Participant:
             raise UsageError(f"the domain {self.domain} is not from 0 to {MOST_DOMAIN}")
         self._any_host = any_host
         self._context: Any = None
+        self._tasks = _Tasks()
 
     def open(self) -> str:
         """Join the domain. Returns its name for people. Raises Refused: there is no usable rclpy."""
@@ -98,6 +151,10 @@ class Participant:
         self._topics.post(carry_out)
         result: T = await done
         return result
+
+    def post(self, work: Callable[[], None]) -> None:
+        """As `run`, without waiting for it."""
+        self._topics.post(work)
 
     def node(self, name: str) -> Any:
         """A new node of the full name. Raises ValueError: ROS 2 has no such names."""
@@ -186,6 +243,19 @@ class Participant:
         self._services.remove("client", client.handle)
         node.destroy_client(client)
 
+    def serve_action(self, node: Any, action_class: Any, name: str, **callbacks: Any) -> Any:
+        """An action server of rclpy by a node of ours. What its `callbacks` wait for is an AwaitedValue."""
+        from rclpy.action import ActionServer
+
+        node.executor = self._tasks
+        made = ActionServer(node, action_class, name, **callbacks)
+        self._topics.add_waitable(made)
+        return made
+
+    def end_action(self, server: Any) -> None:
+        self._topics.remove_waitable(server)
+        server.destroy()
+
     def close(self) -> None:
         """Leave the domain."""
         if self._context is None:
@@ -213,6 +283,8 @@ class _WaitLoop:
         self._lock = threading.Lock()
         self._ends: dict[str, dict[int, tuple[Any, Callable[[], None]]]] = {kind: {} for kind in _KINDS}
         """Kind -> address of an object of rclpy -> the object, and what takes what has arrived."""
+        self._waitables: list[Any] = []
+        """Objects of rclpy that wait for several things, and know themselves which."""
         self._released: list[Any] = []
         """Objects that were removed while they were perhaps waited for."""
         self._has_changed = True
@@ -241,6 +313,21 @@ class _WaitLoop:
             self._has_changed = True
         self._wake.trigger_guard_condition()
 
+    def add_waitable(self, waitable: Any) -> None:
+        """Let the object carry out what has arrived at it, in the thread."""
+        waitable.__enter__()
+        with self._lock:
+            self._waitables = [*self._waitables, waitable]
+            self._has_changed = True
+        self._wake.trigger_guard_condition()
+
+    def remove_waitable(self, waitable: Any) -> None:
+        with self._lock:
+            self._waitables = [one for one in self._waitables if one is not waitable]
+            self._released.append(waitable)
+            self._has_changed = True
+        self._wake.trigger_guard_condition()
+
     def close(self) -> None:
         self._is_ending = True
         self._wake.trigger_guard_condition()
@@ -249,33 +336,52 @@ class _WaitLoop:
     def _run(self) -> None:
         waits: Any = None
         ends: dict[str, dict[int, tuple[Any, Callable[[], None]]]] = {}
+        waitables: list[Any] = []
         while not self._is_ending:
             try:
                 if self._has_changed:
                     with self._lock:
                         self._has_changed = False
                         ends = {kind: dict(known) for kind, known in self._ends.items()}
+                        waitables = self._waitables
                         released, self._released = self._released, []
-                    counts = [len(ends[kind]) for kind in ("client", "service")]
-                    waits = self._rclpy.WaitSet(len(ends["subscription"]), 1, 0, *counts, 0, self._context.handle)
+                    waits = self._wait_set(ends, waitables)
                     for handle in released:
                         handle.__exit__(None, None, None)
-                self._wait(waits, ends)
+                self._wait(waits, ends, waitables)
             except Exception:  # of the middleware; the gateway would stand still without this thread
                 _log.exception("rclpy")
                 time.sleep(_GO_ON_AFTER_S)
 
-    def _wait(self, waits: Any, ends: dict[str, dict[int, tuple[Any, Callable[[], None]]]]) -> None:
+    def _wait_set(self, ends: dict[str, dict[int, tuple[Any, Callable[[], None]]]], waitables: list[Any]) -> Any:
+        counts = [len(ends["subscription"]), 1, 0, len(ends["client"]), len(ends["service"]), 0]
+        for waitable in waitables:
+            more = waitable.get_num_entities()
+            each = (
+                *(more.num_subscriptions, more.num_guard_conditions, more.num_timers),
+                *(more.num_clients, more.num_services, more.num_events),
+            )
+            counts = [count + own for count, own in zip(counts, each, strict=True)]
+        return self._rclpy.WaitSet(*counts, self._context.handle)
+
+    def _wait(
+        self, waits: Any, ends: dict[str, dict[int, tuple[Any, Callable[[], None]]]], waitables: list[Any]
+    ) -> None:
         waits.clear_entities()
         for kind, known in ends.items():
             add = getattr(waits, f"add_{kind}")
             for handle, _ in known.values():
                 add(handle)
+        for waitable in waitables:
+            waitable.add_to_wait_set(waits)
         waits.add_guard_condition(self._wake)
         waits.wait(-1)
         for kind, known in ends.items():
             for pointer in waits.get_ready_entities(kind) if known else ():
                 self._take(known[pointer][1])
+        for waitable in waitables:
+            if waitable.is_ready(waits):
+                self._take(partial(_carry_out, waitable))
         while self._posted:
             self._posted.popleft()()
 
@@ -286,6 +392,10 @@ class _WaitLoop:
             if str(error) != self._problem:
                 self._problem = str(error)
                 _log.warning("rclpy: %s", error)
+
+
+def _carry_out(waitable: Any) -> None:
+    carry_on(waitable.execute(waitable.take_data()))
 
 
 def _rclpy() -> Any:

@@ -26,6 +26,7 @@ from slidectl.extensions.gateways.ros2 import conversion as types
 from slidectl.extensions.gateways.ros2.foreign_nodes import ForeignNodes, NodePart
 from slidectl.extensions.gateways.ros2.parameter_services import ManagerParameterServices, ParameterServices
 from slidectl.extensions.gateways.ros2.participant import Participant
+from slidectl.extensions.gateways.ros2.ros2_actions import OfferedAction, actions_of, is_of_action
 from slidectl.extensions.gateways.ros2.ros2_graph import EMPTY, UNUSED, GraphReader, Ros2Graph, Ros2Topic
 from slidectl.extensions.gateways.ros2.ros2_services import (
     ConfigureOfRos1,
@@ -86,13 +87,14 @@ class Ros2Gateway(Gateway):
         self._graph_changed = asyncio.Event()
         self._described: set[str] | None = None
         """Changed names of parameters that may be descriptions of robots; None before the first look."""
-        self._native: dict[str, Any] = {"topics": [], "services": []}
+        self._native: dict[str, Any] = {"topics": [], "services": [], "actions": {}}
         self._managed: dict[str, None] = {}
         """Nodes of controllers and of their managers."""
         self._nodes: dict[str, Any] = {}
         """Our nodes in ROS 2, by full name."""
         self._bridges: dict[str, TopicBridge] = {}
         self._offered: dict[str, OfferedService] = {}
+        self._actions: dict[str, OfferedAction] = {}
         self._parameters: dict[str, ParameterServices] = {}
         """Node of ours -> the services of its parameters."""
         self._descriptions: dict[str, Any] = {}
@@ -149,7 +151,7 @@ class Ros2Gateway(Gateway):
         self._proxy_names.clear()
         self._dropped += sum(bridge.dropped for bridge in self._bridges.values())
         await self._participant.run(self._end_all)
-        for known in (self._bridges, self._offered, self._descriptions, self._latched, self._managed):
+        for known in (self._bridges, self._offered, self._actions, self._descriptions, self._latched, self._managed):
             known.clear()
         self._left_out = {name: why for name, why in self._left_out.items() if not name.startswith("/")}
 
@@ -159,6 +161,8 @@ class Ros2Gateway(Gateway):
             bridge.set_ends(NOTHING, self._nodes)
         for service in self._offered.values():
             service.close()
+        for action in self._actions.values():
+            action.close()
         own = self._nodes[self._own_node]
         for publisher in self._descriptions.values():
             own.destroy_publisher(publisher)
@@ -245,6 +249,7 @@ class Ros2Gateway(Gateway):
         await self._set_nodes()
         await self._set_topics()
         await self._set_services()
+        await self._set_actions()
         await self._set_descriptions()
         await self._participant.run(lambda: self._services.forget(set(foreign.services)))
 
@@ -261,14 +266,19 @@ class Ros2Gateway(Gateway):
                 side: [one for one in topic[side] if one not in hidden and not one.startswith(own)]
                 for side in ("publishers", "subscribers")
             }
-            if any(ends.values()) and self._is_bridged(topic["name"]):
+            if any(ends.values()):
                 topics.append({**topic, **ends})
         services = [
             one
             for one in state["services"]
             if one["node"] not in hidden and not one["node"].startswith(own) and is_offered(one, self._permitted)
         ]
-        self._native = {"topics": topics, "services": as_in_ros2(services)}
+        actions = {} if self._options.read_only else actions_of(topics)
+        self._native = {
+            "topics": [one for one in topics if self._is_bridged(one["name"]) and not is_of_action(one)],
+            "services": as_in_ros2(services),
+            "actions": {name: one for name, one in actions.items() if self._is_bridged(name)},
+        }
         managed: dict[str, None] = {}
         for service in services:
             manager, kind = names.parent(service["name"]), "controller_manager_msgs/ListControllers"
@@ -352,14 +362,16 @@ class Ros2Gateway(Gateway):
         for topic in self._native["topics"]:
             for node in (*topic["publishers"][:1], *topic["subscribers"][:1]):
                 wanted[self._owner(topic["name"], node)] = None
-        for service in self._native["services"]:
-            wanted[self._owner(service["name"], service["node"])] = None
+        for one in (*self._native["services"], *self._native["actions"].values()):
+            wanted[self._owner(one["name"], one["node"])] = None
         gone = {name for name in self._nodes if name not in wanted and name != self._own_node}
         for bridge in self._bridges.values():
             if bridge.has.publisher in gone or bridge.has.subscriber in gone:
                 await self._participant.run(partial(bridge.set_ends, NOTHING, self._nodes))
         for name in [name for name, one in self._offered.items() if one.node in gone]:
             await self._participant.run(self._offered.pop(name).close)
+        for name in [name for name, one in self._actions.items() if one.node in gone]:
+            await self._participant.run(self._actions.pop(name).close)
         new = [name for name in wanted if name not in self._nodes]
         if not gone and not new:
             return
@@ -491,6 +503,22 @@ class Ros2Gateway(Gateway):
 
         if made:
             await self._participant.run(change)
+
+    async def _set_actions(self) -> None:
+        wanted = self._native["actions"]
+        for name in [name for name, one in self._actions.items() if one.type != wanted.get(name, {}).get("type")]:
+            await self._participant.run(self._actions.pop(name).close)
+        assert self._main is not None
+        for name, action in wanted.items():
+            if name in self._actions or (conversion := self._found(types.action_conversion, action["type"])) is None:
+                continue
+            node = self._made_owner(name, action["node"])
+            one = OfferedAction(name, node, conversion, self._participant, self._main)
+            try:
+                await self._participant.run(partial(one.open, self._nodes[node]))
+            except Exception as error:  # rclpy refuses a name or a type, each in its own way
+                self._leave_out(name, str(error))
+            self._actions[name] = one
 
     async def _set_descriptions(self) -> None:
         """Publish the descriptions of robots as robot_state_publisher of ROS 2 does, for RViz."""

@@ -226,9 +226,9 @@ class TopicBridge:
             return
         try:
             made = self.conversion.to_ros2(message)
-            # What comes back has lost what ROS 2 does not have.
-            key = None if self._subscription is None else self._key(self.conversion.from_ros2(made))
-            sender.send(made, key)
+            # What comes back has lost what ROS 2 does not have. What is kept comes back with a later subscription, too.
+            comes_back = self._subscription is not None or self.has.is_kept
+            sender.send(made, self._key(self.conversion.from_ros2(made)) if comes_back else None)
         except Exception as error:  # of rclpy, too: the publisher may just have been ended
             self._tell(f"a message cannot be sent to ROS 2: {error}")
 

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy
 import rclpy
+from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -52,6 +53,13 @@ def filled(message: Any, values: dict[str, Any]) -> Any:
     return message
 
 
+def came(future: Any) -> Any:
+    """The value of a future; None when it does not come."""
+    arrived = threading.Event()
+    future.add_done_callback(lambda _: arrived.set())
+    return future.result() if arrived.wait(WITHIN_S) else None
+
+
 def profile(given: str) -> QoSProfile:
     made = QoSProfile(depth=1000)
     if "best_effort" in given:
@@ -70,6 +78,8 @@ class Driver:
         self.node = Node(own, namespace=namespace or "/")
         self.received: dict[str, list[Any]] = {}
         self.publishers: dict[str, Any] = {}
+        self.actions: dict[str, Any] = {}
+        self.goals: list[Any] = []
         self.executor = SingleThreadedExecutor()
         self.executor.add_node(self.node)
         self.spinning = threading.Thread(target=self.executor.spin)
@@ -116,10 +126,37 @@ class Driver:
         client = self.node.create_client(class_of(type), service)
         if not client.wait_for_service(WITHIN_S):
             return f"no service {service}"
-        future = client.call_async(filled(client.srv_type.Request(), values))
-        arrived = threading.Event()
-        future.add_done_callback(lambda _: arrived.set())
-        return as_json(future.result()) if arrived.wait(WITHIN_S) else f"{service} does not answer"
+        answer = came(client.call_async(filled(client.srv_type.Request(), values)))
+        return f"{service} does not answer" if answer is None else as_json(answer)
+
+    def send_goal(self, action: str, type: str, values: dict[str, Any]) -> Any:
+        """Send a goal. Returns its number, and -1 when it is rejected. Its feedback is that of `messages`."""
+        if action not in self.actions:
+            self.actions[action] = ActionClient(self.node, class_of(type), action)
+        client, feedback = self.actions[action], self.received.setdefault(action, [])
+        if not client.wait_for_server(WITHIN_S):
+            return f"no action {action}"
+        goal = filled(class_of(type).Goal(), values)
+        handle = came(client.send_goal_async(goal, lambda message: feedback.append(as_json(message.feedback))))
+        if handle is None or not handle.accepted:
+            return f"{action} does not answer" if handle is None else -1
+        self.goals.append((handle, handle.get_result_async()))
+        return len(self.goals) - 1
+
+    def cancel_goal(self, number: int) -> int:
+        """How many goals are being cancelled."""
+        return len(came(self.goals[number][0].cancel_goal_async()).goals_canceling)
+
+    def has_ended(self, number: int) -> bool:
+        return bool(self.goals[number][1].done())
+
+    def result_of(self, number: int) -> Any:
+        """The status of a goal that ends, as in action_msgs/GoalStatus, and its result."""
+        answer = came(self.goals[number][1])
+        return "no result" if answer is None else [answer.status, as_json(answer.result)]
+
+    def has_action(self, action: str) -> bool:
+        return bool(self.actions[action].server_is_ready())
 
     def topics(self) -> dict[str, list[str]]:
         return dict(self.node.get_topic_names_and_types())
@@ -188,10 +225,12 @@ def as_ros2_holds_it(value: Any) -> Any:
 def main() -> None:
     driver = Driver(sys.argv[1])
     print(json.dumps("ready"), flush=True)
-    for line in sys.stdin:
-        given = json.loads(line)
-        print(json.dumps(getattr(driver, given.pop("op"))(**given)), flush=True)
-    driver.close()
+    try:
+        for line in sys.stdin:
+            given = json.loads(line)
+            print(json.dumps(getattr(driver, given.pop("op"))(**given)), flush=True)
+    finally:
+        driver.close()  # its thread would keep the process alive
 
 
 main()
