@@ -47,7 +47,7 @@ def test_an_arm_whose_plugin_names_no_namespace_lives_in_that_of_its_spawn_node(
         "arm_controller": "running",
         "shoulder": "running",
     }
-    assert "data: True" in ros.ok("echo", "/calibrated", "-n", "1")  # rostopic pub stays, as under roslaunch
+    assert "data: True" in ros.ok("echo", "/calibrated", "-n", "1", "--wait")  # rostopic pub stays, as under roslaunch
     ros.ok("pub", "/arm_controller/command", "0.5")
     ros.ok("wait", "/joint_states/position[0]", "--near", "0.5", "--tol", "0.02", "--within", "10")
     assert launched.interrupt() == 130

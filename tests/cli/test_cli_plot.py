@@ -383,9 +383,11 @@ def test_a_plot_of_what_is_at_rest_says_how_to_see_a_motion(moving: CommandLine,
     told = moving("plot", field, "--for", "1", "--save", saved).stderr
     assert "all values stood still" in told
     assert f"slidectl record {STATES} -O run.bag, then slidectl plot run.bag '{field}'" in told
-    process = moving.start("plot", field, "--for", "2000", "--save", saved)
+    moving.ok("sim", "pause")
+    process = moving.start("plot", field, "--for", "10", "--save", saved)
     moving.until_subscribed(STATES)
     moving.ok("pub", COMMAND, "0.1")
+    moving.ok("sim", "step", "11s")
     _, err = process.communicate(timeout=60)
     assert process.returncode == 0
     assert "stood still" not in err
