@@ -242,7 +242,12 @@ def test_a_push_lasts_as_long_as_the_mouse_is_held(page: str, world: CommandLine
             mesh = browser.wait_for(lambda: next((name for name in browser.nodes if name.startswith("/robots/car/")
                                                   and "surface" in name), None))  # fmt: skip
             before = x()
-            browser.drag(mesh, "start", (0.0, 3.0, 0.1), (2.0, 3.0, 0.1))
+
+            def is_grasped() -> bool:  # the page takes the mouse a moment after it shows the mesh
+                browser.drag(mesh, "start", (0.0, 3.0, 0.1), (2.0, 3.0, 0.1))
+                return "/push" in browser.nodes
+
+            browser.wait_for(is_grasped)
             browser.wait_for(lambda: client.step(100) and x() > before + 0.5)  # it is held, and does not move
             browser.drag(mesh, "end", (0.0, 3.0, 0.1), (2.0, 3.0, 0.1))
             browser.wait_for(lambda: "/push" not in browser.nodes)
