@@ -9,6 +9,7 @@ is_python() {  # $1 starts, is of the version $2, and can make environments
   "$1" -c "import ensurepip, sys, venv; sys.exit('%d.%d' % sys.version_info[:2] != '$2')" >/dev/null 2>&1
 }
 
+export PIP_NO_COMPILE=1  # each environment is used once, by two processes
 missing=()
 for version in 3.11 3.12 3.13 3.14; do
   ! is_python "${PYTHON:-python3}" "$version" || continue
