@@ -25,6 +25,7 @@ settings.register_profile("quick", settings.get_profile("slidectl"), max_example
 settings.load_profile("slidectl")
 
 _CACHE = pytest.StashKey[pytest.MonkeyPatch]()
+_PREFIX = "slidectl-cache-"
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -51,9 +52,10 @@ def _share_cache(config: pytest.Config) -> None:
 
     The compiled cycle of the run before is there from the start; it is used where its sources are still the same.
     """
-    if not hasattr(config, "workerinput"):
+    is_in_another = Path(os.environ.get("XDG_CACHE_HOME", "")).name.startswith(_PREFIX)  # a test that runs tests
+    if not hasattr(config, "workerinput") and not is_in_another:
         config.stash[_CACHE] = pytest.MonkeyPatch()
-        config.stash[_CACHE].setenv("XDG_CACHE_HOME", tempfile.mkdtemp(prefix="slidectl-cache-"))
+        config.stash[_CACHE].setenv("XDG_CACHE_HOME", tempfile.mkdtemp(prefix=_PREFIX))
         if (before := _cycles_of_runs(config)) is not None:
             _copy_cycles(before, _compiled())
 
