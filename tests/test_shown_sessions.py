@@ -221,7 +221,7 @@ def test_no_block_of_a_page_stands_there_unrun() -> None:
         "install.md": 3,  # pip
         "pytest.md": 1,  # what pytest prints
         "ros1.md": 2,  # gateways/ros1/test_ros1_tools.py, test_ros1_rosmaster.py
-        "ros2.md": 3,  # gateways/ros2/test_ros2_nodes.py, test_ros2_control.py
+        "ros2.md": 4,  # gateways/ros2/test_ros2_nodes.py, test_ros2_control.py, test_ros2_actions.py
         "seeing.md": 1,  # gateways/ros1/test_rviz.py
         "websocket.md": 1,  # gateways/websocket/test_websocket_page.py
     }

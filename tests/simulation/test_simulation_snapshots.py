@@ -197,6 +197,19 @@ def gripping(interface: str) -> tuple[Build, Act]:
     )
 
 
+def parallel_gripping() -> tuple[Build, Act]:
+    own: dict[str, Any] = {"type": "parallel_gripper_action_controller/GripperActionController", "joint": "joint1"}
+    own |= {"stall_timeout": 0.1, "goal_tolerance": 0.05, "action_monitor_rate": 20.0}
+    xml = arm(("prismatic",), interface="Position")
+    return lambda simulation: add(simulation, "a", xml, {"gripper": own}), publishing(
+        {
+            "/a/gripper/gripper_cmd/goal": lambda dice: {
+                "goal": {"command": {"position": [dice.choice((0.4, -0.4, 4.0))]}}
+            }
+        }
+    )
+
+
 def shipped_model(
     model: str, commands: dict[str, Callable[[Random], dict[str, Any]]], **arguments: str
 ) -> tuple[Build, Act]:
@@ -393,6 +406,7 @@ SCENES: dict[str, tuple[Build, Act]] = {
     "position trajectory of ROS 2": following_of_ros2("position"),
     "effort gripper": gripping("Effort"),
     "position gripper": gripping("Position"),
+    "parallel gripper of ROS 2": parallel_gripping(),
     "a cart on the ground": shipped_model("cart", {"/cart/base_controller/cmd_vel": twist}, drive="controller"),
     "a car on the ground": shipped_model(
         "car", {"/car/base_controller/cmd_vel": twist, "/car/base_controller/cmd_four_wheel_steering": axles}
