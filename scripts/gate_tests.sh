@@ -1,11 +1,11 @@
 #!/usr/bin/env bash
 # Runs the tests by make, and then, one at a time, those that failed. A test that fails among thousands on a busy machine
 # and passes alone has a race: it is named at the end, to be mended, and does not hold up the change. A test that fails
-# twice does, and so do more than fifteen that fail once, since a busy machine does not explain those.
+# twice does, and so do more than ten that fail once, since a busy machine does not explain those.
 #   scripts/gate_tests.sh [NAME=VALUE...] test|most|units
 set -uo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
-most=15
+most=10
 failed=".pytest_cache/v/cache/lastfailed"
 environment=".venv"
 for word in "$@"; do

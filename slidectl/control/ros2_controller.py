@@ -7,19 +7,46 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import floor
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from slidectl.control import params
 from slidectl.control.controller_interface import ControllerBase
 from slidectl.control.duration import NANOSECONDS, to_seconds
 from slidectl.control.hardware_interface import ClaimedResources, RobotHW
 from slidectl.control.node_handle import NodeHandle
-from slidectl.control.params import INTEGER, Parameter
+from slidectl.control.params import INTEGER, BadParameter, Kind, Parameter, as_number
 from slidectl.errors import Reason, Refused
 
 UPDATE_RATE = Parameter(
     "update_rate", INTEGER, "updates per simulated second; 0: one in each control cycle", "1/s", default=0, fixed=True
 )
+
+
+def _number_from(least: float) -> Kind[float]:
+    def convert(value: Any) -> float | None:
+        number = as_number(value)
+        return number if number is not None and number >= least else None
+
+    return Kind(f"a number of {least:g} or more", convert)
+
+
+NOT_NEGATIVE = _number_from(0.0)
+RATE = _number_from(0.1)
+MONITOR_RATE = Parameter(
+    "action_monitor_rate", RATE, "how often the goal's feedback and result are sent", "1/s", default=20.0, fixed=True
+)
+
+
+def checked_value(node: NodeHandle, parameter: Parameter, joint: str = "") -> Any:
+    """The value of a parameter, or its default. Raises BadParameter: it is missing or wrong, which ROS 2 refuses."""
+    name = parameter.name.replace("<joint>", joint)
+    value = node.get_param(name, None)
+    if value is None and not parameter.required:
+        return parameter.default
+    converted = parameter.kind.convert(value)
+    if converted is None:
+        raise BadParameter(node, name, parameter.kind.words)
+    return converted
 
 
 def fixed(*parameters: Parameter) -> tuple[Parameter, ...]:

@@ -5,56 +5,24 @@ from __future__ import annotations
 from math import nan
 
 import pytest
-from fake_robot import STEP_S, Bench, FakeRobot
+from fake_gripper import ACTION, Gripper
 
-from slidectl import msgs
 from slidectl.control.node_handle import GoalStatus
 
-ACTION = "/bot/hand/gripper_cmd"
 URDF = """<robot name="bot"><link name="world"/><link name="a"><inertial><mass value="1"/>
     <inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>
   <joint name="finger" type="prismatic"><parent link="world"/><child link="a"/>
     <limit lower="0" upper="1" effort="9" velocity="9"/></joint></robot>"""
 
 
-class Hand(Bench):
-    """A finger that goes a tenth of the way to its command in each cycle, until something is in the way."""
-
+class Hand(Gripper):
     def __init__(self, kind: str = "position", **parameters: object) -> None:
-        values = {"type": f"{kind}_controllers/GripperActionController", "joint": "finger", **parameters}
-        super().__init__(FakeRobot(("finger",), (kind,)), {"hand": values})
+        type_name = f"{kind}_controllers/GripperActionController"
+        super().__init__(kind, "control_msgs/GripperCommand", {"type": type_name, **parameters})
         self.graph.set("/bot/robot_description", URDF)
-        self.stop_at = 9.0
-        self.sent = 0
-
-    @property
-    def finger(self):
-        return self.robot.joints["finger"]
-
-    def run(self, cycles: int = 1, **more: object) -> None:
-        for _ in range(cycles):
-            super().run(**more)
-            before = self.finger.position
-            self.finger.position = min(before + 0.1 * (self.finger.command - before), self.stop_at)
-            self.finger.velocity = (self.finger.position - before) / STEP_S
 
     def goal(self, position: float, max_effort: float = 1.0) -> str:
-        self.sent += 1
-        name = f"g{self.sent}"
-        goal = {"command": {"position": position, "max_effort": max_effort}}
-        message = msgs.check("control_msgs/GripperCommandActionGoal", {"goal_id": {"id": name}, "goal": goal})
-        self.graph.send(f"{ACTION}/goal", message)
-        return name
-
-    def cancel(self, name: str) -> None:
-        self.graph.send(f"{ACTION}/cancel", msgs.check("actionlib_msgs/GoalID", {"id": name}))
-
-    def results(self) -> list[tuple[str, GoalStatus, bool, bool]]:
-        """Goal, status, reached_goal, stalled."""
-        return [
-            (m["status"]["goal_id"]["id"], m["status"]["status"], m["result"]["reached_goal"], m["result"]["stalled"])
-            for m in self.graph.sent(f"{ACTION}/result")
-        ]
+        return self.send({"position": position, "max_effort": max_effort})
 
 
 @pytest.fixture

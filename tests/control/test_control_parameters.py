@@ -8,7 +8,7 @@ import pytest
 from fake_node import FakeGraph
 from fake_robot import COMMAND_INTERFACES, FakeRobot
 
-from slidectl.control import params, registry
+from slidectl.control import params, registry, ros2_controller
 from slidectl.control.controller_interface import ControllerBase
 from slidectl.control.controllers import ros2_joint_trajectory
 from slidectl.control.controllers.diff_drive import WHEELS
@@ -52,10 +52,10 @@ VALUES = {
     QUANTITIES: ["position"],
     ros2_joint_trajectory.COMMANDS: ["effort"],
     ros2_joint_trajectory.STATES: ["position", "velocity"],
-    ros2_joint_trajectory.NOT_NEGATIVE: 1.0,
+    ros2_controller.NOT_NEGATIVE: 1.0,
     ros2_joint_trajectory.NOT_POSITIVE: -1.0,
     ros2_joint_trajectory.LOWEST: -1.0,
-    ros2_joint_trajectory.RATE: 1.0,
+    ros2_controller.RATE: 1.0,
     ros2_joint_trajectory.METHOD: "none",
     ros2_joint_trajectory.INTERFACE_NAME: "",
     NINE: [1.0] * 9,

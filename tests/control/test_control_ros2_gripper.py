@@ -3,54 +3,21 @@
 from __future__ import annotations
 
 from math import nan
-from typing import Any
 
 import pytest
-from fake_robot import STEP_S, Bench, FakeRobot
+from fake_gripper import ACTION, Gripper
 
-from slidectl import msgs
 from slidectl.control.node_handle import GoalStatus
 
-ACTION = "/bot/hand/gripper_cmd"
 TYPE = "parallel_gripper_action_controller/GripperActionController"
 
 
-class Hand(Bench):
-    """A finger that goes a tenth of the way to its command in each cycle, until something is in the way."""
-
+class Hand(Gripper):
     def __init__(self, **parameters: object) -> None:
-        values = {"type": TYPE, "joint": "finger", **parameters}
-        super().__init__(FakeRobot(("finger",), ("position",)), {"hand": values})
-        self.stop_at = 9.0
-        self.sent = 0
-
-    @property
-    def finger(self) -> Any:
-        return self.robot.joints["finger"]
-
-    def run(self, cycles: int = 1, **more: object) -> None:
-        for _ in range(cycles):
-            super().run(**more)
-            before = self.finger.position
-            self.finger.position = min(before + 0.1 * (self.finger.command - before), self.stop_at)
-            self.finger.velocity = (self.finger.position - before) / STEP_S
+        super().__init__("position", "control_msgs/ParallelGripperCommand", {"type": TYPE, **parameters})
 
     def goal(self, *position: float) -> str:
-        self.sent += 1
-        name = f"g{self.sent}"
-        content = {"goal_id": {"id": name}, "goal": {"command": {"position": list(position)}}}
-        self.graph.send(f"{ACTION}/goal", msgs.check("control_msgs/ParallelGripperCommandActionGoal", content))
-        return name
-
-    def cancel(self, name: str) -> None:
-        self.graph.send(f"{ACTION}/cancel", msgs.check("actionlib_msgs/GoalID", {"id": name}))
-
-    def results(self) -> list[tuple[str, GoalStatus, bool, bool]]:
-        """Goal, status, reached_goal, stalled."""
-        return [
-            (m["status"]["goal_id"]["id"], m["status"]["status"], m["result"]["reached_goal"], m["result"]["stalled"])
-            for m in self.graph.sent(f"{ACTION}/result")
-        ]
+        return self.send({"position": list(position)})
 
 
 @pytest.fixture
@@ -134,8 +101,10 @@ def test_an_update_rate_slows_it_and_a_start_holds_the_measured_position() -> No
     ("parameters", "reason"),
     [
         ({"state_interfaces": ["position"]}, "state_interfaces lacks velocity"),
-        ({"goal_tolerance": -1.0}, "goal_tolerance must be 0 or above, not -1"),
-        ({"action_monitor_rate": 0.0}, "must be a rate above 0, not 0"),
+        ({"goal_tolerance": -1.0}, "goal_tolerance must be a number of 0 or more, not -1"),
+        ({"action_monitor_rate": 0.0}, "action_monitor_rate must be a number of 0.1 or more, not 0"),
+        ({"action_monitor_rate": 1e12}, "action_monitor_rate must be a rate above 0, not 1e+12"),
+        ({"stall_timeout": "soon"}, "stall_timeout must be a number, not the string 'soon'"),
     ],
 )
 def test_wrong_parameters_are_refused(parameters: dict[str, object], reason: str) -> None:

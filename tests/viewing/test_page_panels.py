@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import os
 import re
+import signal
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -144,6 +146,27 @@ def test_gains_are_turned_undone_changed_by_others_and_saved(
         saved.value.save_as(tmp_path / "slider_control.yaml")
         assert "p: 55.5" in (tmp_path / "slider_control.yaml").read_text("utf-8")
         world.ok("param", "set", f"{pid}/p", "100.0")
+
+
+def test_a_box_stays_as_it_was_clicked_until_the_daemon_answers(world: CommandLine, tab: PanelsTab) -> None:
+    antiwindup = f"{CONTROLLER}/pid/antiwindup"
+    tab.button("More of joint1_position_controller").click()
+    p, box = tab.page.get_by_label("p", exact=True), tab.page.get_by_label("antiwindup", exact=True)
+    expect(p).to_have_value("100")
+    with world.client() as client:
+        os.kill(client.daemon_pid, signal.SIGSTOP)
+        try:
+            box.check()
+            p.fill("much")  # the panel is drawn again
+            p.press("Enter")
+            expect(tab.page.locator(".gains .error")).to_contain_text("not a number")
+            expect(box).to_be_checked()
+        finally:
+            os.kill(client.daemon_pid, signal.SIGCONT)
+        eventually(lambda: client.params[antiwindup] is True)
+        expect(box).to_be_checked()
+        box.uncheck()
+        eventually(lambda: client.params[antiwindup] is False)
 
 
 def test_a_joint_is_commanded_and_its_slider_follows_others(world: CommandLine, tab: PanelsTab) -> None:

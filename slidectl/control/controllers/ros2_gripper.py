@@ -10,34 +10,32 @@ from math import isfinite
 from typing import ClassVar
 
 from slidectl import msgs, names
-from slidectl.control import params
 from slidectl.control.controller_interface import State
 from slidectl.control.controllers.gripper_action import REACHED, UNDECIDED, judged
-from slidectl.control.goals import MONITOR_RATE, ActionController, MonitoredGoal, period_of
+from slidectl.control.goals import ActionController, MonitoredGoal, checked_period
 from slidectl.control.hardware_interface import PositionJointInterface
 from slidectl.control.node_handle import GoalHandle, GoalStatus, Message, NodeHandle
 from slidectl.control.params import BOOLEAN, JOINT, NUMBER, TEXT, TEXTS, Parameter
 from slidectl.control.registry import ros2_controller
-from slidectl.control.ros2_controller import Ros2Controller, fixed
+from slidectl.control.ros2_controller import MONITOR_RATE, NOT_NEGATIVE, Ros2Controller, checked_value, fixed
 from slidectl.errors import Refused, listing
 
 _STATES = ("position", "velocity")
 _TYPE = "control_msgs/ParallelGripperCommand"
 
-THE_JOINT, RATE, STATES, TOLERANCE, ALLOW_STALLING, STALL_VELOCITY, STALL_TIMEOUT = fixed(
+THE_JOINT, STATES, TOLERANCE, ALLOW_STALLING, STALL_VELOCITY, STALL_TIMEOUT = fixed(
     JOINT,
-    MONITOR_RATE,
     Parameter("state_interfaces", TEXTS, "position and velocity, which are both read", default=list(_STATES)),
-    Parameter("goal_tolerance", NUMBER, "a goal succeeds nearer than this", "m or rad", default=0.01),
+    Parameter("goal_tolerance", NOT_NEGATIVE, "a goal succeeds nearer than this", "m or rad", default=0.01),
     Parameter("allow_stalling", BOOLEAN, "a goal succeeds when the joint stands still elsewhere", default=False),
     Parameter("stall_velocity_threshold", NUMBER, "a slower joint stands still", "m/s or rad/s", default=0.001),
     Parameter("stall_timeout", NUMBER, "a joint that stands still longer has stalled", "s", default=1.0),
 )
 _WITHOUT_EFFECT = fixed(
     Parameter("max_effort_interface", TEXT, "no effect: the effort limit of the joint counts", default=""),
-    Parameter("max_effort", NUMBER, "no effect, as max_effort_interface", "N or N·m", default=10.0),
+    Parameter("max_effort", NOT_NEGATIVE, "no effect, as max_effort_interface", "N or N·m", default=10.0),
     Parameter("max_velocity_interface", TEXT, "no effect: the joint moves as its position demands", default=""),
-    Parameter("max_velocity", NUMBER, "no effect, as max_velocity_interface", "m/s or rad/s", default=0.1),
+    Parameter("max_velocity", NOT_NEGATIVE, "no effect, as max_velocity_interface", "m/s or rad/s", default=0.1),
 )
 """Interfaces of a gripper's own electronics, and what is written to them."""
 
@@ -50,7 +48,7 @@ class ParallelGripperActionController(Ros2Controller, ActionController[PositionJ
     parameters: ClassVar[tuple[Parameter, ...]] = (
         *Ros2Controller.parameters,
         THE_JOINT,
-        RATE,
+        MONITOR_RATE,
         STATES,
         TOLERANCE,
         ALLOW_STALLING,
@@ -61,18 +59,17 @@ class ParallelGripperActionController(Ros2Controller, ActionController[PositionJ
 
     def init(self, interface: PositionJointInterface, node: NodeHandle) -> None:
         """Raises SlidectlError: a parameter or the joint is missing or wrong."""
-        states: list[str] = params.value_of(node, STATES)
+        states: list[str] = checked_value(node, STATES)
         if missing := [name for name in _STATES if name not in states]:
             where = names.join(node.namespace, STATES.name)
             raise Refused(f"{where} lacks {listing(missing)}", f"use [{', '.join(_STATES)}]")
-        monitor_period_ns = period_of(node, RATE)
-        self._joint = interface.get_handle(params.value_of(node, THE_JOINT))
-        self.tolerance = self._not_negative(node, TOLERANCE)
-        self.stall_velocity: float = params.value_of(node, STALL_VELOCITY)
-        self.stall_timeout_s: float = params.value_of(node, STALL_TIMEOUT)
-        self._allows_stalling: bool = params.value_of(node, ALLOW_STALLING)
+        self._joint = interface.get_handle(checked_value(node, THE_JOINT))
+        self.tolerance: float = checked_value(node, TOLERANCE)
+        self.stall_velocity: float = checked_value(node, STALL_VELOCITY)
+        self.stall_timeout_s: float = checked_value(node, STALL_TIMEOUT)
+        self._allows_stalling: bool = checked_value(node, ALLOW_STALLING)
         for parameter in _WITHOUT_EFFECT:
-            value = params.value_of(node, parameter)
+            value = checked_value(node, parameter)
             if value and parameter.kind is TEXT:
                 where = names.join(node.namespace, parameter.name)
                 node.log("warn", f"{where} has no effect: the simulated gripper has no interface {value!r}")
@@ -80,14 +77,8 @@ class ParallelGripperActionController(Ros2Controller, ActionController[PositionJ
         """The desired position, m or rad."""
         self.moved_ns = 0
         """When the joint last moved while it followed a goal."""
+        monitor_period_ns = checked_period(node, MONITOR_RATE.name, checked_value(node, MONITOR_RATE))
         self._serve(node, "gripper_cmd", _TYPE, monitor_period_ns)
-
-    @staticmethod
-    def _not_negative(node: NodeHandle, parameter: Parameter) -> float:
-        value: float = params.value_of(node, parameter)
-        if value < 0.0:
-            raise Refused(f"parameter {names.join(node.namespace, parameter.name)} must be 0 or above, not {value:g}")
-        return value
 
     def starting(self, time_ns: int) -> None:
         """Hold the measured position."""

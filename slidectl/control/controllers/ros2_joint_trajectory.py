@@ -34,8 +34,8 @@ from slidectl.control.controllers.joint_trajectory import (
     PATH_TOLERANCE_VIOLATED,
     SUCCESSFUL,
 )
-from slidectl.control.duration import from_seconds, header_of, nearest_ns, to_seconds, to_stamp
-from slidectl.control.goals import ActionController, MonitoredGoal
+from slidectl.control.duration import header_of, nearest_ns, to_seconds, to_stamp
+from slidectl.control.goals import ActionController, MonitoredGoal, checked_period
 from slidectl.control.hardware_interface import (
     AnyInterface,
     ClaimedResources,
@@ -51,10 +51,10 @@ from slidectl.control.hardware_interface import (
 )
 from slidectl.control.joint_controller import warn_of_other_joints
 from slidectl.control.node_handle import GoalHandle, GoalStatus, Message, NodeHandle, ParameterChange, publish_if_wanted
-from slidectl.control.params import BOOLEAN, JOINTS, NUMBER, TEXTS, BadParameter, Kind, Parameter, as_number
+from slidectl.control.params import BOOLEAN, JOINTS, NUMBER, TEXTS, Kind, Parameter, as_number
 from slidectl.control.registry import ros2_controller
 from slidectl.control.robot_description import PARAMETER, robot_of_model
-from slidectl.control.ros2_controller import Ros2Controller
+from slidectl.control.ros2_controller import MONITOR_RATE, NOT_NEGATIVE, Ros2Controller, checked_value
 from slidectl.control.ros2_pid import STRATEGY, Ros2Gains, Ros2Pid
 from slidectl.control.ros2_trajectory import (
     FIELDS,
@@ -87,14 +87,6 @@ _ROUNDING = 1.1920929e-07
 """Sizes up to this count as 0: the epsilon of a float."""
 
 
-def _number_from(least: float) -> Kind[float]:
-    def convert(value: Any) -> float | None:
-        number = as_number(value)
-        return number if number is not None and number >= least else None
-
-    return Kind(f"a number of {least:g} or more", convert)
-
-
 def _number_to(most: float) -> Kind[float]:
     def convert(value: Any) -> float | None:
         number = as_number(value)
@@ -115,8 +107,6 @@ def _some_of(words: Sequence[str]) -> Kind[list[str]]:
     return Kind(f"a list of some of {', '.join(words)}", convert)
 
 
-NOT_NEGATIVE = _number_from(0.0)
-RATE = _number_from(0.1)
 NOT_POSITIVE = _number_to(0.0)
 COMMANDS = _some_of(QUANTITIES)
 STATES = _some_of(QUANTITIES[:3])
@@ -196,9 +186,6 @@ LAST_COMMAND = Parameter(
     "it starts by holding the last commands of the joints, not their measured positions",
     default=True,
     live=True,
-)
-MONITOR_RATE = Parameter(
-    "action_monitor_rate", RATE, "how often the goal's feedback and result are sent", "1/s", default=20.0, fixed=True
 )
 INTERPOLATION = Parameter(
     "interpolation_method",
@@ -320,18 +307,6 @@ class _WrongTolerance(Exception):
     """A tolerance of a goal has no meaning."""
 
 
-def _value(node: NodeHandle, parameter: Parameter, joint: str = "") -> Any:
-    """The value of a parameter, or its default. Raises BadParameter: it is missing or wrong, which ROS 2 refuses."""
-    name = parameter.name.replace("<joint>", joint)
-    value = node.get_param(name, None)
-    if value is None and not parameter.required:
-        return parameter.default
-    converted = parameter.kind.convert(value)
-    if converted is None:
-        raise BadParameter(node, name, parameter.kind.words)
-    return converted
-
-
 @ros2_controller("joint_trajectory_controller/JointTrajectoryController")
 class Ros2JointTrajectoryController(Ros2Controller, ActionController[Any]):
     """The commands are those of `command_interfaces`."""
@@ -371,7 +346,7 @@ class Ros2JointTrajectoryController(Ros2Controller, ActionController[Any]):
     # Init.
 
     def _claim(self, hw: RobotHW, root: NodeHandle, node: NodeHandle) -> tuple[ClaimedResources, ...]:
-        quantities = tuple(one for one in QUANTITIES if one in _value(node, COMMAND_INTERFACES))
+        quantities = tuple(one for one in QUANTITIES if one in checked_value(node, COMMAND_INTERFACES))
         kind = _INTERFACES.get(quantities)
         if kind is None:
             where = names.join(node.namespace, COMMAND_INTERFACES.name)
@@ -390,10 +365,10 @@ class Ros2JointTrajectoryController(Ros2Controller, ActionController[Any]):
     def init(self, interface: AnyInterface, node: NodeHandle) -> None:
         """Raises SlidectlError: a parameter, a joint or the robot description is missing or wrong."""
         self._node = node
-        self._names: list[str] = _value(node, _JOINTS)
-        commanded: list[str] = _value(node, COMMAND_JOINTS) or self._names
+        self._names: list[str] = checked_value(node, _JOINTS)
+        commanded: list[str] = checked_value(node, COMMAND_JOINTS) or self._names
         self._check_names(commanded)
-        self._check_states(_value(node, STATE_INTERFACES))
+        self._check_states(checked_value(node, STATE_INTERFACES))
         self._check_scaling()
         self._joints: tuple[JointStateHandle, ...] = tuple(self._joint_states.get_handle(name) for name in self._names)
         self._commanded: tuple[JointHandle, ...] = tuple(interface.get_handle(name) for name in commanded)
@@ -402,19 +377,19 @@ class Ros2JointTrajectoryController(Ros2Controller, ActionController[Any]):
         """The index in `joints` of each commanded joint."""
         self._commands_all = commanded == self._names
         self._uses_pid = self._quantities in ((VELOCITY,), (EFFORT,))
-        self._from_desired: bool = _value(node, FROM_DESIRED)
-        if _value(node, OPEN_LOOP):
+        self._from_desired: bool = checked_value(node, FROM_DESIRED)
+        if checked_value(node, OPEN_LOOP):
             text = f"{node.namespace}/{OPEN_LOOP.name} is of older versions: it means {FROM_DESIRED.name} here"
             node.log("warn", text)
             self._from_desired = True
-        self._interpolates = _value(node, INTERPOLATION) == "splines"
-        self._upsamples = _value(node, UPSAMPLING) and self._interpolates
-        self._policy_frequency: float = _value(node, POLICY_FREQUENCY)
+        self._interpolates = checked_value(node, INTERPOLATION) == "splines"
+        self._upsamples = checked_value(node, UPSAMPLING) and self._interpolates
+        self._policy_frequency: float = checked_value(node, POLICY_FREQUENCY)
         joints = self._described_joints()
         self._turns = [joint is not None and joint.type == "continuous" for joint in joints]
         self._fastest = [joint.limit.velocity if joint is not None and joint.limit else 0.0 for joint in joints]
-        self._decelerations: list[float] = [_value(node, DECELERATION, name) for name in self._names]
-        self._decelerates = _value(node, DECELERATES) and self._can_decelerate()
+        self._decelerations: list[float] = [checked_value(node, DECELERATION, name) for name in self._names]
+        self._decelerates = checked_value(node, DECELERATES) and self._can_decelerate()
         known = [*self._names, *(one.name.rpartition("/")[2] for one in (GOAL_TIME, STOPPED_VELOCITY, DECELERATES))]
         warn_of_other_joints(node, "constraints", known)
         warn_of_other_joints(node, "gains", self._names)
@@ -441,7 +416,7 @@ class Ros2JointTrajectoryController(Ros2Controller, ActionController[Any]):
         self._output = self._commands()
         self._state = node.advertise("controller_state", "slidectl/JointTrajectoryControllerState")
         node.advertise_service("query_state", "slidectl/QueryTrajectoryState", self._query_state, Effect.READS)
-        monitor_period_ns = from_seconds(1.0 / _value(node, MONITOR_RATE))
+        monitor_period_ns = checked_period(node, MONITOR_RATE.name, checked_value(node, MONITOR_RATE))
         self._serve(node, "follow_joint_trajectory", "control_msgs/FollowJointTrajectory", monitor_period_ns)
         node.guard_params(self._judge)
         node.watch_param(node.namespace, self._read_live)
@@ -480,14 +455,14 @@ class Ros2JointTrajectoryController(Ros2Controller, ActionController[Any]):
 
     def _check_scaling(self) -> None:
         for parameter in (SCALING_STATE, SCALING_COMMAND):
-            if value := _value(self._node, parameter):
+            if value := checked_value(self._node, parameter):
                 where = names.join(self._node.namespace, parameter.name)
                 raise Refused(
                     f"{where}: this robot has no interface {value!r}", "publish on speed_scaling_input instead"
                 )
 
     def _initial_scaling(self) -> float:
-        factor: float = _value(self._node, INITIAL_SCALING)
+        factor: float = checked_value(self._node, INITIAL_SCALING)
         if self._is_of_positions:
             return factor
         if factor != 1.0:
@@ -531,24 +506,24 @@ class Ros2JointTrajectoryController(Ros2Controller, ActionController[Any]):
     def _read_live(self) -> None:
         """Use the present values of the parameters that may change. Tolerances count from the next goal on."""
         node = self._node
-        self._allows_partial: bool = _value(node, PARTIAL)
-        self._replaces: bool = _value(node, REPLACEMENT)
-        self._integrates: bool = _value(node, INTEGRATION)
-        self._starts_at_command: bool = _value(node, LAST_COMMAND)
-        self._allows_moving_end: bool = _value(node, NONZERO_END)
-        self._wanted_timeout_s: float = _value(node, TIMEOUT)
-        self._default_goal_time_s: float = _value(node, GOAL_TIME)
-        stopped: float = _value(node, STOPPED_VELOCITY)
+        self._allows_partial: bool = checked_value(node, PARTIAL)
+        self._replaces: bool = checked_value(node, REPLACEMENT)
+        self._integrates: bool = checked_value(node, INTEGRATION)
+        self._starts_at_command: bool = checked_value(node, LAST_COMMAND)
+        self._allows_moving_end: bool = checked_value(node, NONZERO_END)
+        self._wanted_timeout_s: float = checked_value(node, TIMEOUT)
+        self._default_goal_time_s: float = checked_value(node, GOAL_TIME)
+        stopped: float = checked_value(node, STOPPED_VELOCITY)
         self._default_tolerances = [
-            (_value(node, PATH_TOLERANCE, name), 0.0, _value(node, GOAL_TOLERANCE, name), stopped)
+            (checked_value(node, PATH_TOLERANCE, name), 0.0, checked_value(node, GOAL_TOLERANCE, name), stopped)
             for name in self._names
         ]
         """Of each joint the largest errors of position and velocity on the way, and those at the end; 0: any."""
         for k, place in enumerate(self._places):
             name = self._names[place]
-            values = {one.name.replace("<joint>", name): _value(node, one, name) for one in GAINS}
+            values = {one.name.replace("<joint>", name): checked_value(node, one, name) for one in GAINS}
             self._pids[k].set_gains(_gains_of(values, name))
-            self._feed_forward[k] = _value(node, FEED_FORWARD, name)
+            self._feed_forward[k] = checked_value(node, FEED_FORWARD, name)
 
     # The cycle.
 

@@ -60,6 +60,7 @@ _ARGUMENTS = {
     "offer": ("service", "type", "values"),
     "call": ("service", "type", "values"),
     "send_goal": ("action", "type", "values"), "cancel_goal": ("number",), "has_ended": ("number",),
+    "send_goals": ("action", "type", "values", "count"),
     "result_of": ("number",), "has_action": ("action",),
 }  # fmt: skip
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import os
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -123,6 +125,25 @@ def test_a_reset_world_and_a_deleted_robot_end_their_goals(world: World, node: R
     world.run("sim", "reset")
     eventually(lambda: node.has_ended(number))
     assert node.result_of(number)[0] == ABORTED
+
+
+def test_more_goals_than_can_be_and_a_daemon_that_does_not_answer_are_told(world: World, node: Ros2Node) -> None:
+    with world.client() as client:
+        daemon = client.daemon_pid
+    assert node.result_of(send(node, 0.1, 1))[0] == SUCCEEDED
+    goal = {"trajectory": {"joint_names": ["joint1"], "points": [{"positions": [0.9], "time_from_start": {"sec": 60}}]}}
+    os.kill(daemon, signal.SIGSTOP)
+    try:
+        accepted = node.send_goals(TRAJECTORY, KIND, goal, 200)
+    finally:
+        os.kill(daemon, signal.SIGCONT)
+    assert len(accepted) > 100
+    assert not any(accepted)
+    assert "rejects a goal of ROS 2: 100 goals have no result yet" in world.log
+    assert "rejects a goal of ROS 2: the daemon has not taken it within 8 s" in world.log
+    assert node.result_of(send(node, 0.2, 1))[0] == SUCCEEDED
+    with world.client() as client, client.subscribe(f"{TRAJECTORY}/status", queue_length=1) as lists:
+        eventually(lambda: not any(one["status"] < 2 for one in lists.get(timeout=60)["status_list"]))  # none goes on
 
 
 def test_topics_of_actionlib_are_not_among_those_of_ros2(world: World, node: Ros2Node) -> None:

@@ -128,7 +128,9 @@ def ros1(ctx: Context, action: str, **options: Any) -> None:
               help="ROS_DOMAIN_ID; by default that of the environment, or 0.")  # fmt: skip
 @click.option("--any-host", is_flag=True, help="Let nodes of other hosts take part; by default those of this machine.")
 @click.option("--read-only", is_flag=True, help="Let nodes read only.")
-@click.option("--topics", multiple=True, metavar="PATTERN", help="Bridge these topics only (*, ?, [...]); may repeat.")
+@click.option(
+    "--topics", multiple=True, metavar="PATTERN", help="Bridge these topics and actions only (*, ?, [...]); may repeat."
+)
 @_TRUST[0]
 @click.pass_obj
 def ros2(ctx: Context, /, action: str, **options: Any) -> None:

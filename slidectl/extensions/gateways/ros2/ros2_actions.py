@@ -15,11 +15,11 @@ from functools import partial
 from itertools import count
 from typing import Any
 
-from slidectl.client.action_client import LOST, STATES, SUCCEEDED
+from slidectl.client.action_client import LOST, STATES, SUCCEEDED, goal_topics
 from slidectl.client.async_client import AsyncSubscription
 from slidectl.errors import SlidectlError
 from slidectl.extensions.gateways.daemon_connection import DaemonConnection
-from slidectl.extensions.gateways.ros2.conversion import ActionConversion
+from slidectl.extensions.gateways.ros2.conversion import ActionConversion, Conversion
 from slidectl.extensions.gateways.ros2.participant import AwaitedValue, Participant
 from slidectl.wire.messages import Message
 
@@ -28,9 +28,13 @@ _log = logging.getLogger(__name__)
 _GOAL, _TYPES = "ActionGoal", ("ActionGoal", "ActionFeedback", "ActionResult")
 _PENDING, _REJECTED = STATES.index("pending"), STATES.index("rejected")
 _CANCELLED = (STATES.index("preempted"), STATES.index("recalled"))
+_SENT_WITHIN_S = 8.0
+"""Wall seconds in which the daemon has to take a goal: less than a connection waits for an answer."""
 _DECIDES_WITHIN_S = 5.0
 """Wall seconds in which an action decides about a goal. One that does not is asked no more: the goal is accepted."""
 _NOT_SERVED = "the action has no server any more: its robot or its controller was removed, or the daemon has ended"
+_MOST_OPEN = 100
+"""Goals of an action that have no result yet; others are rejected."""
 _TEXT = "error_string"
 """The field in which a result can say why a goal ended."""
 
@@ -44,13 +48,11 @@ def is_of_action(topic: dict[str, Any]) -> bool:
 
 def actions_of(topics: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
     """The actions that have a server among topics as in /slidectl/graph: name -> name, type, and node of the server."""
-    found = {}
-    for topic in topics:
-        name, _, own = topic["name"].rpartition("/")
-        if own == "goal" and topic["type"].endswith(_GOAL) and topic["subscribers"]:
-            kind = topic["type"].removesuffix(_GOAL)
-            found[name] = {"name": name, "type": kind, "node": topic["subscribers"][0]}
-    return found
+    served = {topic["name"]: topic for topic in topics if topic["subscribers"]}
+    return {
+        name: {"name": name, "type": kind, "node": served[f"{name}/goal"]["subscribers"][0]}
+        for name, kind in goal_topics({name: topic["type"] for name, topic in served.items()}).items()
+    }
 
 
 class _Goal:
@@ -125,6 +127,9 @@ class OfferedAction:
     async def _decide(self, request: Any) -> Any:
         from rclpy.action import GoalResponse
 
+        if len(self._open) >= _MOST_OPEN:
+            _log.warning("%s rejects a goal of ROS 2: %s goals have no result yet", self.name, _MOST_OPEN)
+            return GoalResponse.REJECT
         try:
             given = self._conversion.goal.from_ros2(request)
         except Exception as error:  # a value that the type does not have here
@@ -178,13 +183,18 @@ class OfferedAction:
 
     async def _send(self, goal: _Goal, given: Message) -> None:
         """Send the goal to the daemon's action, and wait for its decision."""
+        message = {"goal_id": {"id": goal.id}, "goal": given}
         try:
-            async with self._lock:
-                if not self._followed:
-                    await self._follow()
-                self._goals[goal.id] = goal
-            message = {"goal_id": {"id": goal.id}, "goal": given}
-            await self._daemon.deliver(f"{self.name}/goal", message, f"{self.type}{_GOAL}")
+            async with asyncio.timeout(_SENT_WITHIN_S):
+                async with self._lock:
+                    if not self._followed:
+                        await self._follow()
+                    self._goals[goal.id] = goal
+                await self._daemon.deliver(f"{self.name}/goal", message, f"{self.type}{_GOAL}")
+        except TimeoutError:
+            self._publish_cancel(goal.id)  # the daemon may still take it
+            self._refuse(goal, f"the daemon has not taken it within {_SENT_WITHIN_S:g} s")
+            return
         except SlidectlError as error:
             self._refuse(goal, str(error))
             return
@@ -235,8 +245,8 @@ class OfferedAction:
 
     def _take_feedback(self, published: Message) -> None:
         goal = self._goals.get(published["msg"]["status"]["goal_id"]["id"])
-        if goal is not None:
-            feedback = self._conversion.feedback.to_ros2(published["msg"]["feedback"])
+        feedback = self._converted(self._conversion.feedback, published["msg"]["feedback"]) if goal else None
+        if goal is not None and feedback is not None:
             self._participant.post(partial(self._pass_on, goal, feedback))
 
     def _take_result(self, published: Message) -> None:
@@ -253,10 +263,19 @@ class OfferedAction:
 
     def _result(self, content: Message, text: str) -> Any:
         """A result in ROS 2, with a text if it can hold one and has none. `content` is empty for one by default."""
-        made = self._conversion.result.to_ros2(content) if content else self._conversion.ros2_class.Result()
+        made = self._converted(self._conversion.result, content) if content else None
+        made = self._conversion.ros2_class.Result() if made is None else made
         if made.get_fields_and_field_types().get(_TEXT) == "string" and not getattr(made, _TEXT):
             setattr(made, _TEXT, text)
         return made
+
+    def _converted(self, conversion: Conversion, content: Message) -> Any:
+        """A message of ROS 2; None, with a note in the log, for what its type cannot hold."""
+        try:
+            return conversion.to_ros2(content)
+        except Exception as error:  # of rclpy, too, which has no class of its own for it
+            _log.warning("%s: a message cannot be sent to ROS 2: %s", self.name, error)
+            return None
 
     def _end(self, goal: _Goal, status: int, result: Any) -> None:
         self._accept(goal)

@@ -64,7 +64,7 @@ class Ros2Options(GatewayOptions):
     read_only: bool = False
     """Nodes of ROS 2 can subscribe, and call services that only read."""
     topics: tuple[str, ...] = ()
-    """Patterns (`*`, `?`, `[...]`) of the topics to bridge; all without one."""
+    """Patterns (`*`, `?`, `[...]`) of the topics and actions to bridge; all without one."""
 
 
 class Ros2Gateway(Gateway):
